@@ -1,0 +1,3 @@
+"""CAN-bus ECU diagnostic gateway: model-based fault detection with a real fault memory."""
+
+__version__ = "0.1.0"

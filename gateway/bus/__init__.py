@@ -1,0 +1,1 @@
+"""CAN frames in and out: frame batches, buses named by URIs, log files."""

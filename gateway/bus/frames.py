@@ -1,0 +1,148 @@
+"""The frame batch: how CAN frames travel through the gateway.
+
+A batch is a NumPy structured array of :data:`FRAME`. Live, a batch is what one readable event
+delivered; in replay it is a chunk of a log. Both feed the same engine.
+
+Invariants that every producer keeps: ``data`` beyond ``length`` is zero; ``can_id`` carries the
+flags of a SocketCAN ``struct can_frame`` in its upper three bits; ``t_ns`` is the time stamp of the
+frame's own clock in integer nanoseconds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import InputError
+
+EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
+REMOTE = 0x4000_0000  # CAN_RTR_FLAG
+ERROR = 0x2000_0000  # CAN_ERR_FLAG
+ID_MASK = 0x1FFF_FFFF
+
+FD = 0x01  # CAN FD format (CANFD_FDF)
+BRS = 0x02  # bit-rate switch
+ESI = 0x04  # error state indicator of the sender
+OWN = 0x08  # sent by this process
+
+#: One frame, 80 bytes. ``data`` starts on a multiple of 8, so that it can be read as 64-bit words.
+FRAME = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("bus", "u1"),
+        ("flags", "u1"),
+        ("length", "u1"),
+        ("reserved", "u1"),
+        ("data", "u1", (64,)),
+    ]
+)
+
+#: A batch: shape ``(n,)`` of :data:`FRAME`.
+Frames = NDArray[np.void]
+
+#: Payload lengths that CAN FD can carry (ISO 11898-1, DLC 0..15).
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+
+
+def empty(count: int) -> Frames:
+    """Return a batch of ``count`` zeroed frames."""
+    return np.zeros(count, FRAME)
+
+
+def put(
+    frames: Frames,
+    index: int,
+    t_ns: int,
+    can_id: int,
+    payload: bytes | bytearray | memoryview,
+    *,
+    bus: int = 0,
+    flags: int = 0,
+) -> None:
+    """Write one frame into a batch.
+
+    Args:
+        frames: the batch.
+        index: which frame of it.
+        t_ns: time stamp [ns].
+        can_id: identifier with the flags :data:`EXTENDED`, :data:`REMOTE`, :data:`ERROR`.
+        payload: 0 to 64 bytes.
+        bus: index of the bus.
+        flags: :data:`FD`, :data:`BRS`, :data:`ESI`, :data:`OWN`.
+
+    Raises:
+        InputError: the payload is longer than 64 bytes.
+    """
+    length = len(payload)
+    if length > 64:
+        raise InputError("a CAN frame carries at most 64 bytes", key="payload", value=length)
+    frame = frames[index]
+    frame["t_ns"] = t_ns
+    frame["can_id"] = can_id
+    frame["bus"] = bus
+    frame["flags"] = flags
+    frame["length"] = length
+    data = frame["data"]
+    data[:length] = np.frombuffer(payload, np.uint8)
+    data[length:] = 0
+
+
+def payload(frame: np.void) -> bytes:
+    """Return the payload of one frame, ``length`` bytes."""
+    return bytes(frame["data"][: int(frame["length"])])
+
+
+def nanoseconds(seconds: float) -> int:
+    """Turn a library's float seconds into integer nanoseconds.
+
+    A double at today's epoch has a spacing of 238 ns, so a stamp of a recorder that counts
+    microseconds is restored exactly by rounding there; below 1e6 s full nanoseconds survive.
+    """
+    if abs(seconds) < 1e6:
+        return round(seconds * 1e9)
+    return round(seconds * 1e6) * 1000
+
+
+def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 0) -> None:
+    """Write a python-can message into a batch (see :func:`put`)."""
+    can_id = message.arbitration_id & ID_MASK
+    if message.is_extended_id:
+        can_id |= EXTENDED
+    if message.is_remote_frame:
+        can_id |= REMOTE
+    if message.is_error_frame:
+        can_id |= ERROR
+    flags = 0
+    if message.is_fd:
+        flags |= FD
+        if message.bitrate_switch:
+            flags |= BRS
+        if message.error_state_indicator:
+            flags |= ESI
+    if not message.is_rx:
+        flags |= OWN
+    body = b"" if message.is_remote_frame else bytes(message.data)
+    put(frames, index, nanoseconds(message.timestamp), can_id, body, bus=bus, flags=flags)
+
+
+def to_message(frame: np.void, channel: Any = None) -> can.Message:
+    """Return one frame as a python-can message; ``timestamp`` is float seconds there."""
+    can_id = int(frame["can_id"])
+    flags = int(frame["flags"])
+    return can.Message(
+        timestamp=int(frame["t_ns"]) / 1e9,
+        arbitration_id=can_id & ID_MASK,
+        is_extended_id=bool(can_id & EXTENDED),
+        is_remote_frame=bool(can_id & REMOTE),
+        is_error_frame=bool(can_id & ERROR),
+        is_fd=bool(flags & FD),
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
+        is_rx=not flags & OWN,
+        data=payload(frame),
+        channel=channel,
+    )

@@ -1,0 +1,33 @@
+"""Events: what Python sees of the engine's work."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.jit import f8, i1, i4, i8, record, u1
+from gateway.monitors.shape import EVIDENCE
+
+#: Debounce qualified a failure: the fault detection counter arrived at +127.
+QUALIFIED_FAILED = 1
+#: Debounce qualified a pass: the fault detection counter arrived at -128.
+QUALIFIED_PASSED = 2
+#: A test result differs from the last one of the same fault; not qualified yet.
+RESULT_CHANGED = 3
+
+#: One event. ``fault`` is the index in the engine's list of faults, ``result`` one of NOT_TESTED,
+#: PASSED, FAILED, ``fdc`` the fault detection counter, ``evidence`` named by the fault's definition.
+EVENT = record(
+    t_ns=i8,
+    fault=i4,
+    kind=u1,
+    result=u1,
+    fdc=i1,
+    bus=u1,
+    value=f8,
+    threshold=f8,
+    evidence=(f8, EVIDENCE),
+)
+
+#: Shape ``(n,)`` of :data:`EVENT`.
+Events = NDArray[np.void]

@@ -1,0 +1,61 @@
+"""Errors that a user can mend: each names the file, the key, the value and what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class GatewayError(Exception):
+    """Base of every error that the command line reports without a traceback."""
+
+
+class InputError(GatewayError):
+    """One thing wrong in a file or an argument of the user.
+
+    Args:
+        message: what is wrong, and what would be right.
+        file: the file it stands in.
+        line: line number in that file, counted from 1.
+        key: dotted path of the key, e.g. ``monitor[0].wheel``.
+        value: the offending value.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        line: int | None = None,
+        key: str | None = None,
+        value: object = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.line = line
+        self.key = key
+        self.value = value
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        place = self.file or ""
+        if self.line is not None:
+            place = f"{place}:{self.line}" if place else f"line {self.line}"
+        subject = self.key or ""
+        if self.value is not None:
+            shown = repr(self.value)
+            if len(shown) > 120:
+                shown = shown[:117] + "..."
+            subject = f"{subject} = {shown}" if subject else shown
+        return ": ".join(part for part in (place, subject, self.message) if part)
+
+
+class InputErrors(GatewayError):
+    """Several input errors found in one pass, so that a user can mend all of them at once."""
+
+    def __init__(self, errors: list[InputError]) -> None:
+        self.errors = errors
+        super().__init__("\n".join(str(error) for error in errors))
+
+
+class BusError(GatewayError):
+    """A bus that cannot be opened, or that failed while in use."""

@@ -1,0 +1,159 @@
+"""Compiled kernels: numba behind one decorator, its cache, and calls through an address.
+
+Every numeric kernel of the gateway is decorated with :func:`kernel`. With ``NUMBA_DISABLE_JIT=1``
+the same code runs as plain Python, for debugging and coverage.
+
+Monitor kernels are reached like interrupt handlers: the vector table holds their addresses, and
+:func:`call_entry` jumps there. So the engine is compiled once for all configurations, and a monitor
+is compiled once for all engines.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import inspect
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+import platformdirs
+from llvmlite import ir
+from numba import carray, types
+from numba.core import config
+from numba.extending import intrinsic
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+#: True when kernels are compiled; False under ``NUMBA_DISABLE_JIT=1``.
+COMPILED: bool = not config.DISABLE_JIT
+
+f8, i8, i4, u8, u4, u2, u1, i1 = "<f8", "<i8", "<i4", "<u8", "<u4", "<u2", "u1", "i1"
+
+
+def record(**fields: Any) -> np.dtype[np.void]:
+    """Return an aligned record dtype; a field is a dtype or ``(dtype, length)``."""
+    parts = [
+        (name, form[0], (form[1],)) if isinstance(form, tuple) else (name, form)
+        for name, form in fields.items()
+    ]
+    return np.dtype(cast(Any, parts), align=True)
+
+
+def _source_digest() -> str:
+    """Digest of the package's source.
+
+    numba looks only at the file of the function itself; a kernel that calls one in another file
+    would be served stale. A directory per state of the whole source cannot be stale.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def cache_directory() -> Path:
+    """Return where compiled kernels of this source are kept.
+
+    ``GATEWAY_CACHE_DIR``, else numba's ``NUMBA_CACHE_DIR``, else the user's cache directory.
+    """
+    base = os.environ.get("GATEWAY_CACHE_DIR") or os.environ.get("NUMBA_CACHE_DIR")
+    root = Path(base) if base else Path(platformdirs.user_cache_dir("ecu-gateway"))
+    return root / f"kernels-{_source_digest()}"
+
+
+CACHE = cache_directory()
+config.CACHE_DIR = str(CACHE)
+
+
+def cache_is_warm() -> bool:
+    """Tell whether kernels of this source were compiled before."""
+    return not COMPILED or any(CACHE.rglob("*.nbi"))
+
+
+def prune_cache(keep: int = 3) -> None:
+    """Delete the caches of older sources, all but the ``keep`` newest."""
+    if not CACHE.parent.is_dir():
+        return
+    old = sorted(
+        (path for path in CACHE.parent.glob("kernels-*") if path != CACHE),
+        key=lambda path: path.stat().st_mtime,
+        reverse=True,
+    )
+    for path in old[max(keep - 1, 0) :]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def kernel(function: F) -> F:
+    """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy, cached."""
+    compiled = numba.njit(cache=True, nogil=True, boundscheck=False, error_model="numpy")(function)
+    return cast(F, compiled)
+
+
+#: Entries of plain Python by their number, which stands for the address when kernels are not compiled.
+_PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]] = []
+
+
+def record_at(address: int, dtype: np.dtype[np.void]) -> Any:
+    """Return the record that lies at an address, as a view (not compiled code)."""
+    raw = (ctypes.c_char * dtype.itemsize).from_address(address)
+    return np.frombuffer(raw, dtype).view(np.recarray)[0]
+
+
+def entry_point(name: str, step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
+    """Give a kernel of records an address that :func:`call_entry` can jump to.
+
+    Args:
+        name: of the entry, unique in the kernel's module.
+        step: a kernel ``step(a, b, c, d)`` over four records.
+        records: the dtypes of the four.
+
+    Returns:
+        the address; the compiled code lives as long as the process.
+    """
+    if not COMPILED:
+        _PYTHON_ENTRIES.append((step, records))
+        return len(_PYTHON_ENTRIES) - 1
+    python = getattr(step, "py_func", step)
+    # The wrapper is given the file of its kernel, so that numba finds a place for it in the cache.
+    source = f"def {name}(a, b, c, d):\n step(carray(a, 1)[0], carray(b, 1)[0], carray(c, 1)[0], carray(d, 1)[0])\n"
+    scope: dict[str, Any] = {"step": step, "carray": carray, "__name__": python.__module__}
+    exec(compile(source, inspect.getfile(python), "exec"), scope)
+    signature = types.void(*(types.CPointer(numba.from_dtype(dtype)) for dtype in records))
+    entry = numba.cfunc(signature, cache=True)(scope[name])
+    _KEPT.append(entry)
+    return int(entry.address)
+
+
+_KEPT: list[Any] = []
+
+if COMPILED:
+
+    @intrinsic
+    def call_entry(  # type: ignore[no-untyped-def]
+        typing_context, address, a, b, c, d
+    ):
+        """Call the entry at ``address`` with the addresses of its four records."""
+        signature = types.void(types.int64, types.int64, types.int64, types.int64, types.int64)
+
+        def generate(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+            pointer = ir.IntType(8).as_pointer()
+            function = ir.FunctionType(ir.VoidType(), [pointer] * 4)
+            target = builder.inttoptr(arguments[0], function.as_pointer())
+            builder.call(target, [builder.inttoptr(value, pointer) for value in arguments[1:]])
+            return context.get_dummy_value()
+
+        return signature, generate
+
+else:
+
+    def call_entry(address: int, *records: int) -> None:
+        """Call the entry at ``address`` with the addresses of its four records."""
+        step, dtypes = _PYTHON_ENTRIES[address]
+        step(*(record_at(int(at), dtype) for at, dtype in zip(records, dtypes, strict=True)))

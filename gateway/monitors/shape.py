@@ -1,0 +1,149 @@
+"""The shape of a monitor: parameters, state, constants, inputs, kernel, faults.
+
+A monitor steps when its event arrives (a frame that carries its inputs, or a timer it asked for) and
+reports **test results**, never DTCs. Debounce and the fault memory decide what becomes of them.
+
+The kernel is ``step(s, c, u, out)`` over four records: state, constants, inputs of this event, and
+the :data:`RESULTS` sink. It never reads a clock; ``u.t_ns`` is the event's own time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from gateway.jit import entry_point, f8, i4, i8, kernel, record
+
+#: Values of evidence that one test result can carry.
+EVIDENCE = 8
+#: Test results that one step can report.
+MAX_RESULTS = 128
+
+NOT_TESTED, PASSED, FAILED = 0, 1, 2
+
+#: ``u.trigger`` of a step that a timer caused; otherwise the index of the message that did.
+TIMER = -1
+
+RESULT = record(fault=i4, result=i4, value=f8, threshold=f8, evidence=(f8, EVIDENCE))
+
+#: What a step reports: ``n`` results, the overflow beyond :data:`MAX_RESULTS`, and when the monitor
+#: wants to be woken if nothing comes in between [ns, 0: never].
+RESULTS = record(n=i8, overflow=i8, wake_ns=i8, results=(RESULT, MAX_RESULTS))
+
+
+def inputs(**fields: Any) -> np.dtype[np.void]:
+    """Return the dtype of a monitor's inputs: the event's time and cause, then float64 values."""
+    return record(t_ns=i8, trigger=i8, **fields)
+
+
+@kernel
+def report(out: Any, fault: int, failed: bool, value: float, threshold: float) -> int:
+    """Report a test result; returns its place in ``out.results``, -1 when there is no room.
+
+    Args:
+        out: record of :data:`RESULTS`.
+        fault: index in the monitor's tuple of faults.
+        failed: the verdict.
+        value: what was tested (a residual, a distance, a count).
+        threshold: what it was tested against, same unit.
+    """
+    place = out.n
+    if place >= MAX_RESULTS:
+        out.overflow += 1
+        return -1
+    result = out.results[place]
+    result.fault = fault
+    result.result = FAILED if failed else PASSED
+    result.value = value
+    result.threshold = threshold
+    out.n = place + 1
+    return int(place)
+
+
+class MonitorParams(BaseModel):
+    """Base of the parameters of a monitor; units stand in the field descriptions."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class Debounce:
+    """Counter debounce (AUTOSAR DEM, counter based): how many results qualify a verdict."""
+
+    failed_after: int = 1
+    passed_after: int = 1
+    jump_up: bool = True
+    jump_down: bool = False
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that a monitor can report.
+
+    Attributes:
+        name: within the monitor; the fault's id is ``<monitor>.<name>``.
+        dtc: default DTC, SAE J2012 base code and failure type byte, e.g. ``"P0336-29"``.
+        description: one line for people.
+        evidence: names (with units) of the values in ``result.evidence``.
+        debounce: default debounce.
+    """
+
+    name: str
+    dtc: str
+    description: str
+    evidence: tuple[str, ...] = ()
+    debounce: Debounce = field(default_factory=Debounce)
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What a monitor wants from the bus.
+
+    Attributes:
+        triggers: names of the messages that step it.
+        signals: ``"Message.Signal"`` for each float64 of the inputs record, in its order.
+    """
+
+    triggers: tuple[str, ...]
+    signals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """A type of monitor; configured instances of it share the kernel.
+
+    Attributes:
+        type: its name in the configuration.
+        params: pydantic model of its parameters.
+        state: dtype of its state.
+        const: dtype of its constants.
+        inputs: dtype of its inputs (see :func:`inputs`).
+        step: its kernel.
+        faults: what it can report.
+        wire: parameters -> :class:`Wiring`.
+        prepare: parameters, state record, constants record: fills both before the first step.
+        readout: fields of the state shown to people (summary, live values).
+    """
+
+    type: str
+    params: type[MonitorParams]
+    state: np.dtype[np.void]
+    const: np.dtype[np.void]
+    inputs: np.dtype[np.void]
+    step: Callable[..., None]
+    faults: tuple[Fault, ...]
+    wire: Callable[[Any], Wiring]
+    prepare: Callable[[Any, np.void, np.void], None]
+    readout: tuple[str, ...] = ()
+
+    @cached_property
+    def entry(self) -> int:
+        """Address of the compiled kernel; compiles it, or loads it from the cache."""
+        return entry_point(
+            f"{self.type}_entry", self.step, (self.state, self.const, self.inputs, RESULTS)
+        )
