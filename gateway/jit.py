@@ -23,11 +23,14 @@ import numba
 import numpy as np
 import platformdirs
 from llvmlite import ir
-from numba import carray, types
-from numba.core import config
+from numba import types
+from numba.core import config as _config
 from numba.extending import intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+config = cast(Any, _config)
+carray = cast(Any, numba).carray
 
 #: True when kernels are compiled; False under ``NUMBA_DISABLE_JIT=1``.
 COMPILED: bool = not config.DISABLE_JIT
@@ -41,7 +44,7 @@ def record(**fields: Any) -> np.dtype[np.void]:
         (name, form[0], (form[1],)) if isinstance(form, tuple) else (name, form)
         for name, form in fields.items()
     ]
-    return np.dtype(cast(Any, parts), align=True)
+    return cast("np.dtype[np.void]", np.dtype(cast(Any, parts), align=True))
 
 
 def _source_digest() -> str:
@@ -103,10 +106,12 @@ _PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]]
 def record_at(address: int, dtype: np.dtype[np.void]) -> Any:
     """Return the record that lies at an address, as a view (not compiled code)."""
     raw = (ctypes.c_char * dtype.itemsize).from_address(address)
-    return np.frombuffer(raw, dtype).view(np.recarray)[0]
+    return np.frombuffer(cast(Any, raw), dtype).view(np.recarray)[0]
 
 
-def entry_point(name: str, step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
+def entry_point(
+    name: str, step: Callable[..., None], records: tuple[np.dtype[np.void], ...]
+) -> int:
     """Give a kernel of records an address that :func:`call_entry` can jump to.
 
     Args:
@@ -125,35 +130,39 @@ def entry_point(name: str, step: Callable[..., None], records: tuple[np.dtype[np
     source = f"def {name}(a, b, c, d):\n step(carray(a, 1)[0], carray(b, 1)[0], carray(c, 1)[0], carray(d, 1)[0])\n"
     scope: dict[str, Any] = {"step": step, "carray": carray, "__name__": python.__module__}
     exec(compile(source, inspect.getfile(python), "exec"), scope)
-    signature = types.void(*(types.CPointer(numba.from_dtype(dtype)) for dtype in records))
+    signature = types.void(
+        *(cast(Any, types).CPointer(numba.from_dtype(dtype)) for dtype in records)
+    )
     entry = numba.cfunc(signature, cache=True)(scope[name])
     _KEPT.append(entry)
-    return int(entry.address)
+    return int(cast(int, entry.address))
 
 
+#: Compiled entries, kept alive: an address must outlive whoever asked for it.
 _KEPT: list[Any] = []
 
-if COMPILED:
 
-    @intrinsic
-    def call_entry(  # type: ignore[no-untyped-def]
-        typing_context, address, a, b, c, d
-    ):
-        """Call the entry at ``address`` with the addresses of its four records."""
-        signature = types.void(types.int64, types.int64, types.int64, types.int64, types.int64)
+@intrinsic
+def _jump(_typing: Any, address: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Call the function at ``address`` with four pointers."""
+    signature = types.void(types.int64, types.int64, types.int64, types.int64, types.int64)
 
-        def generate(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
-            pointer = ir.IntType(8).as_pointer()
-            function = ir.FunctionType(ir.VoidType(), [pointer] * 4)
-            target = builder.inttoptr(arguments[0], function.as_pointer())
-            builder.call(target, [builder.inttoptr(value, pointer) for value in arguments[1:]])
-            return context.get_dummy_value()
+    def generate(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        pointer = ir.IntType(8).as_pointer()
+        function = ir.FunctionType(ir.VoidType(), [pointer] * 4)
+        target = builder.inttoptr(arguments[0], function.as_pointer())
+        builder.call(target, [builder.inttoptr(value, pointer) for value in arguments[1:]])
+        return context.get_dummy_value()
 
-        return signature, generate
+    return signature, generate
 
-else:
 
-    def call_entry(address: int, *records: int) -> None:
-        """Call the entry at ``address`` with the addresses of its four records."""
-        step, dtypes = _PYTHON_ENTRIES[address]
-        step(*(record_at(int(at), dtype) for at, dtype in zip(records, dtypes, strict=True)))
+def _call_python(address: int, a: int, b: int, c: int, d: int) -> None:
+    step, dtypes = _PYTHON_ENTRIES[int(address)]
+    step(*(record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True)))
+
+
+#: Calls the entry at an address with the addresses of its four records.
+call_entry: Callable[[int, int, int, int, int], None] = (
+    cast(Any, _jump) if COMPILED else _call_python
+)

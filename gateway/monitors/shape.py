@@ -71,6 +71,9 @@ class MonitorParams(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+ParamsClass = type[MonitorParams]
+
+
 @dataclass(frozen=True)
 class Debounce:
     """Counter debounce (AUTOSAR DEM, counter based): how many results qualify a verdict."""
@@ -131,7 +134,7 @@ class Monitor:
     """
 
     type: str
-    params: type[MonitorParams]
+    params: ParamsClass
     state: np.dtype[np.void]
     const: np.dtype[np.void]
     inputs: np.dtype[np.void]

@@ -1,0 +1,31 @@
+# syntax=docker/dockerfile:1
+
+# Build: a wheel, a virtual environment with it, and the compiled kernels.
+FROM python:3.13-slim AS build
+WORKDIR /src
+COPY pyproject.toml README.md LICENSE gateway.toml ./
+COPY gateway ./gateway
+COPY dbc ./dbc
+COPY scenarios ./scenarios
+COPY configs ./configs
+ENV GATEWAY_CACHE_DIR=/opt/gateway/cache
+RUN python -m venv /opt/gateway/venv \
+    && /opt/gateway/venv/bin/pip install --no-cache-dir . \
+    && /opt/gateway/venv/bin/gateway warmup
+
+# Run: no compiler, no source, not root. The kernels are compiled for the building machine's kind of
+# processor; on another one the first start compiles them anew.
+FROM python:3.13-slim
+RUN useradd --system --uid 10001 --home-dir /var/lib/gateway --create-home gateway
+COPY --from=build --chown=gateway:gateway /opt/gateway /opt/gateway
+ENV PATH=/opt/gateway/venv/bin:$PATH \
+    GATEWAY_CACHE_DIR=/opt/gateway/cache \
+    GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite \
+    PYTHONUNBUFFERED=1
+USER gateway
+WORKDIR /var/lib/gateway
+VOLUME /var/lib/gateway
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=30s --timeout=10s CMD ["gateway", "doctor"]
+ENTRYPOINT ["gateway"]
+CMD ["run"]

@@ -1,0 +1,263 @@
+"""The ``gateway`` command: one function per sub-command, no logic.
+
+Each function imports its work only when called, so that ``--help`` answers at once. Exit codes:
+0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway import __version__
+from gateway.errors import GatewayError
+
+app = typer.Typer(
+    name="gateway",
+    help="CAN-bus ECU diagnostic gateway: fault detection, fault memory, DTCs back on the bus.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True)
+convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True)
+app.add_typer(faults_app, name="faults")
+app.add_typer(convert_app, name="convert")
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON (Lines) instead of text.")]
+FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with 1 if a DTC was set.")]
+ConfigArgument = Annotated[
+    Path | None, typer.Argument(help="Configuration; default: gateway.toml here, else the shipped.")
+]
+MemoryOption = Annotated[
+    Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")
+]
+Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
+ScenarioArgument = Annotated[
+    Path, typer.Argument(help="Scenario file, or the name of a shipped one.")
+]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"gateway {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    from gateway.cli.present import set_up_logging
+
+    set_up_logging()
+
+
+@app.command()
+def demo(
+    scenario: ScenarioArgument = Path("crank_missed_tooth"),
+    speed: Annotated[
+        float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")
+    ] = 2.0,
+    seed: Seed = None,
+    json: Json = False,
+) -> None:
+    """Show the whole chain in one process: virtual ECU, bus, monitors, fault memory, DTC frames."""
+    from gateway.cli.simulate import demo as work
+
+    raise typer.Exit(work(scenario, speed=speed, seed=seed, json=json))
+
+
+@app.command()
+def run(
+    config: ConfigArgument = None,
+    bus: Annotated[
+        str | None, typer.Option(help="URI instead of the configured one (one bus only).")
+    ] = None,
+    memory: MemoryOption = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0, help="End after so many seconds.")
+    ] = None,
+    json: Json = False,
+    fail_on_dtc: FailOnDtc = False,
+) -> None:
+    """Monitor live buses until SIGINT or SIGTERM."""
+    from gateway.cli.run import run as work
+
+    raise typer.Exit(
+        work(
+            config,
+            bus=bus,
+            memory=memory,
+            record=record,
+            duration=duration,
+            json=json,
+            fail_on_dtc=fail_on_dtc,
+        )
+    )
+
+
+@app.command()
+def simulate(
+    scenario: ScenarioArgument,
+    bus: Annotated[
+        str | None,
+        typer.Option(
+            help='Bus to drive, default that of the scenario\'s configuration; "inside": '
+            "with a gateway of its own, in this process, as fast as it goes."
+        ),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Exit with 1 unless the expected DTCs come.")
+    ] = False,
+    wait: Annotated[
+        float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")
+    ] = 60.0,
+    record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
+    seed: Seed = None,
+    json: Json = False,
+) -> None:
+    """Drive a bus with virtual ECUs and injected faults, in real time."""
+    from gateway.cli.simulate import simulate as work
+
+    raise typer.Exit(
+        work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json)
+    )
+
+
+@app.command()
+def bus(
+    address: Annotated[str, typer.Argument(help="Loopback address and port.")] = "127.0.0.1:29536",
+    duration: Annotated[
+        float | None, typer.Option(min=0, help="End after so many seconds.")
+    ] = None,
+) -> None:
+    """Run a CAN bus between processes (socketcand protocol), where the kernel has none."""
+    from gateway.cli.bus import bus as work
+
+    raise typer.Exit(work(address, duration=duration))
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(help="candump .log, .asc, .blf, .mf4, .trc or .csv.")],
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."
+        ),
+    ] = None,
+    memory: MemoryOption = None,
+    json: Json = False,
+    fail_on_dtc: FailOnDtc = False,
+) -> None:
+    """Run a recorded log through the monitors. Without --memory no fault memory is touched."""
+    from gateway.cli.replay import replay as work
+
+    raise typer.Exit(work(log, config, memory=memory, json=json, fail_on_dtc=fail_on_dtc))
+
+
+@app.command()
+def check(
+    config: ConfigArgument = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of the configuration.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Check a configuration, and say all that is wrong with it at once."""
+    from gateway.cli.check import check as work
+
+    raise typer.Exit(work(config, schema_wanted=schema, json=json))
+
+
+@app.command()
+def warmup(json: Json = False) -> None:
+    """Compile all kernels into the cache, so that a start takes no time."""
+    from gateway.cli.warmup import warmup as work
+
+    raise typer.Exit(work(json=json))
+
+
+@app.command()
+def doctor(json: Json = False) -> None:
+    """Say what this machine offers: CAN, interfaces, libraries, compiled kernels."""
+    from gateway.cli.doctor import doctor as work
+
+    raise typer.Exit(work(json=json))
+
+
+@faults_app.command("list")
+def faults_list(
+    memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False
+) -> None:
+    """List the DTCs of a fault memory."""
+    from gateway.cli.faults import list_faults as work
+
+    raise typer.Exit(work(config, memory=memory, json=json))
+
+
+@faults_app.command("show")
+def faults_show(
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    memory: MemoryOption = None,
+    config: ConfigArgument = None,
+    json: Json = False,
+) -> None:
+    """Show one DTC: status bits, freeze frames, evidence."""
+    from gateway.cli.faults import show_fault as work
+
+    raise typer.Exit(work(dtc, config, memory=memory, json=json))
+
+
+@faults_app.command("clear")
+def faults_clear(
+    dtc: Annotated[str | None, typer.Argument(help="One DTC; default: all.")] = None,
+    memory: MemoryOption = None,
+    config: ConfigArgument = None,
+    json: Json = False,
+) -> None:
+    """Clear the DTCs of a fault memory."""
+    from gateway.cli.faults import clear_faults as work
+
+    raise typer.Exit(work(dtc, config, memory=memory, json=json))
+
+
+@convert_app.command("teeth")
+def convert_teeth(
+    capture: Annotated[Path, typer.Argument(help="Logic-analyser CSV: time [s], level[, ...].")],
+    log: Annotated[Path, typer.Argument(help="CAN log to write, e.g. engine.log.")],
+    channel: Annotated[
+        str, typer.Option(help="Channel: number from 0, or its name in the header.")
+    ] = "0",
+    edge: Annotated[str, typer.Option(help="Edge that a tooth makes: rising or falling.")] = (
+        "falling"
+    ),
+    frame: Annotated[str, typer.Option(help="classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
+    json: Json = False,
+) -> None:
+    """Turn a crank sensor's capture into the CAN frames of dbc/engine.dbc."""
+    from gateway.cli.convert import convert_teeth as work
+
+    raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
+
+
+def main() -> None:
+    """Run the command line; input errors are printed without a traceback."""
+    try:
+        app()
+    except GatewayError as error:
+        for line in str(error).splitlines():
+            typer.secho(f"error: {line}", fg=typer.colors.RED, err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(0)

@@ -1,0 +1,150 @@
+"""What people and programs see: log lines on stderr, events on stdout as text or JSON Lines."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import structlog
+from rich.console import Console
+
+from gateway.errors import InputError
+from gateway.faults.status import Status
+from gateway.jit import COMPILED, cache_is_warm
+from gateway.resources import shipped
+
+
+def set_up_logging() -> None:
+    """Send log lines to stderr: readable on a terminal, JSON elsewhere."""
+    terminal = sys.stderr.isatty()
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso"),
+            structlog.processors.format_exc_info,
+            structlog.dev.ConsoleRenderer() if terminal else structlog.processors.JSONRenderer(),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        cache_logger_on_first_use=True,
+    )
+
+
+def say(text: str) -> None:
+    """Tell a person something that is not data."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def say_if_cold() -> None:
+    """Say that the first start compiles, when it does."""
+    if COMPILED and not cache_is_warm():
+        say("first start: compiling the kernels, this takes some seconds (gateway warmup does it)")
+
+
+def strict(value: Any) -> Any:
+    """Return a value in which numbers that JSON lacks (NaN, infinities) are null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(item) for item in value]
+    return value
+
+
+def print_json(value: Any, *, indent: int | None = 2) -> None:
+    """Print one JSON document."""
+    print(json.dumps(strict(value), indent=indent), flush=True)
+
+
+def status_text(status: int) -> str:
+    """Return the names of the set bits of a status byte."""
+    return " ".join(bit.name or "" for bit in Status(status)) or "-"
+
+
+class EventPrinter:
+    """Prints events of the JSON contract as they come.
+
+    Args:
+        as_json: JSON Lines instead of text.
+        start_ns: time stamp that people see as zero.
+    """
+
+    def __init__(self, *, as_json: bool, start_ns: int = 0) -> None:
+        self._json = as_json
+        self.start_ns = start_ns
+        self.confirmed = 0
+        self._console = Console(highlight=False, soft_wrap=True)
+
+    def __call__(self, event: dict[str, Any]) -> None:
+        """Print one event."""
+        if event["event"] == "dtc" and event["status"] & Status.CONFIRMED_DTC:
+            self.confirmed += 1
+        if self._json:
+            print_json(event, indent=None)
+        elif event["event"] == "dtc":
+            self._dtc(event)
+        elif event["event"] == "summary":
+            self._summary(event)
+
+    def _time(self, event: dict[str, Any]) -> str:
+        return f"{(event['t_ns'] - self.start_ns) / 1e9:10.4f} s"
+
+    def _dtc(self, event: dict[str, Any]) -> None:
+        failed = bool(event["status"] & Status.TEST_FAILED)
+        colour, word = ("bold red", "SET") if failed else ("green", "healed")
+        self._console.print(
+            f"{self._time(event)}  [{colour}]DTC {event['dtc']} {word}[/]  {event['fault']}"
+            f"  status 0x{event['status']:02X}  fdc {event['fdc']:+d}"
+            f"  occurrence {event['occurrence']}"
+        )
+        if failed:
+            shown = "  ".join(f"{k} {v:.6g}" for k, v in event["evidence"].items())
+            self._console.print(f"{'':14}evidence: {shown}", style="dim")
+
+    def _summary(self, event: dict[str, Any]) -> None:
+        print_ = self._console.print
+        print_(
+            f"{event['frames']} frames, {event['decoded']} decoded, {event['events']} events"
+            f" in {event['seconds']:.3f} s ({event['frames_per_s']:,.0f} frames/s)"
+        )
+        for name, values in event["monitors"].items():
+            shown = "  ".join(f"{k} {v:.6g}" for k, v in values.items())
+            print_(f"{name}: {shown}")
+        odd = {k: v for k, v in event["counters"].items() if v and k not in {"frames", "decoded"}}
+        if odd:
+            print_("counters: " + "  ".join(f"{k} {v}" for k, v in odd.items()))
+        print_("DTCs: " + (", ".join(event["dtcs"]) or "none"))
+
+
+def find_config(path: Path | None) -> Path:
+    """Return the configuration to use: the given one, gateway.toml here, or the shipped."""
+    if path is not None:
+        return path
+    here = Path("gateway.toml")
+    return here if here.exists() else shipped("gateway.toml")
+
+
+def find_scenario(name: Path) -> Path:
+    """Return a scenario's file: a path, or the name of a shipped scenario.
+
+    Raises:
+        InputError: neither; names the shipped ones.
+    """
+    if name.exists() or name.suffix == ".toml":
+        return name
+    try:
+        return shipped(f"scenarios/{name}.toml")
+    except InputError as error:
+        known = ", ".join(sorted(_names(shipped("scenarios").glob("*.toml"))))
+        raise InputError(f"no such scenario; shipped: {known}", value=str(name)) from error
+
+
+def _names(paths: Iterable[Path]) -> list[str]:
+    return [path.stem for path in paths]

@@ -1,0 +1,197 @@
+"""The gateway's configuration: one TOML file, strict, overridden by environment variables.
+
+``GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite`` overrides ``[memory] path``: prefix
+``GATEWAY_``, two underscores between levels. Lists (buses, monitors) are set in the file only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from gateway.errors import InputError, InputErrors
+from gateway.faults.catalogue import FaultOverride
+from gateway.monitors import communication
+from gateway.monitors.registry import MONITORS
+from gateway.monitors.shape import Monitor, MonitorParams
+from gateway.outputs.dtc_frame import DtcFrameParams
+from gateway.tomlfile import input_errors, read_toml, validate
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BusConfig(_Strict):
+    """One CAN bus: where it is, how its frames are read, which messages are watched."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how other parts refer to it")
+    uri: str = Field(description="socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, ...")
+    database: tuple[Path, ...] = Field(
+        (), description="DBC, KCD, SYM or ARXML files; relative to this configuration"
+    )
+    match: Literal["id", "pgn"] = Field(
+        "id", description="pgn: extended identifiers match by J1939 PGN"
+    )
+    check: tuple[communication.Params, ...] = Field((), description="communication checks")
+
+
+class MonitorConfig(BaseModel):
+    """One monitor; keys beyond these are the parameters of its type."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="first part of its fault ids")
+    type: str = Field(description="type of the monitor")
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    priority: int = Field(0, description="order among the monitors of one message, 0 first")
+    signals: dict[str, str] = Field(
+        default_factory=dict, description='default "Message.Signal" = your "Message.Signal"'
+    )
+
+
+class MemoryConfig(_Strict):
+    """The fault memory."""
+
+    path: Path = Field(Path("faults.sqlite"), description="SQLite file; relative to the work folder")
+
+
+class OutputConfig(_Strict):
+    """How faults leave the gateway."""
+
+    dtc_frame: DtcFrameParams | None = Field(None, description="DTC message on a bus")
+
+
+class Config(BaseSettings):
+    """A whole gateway."""
+
+    model_config = SettingsConfigDict(
+        extra="forbid", frozen=True, env_prefix="GATEWAY_", env_nested_delimiter="__"
+    )
+
+    name: str = "gateway"
+    bus: tuple[BusConfig, ...] = Field(min_length=1)
+    monitor: tuple[MonitorConfig, ...] = ()
+    fault: dict[str, FaultOverride] = Field(
+        default_factory=dict, description='settings of single faults, e.g. [fault."crank.added_pulse"]'
+    )
+    memory: MemoryConfig = MemoryConfig()
+    output: OutputConfig = OutputConfig()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Let the environment win over the file."""
+        return env_settings, init_settings
+
+    def bus_index(self, name: str | None) -> int:
+        """Return the index of a bus.
+
+        Raises:
+            InputError: no bus of that name, or none named while there are several.
+        """
+        names = [bus.name for bus in self.bus]
+        if name is None and len(names) == 1:
+            return 0
+        if name not in names:
+            raise InputError(f"the buses are {', '.join(names)}", value=name or "(no bus named)")
+        return names.index(name)
+
+
+def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
+    """Return the type and the parameters of a configured monitor.
+
+    Raises:
+        InputError, InputErrors: no such type; wrong parameters. Keys are relative to the entry.
+    """
+    monitor = MONITORS.get(entry.type)
+    if monitor is None:
+        known = ", ".join(sorted(MONITORS))
+        raise InputError(f"the types are {known}", key="type", value=entry.type)
+    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None)
+
+
+def _cross_check(config: Config) -> Iterator[InputError]:
+    names = [bus.name for bus in config.bus]
+    for kind, found in (("bus", names), ("monitor", [m.name for m in config.monitor])):
+        for k, name in enumerate(found):
+            if name in found[:k]:
+                yield InputError("this name is taken", key=f"{kind}[{k}].name", value=name)
+    for k, entry in enumerate(config.monitor):
+        try:
+            monitor_of(entry)
+        except InputErrors as errors:
+            for error in errors.errors:
+                yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
+        except InputError as error:
+            yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
+        try:
+            config.bus_index(entry.bus)
+        except InputError as error:
+            yield InputError(error.message, key=f"monitor[{k}].bus", value=error.value)
+    for k, bus in enumerate(config.bus):
+        watched = [check.message for check in bus.check]
+        for j, message in enumerate(watched):
+            if message in watched[:j]:
+                yield InputError(
+                    "this message has its checks already",
+                    key=f"bus[{k}].check[{j}].message",
+                    value=message,
+                )
+    frame = config.output.dtc_frame
+    if frame is not None:
+        try:
+            config.bus_index(frame.bus)
+        except InputError as error:
+            yield InputError(error.message, key="output.dtc_frame.bus", value=error.value)
+
+
+def load_config(path: Path) -> Config:
+    """Read a configuration; relative database paths become relative to its folder.
+
+    Raises:
+        InputError: the file cannot be read, or is not TOML.
+        InputErrors: every key that is wrong.
+    """
+    data: dict[str, Any] = read_toml(path)
+    try:
+        config = Config(**data)
+    except ValidationError as error:
+        raise input_errors(error, path) from error
+    wrong = [
+        InputError(error.message, file=path, key=error.key, value=error.value)
+        for error in _cross_check(config)
+    ]
+    if wrong:
+        raise InputErrors(wrong)
+    folder = path.parent
+    buses = tuple(
+        bus.model_copy(update={"database": tuple(folder / file for file in bus.database)})
+        for bus in config.bus
+    )
+    return config.model_copy(update={"bus": buses})
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of the configuration, with every monitor's parameters."""
+    document = Config.model_json_schema()
+    document["$defs"]["MonitorConfig"]["anyOf"] = [
+        {
+            "properties": {
+                "type": {"const": name},
+                **monitor.params.model_json_schema().get("properties", {}),
+            }
+        }
+        for name, monitor in sorted(MONITORS.items())
+    ]
+    return document

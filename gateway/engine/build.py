@@ -1,0 +1,225 @@
+"""From configured monitors and message checks to the engine's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gateway.engine.core import Engine, FaultSlot
+from gateway.engine.debounce import DEBOUNCE, configure
+from gateway.engine.events import EVENT
+from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
+from gateway.errors import InputError
+from gateway.monitors import communication
+from gateway.monitors.communication import CHECK
+from gateway.monitors.shape import RESULTS, Debounce, Monitor, MonitorParams
+from gateway.signals.crc import ALGORITHMS, crc8_table
+from gateway.signals.database import Database
+from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
+
+
+@dataclass(frozen=True)
+class MonitorInstance:
+    """A configured monitor: its name, type, parameters, bus, and place in the order of priority.
+
+    ``signals`` maps a default ``"Message.Signal"`` to the user's own; ``priority`` 0 steps first.
+    """
+
+    name: str
+    monitor: Monitor
+    params: MonitorParams
+    bus: int = 0
+    priority: int = 0
+    signals: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CheckInstance:
+    """The configured communication checks of one message of a bus."""
+
+    params: communication.Params
+    bus: int = 0
+    name: str = ""
+
+
+def _split(reference: str) -> tuple[str, str]:
+    message, _, signal = reference.partition(".")
+    if not signal:
+        raise InputError('a signal is named "Message.Signal"', value=reference)
+    return message, signal
+
+
+def build_engine(
+    databases: Sequence[tuple[int, Database]],
+    monitors: Sequence[MonitorInstance],
+    checks: Sequence[CheckInstance],
+    *,
+    debounce: Mapping[str, Debounce] | None = None,
+    extra: Collection[SignalRef] = (),
+    pgn: Collection[int] = (),
+    ring: int = 4096,
+) -> Engine:
+    """Compile everything into one engine.
+
+    Args:
+        databases: (bus index, database) pairs.
+        monitors: configured monitors.
+        checks: communication checks.
+        debounce: debounce by fault id, where it differs from the monitor's own.
+        extra: further signals to decode (freeze frames, identifiers).
+        pgn: buses whose extended identifiers match by J1939 PGN.
+        ring: events that one pass of the loop can hold.
+
+    Returns:
+        the engine; its faults are those of the monitors, then those of the checks, in order.
+
+    Raises:
+        InputError: a message or signal that no database has, a CRC signal off its byte boundary.
+    """
+    debounce = debounce or {}
+    by_bus = dict(databases)
+    monitors = sorted(monitors, key=lambda m: m.priority)
+    wirings = []
+    wanted: set[SignalRef] = set(extra)
+    watched: set[tuple[int, str]] = set()
+    for m in monitors:
+        wiring = m.monitor.wire(m.params)
+        references = [_split(m.signals.get(name, name)) for name in wiring.signals]
+        renamed = {
+            _split(name)[0]: message
+            for name, (message, _) in zip(wiring.signals, references, strict=True)
+        }
+        triggers = [renamed.get(name, name) for name in wiring.triggers]
+        wirings.append((triggers, references))
+        wanted.update(SignalRef(m.bus, *reference) for reference in references)
+        watched.update((m.bus, name) for name in triggers)
+    for check in checks:
+        watched.add((check.bus, check.params.message))
+        if check.params.counter is not None:
+            wanted.add(SignalRef(check.bus, check.params.message, check.params.counter.signal))
+    plan = compile_plan(databases, wanted, messages=watched, pgn=pgn)
+
+    faults: list[FaultSlot] = []
+    handlers = table(len(monitors), HANDLER)
+    slots: list[int] = []
+    sources: list[int] = []
+    triggered: dict[int, list[int]] = {}
+    states, consts = [], []
+    cells = 0
+    for k, (m, (triggers, references)) in enumerate(zip(monitors, wirings, strict=True)):
+        h = handlers[k]
+        state, const = table(1, m.monitor.state), table(1, m.monitor.const)
+        m.monitor.prepare(m.params, state[0], const[0])
+        states.append(state)
+        consts.append(const)
+        own = [plan.slot(m.bus, *reference) for reference in references]
+        rows = sorted({int(plan.slot_message[slot]) for slot in own})
+        h["entry"] = m.monitor.entry
+        h["state"], h["const"] = state.ctypes.data, const.ctypes.data
+        h["inputs"] = cells
+        h["first_slot"], h["slots"] = len(slots), len(own)
+        h["first_source"], h["sources"] = len(sources), len(rows)
+        h["fault"], h["faults"] = len(faults), len(m.monitor.faults)
+        h["bus"] = m.bus
+        h["wake_ns"] = NEVER
+        slots += own
+        sources += rows
+        cells += m.monitor.inputs.itemsize // 8
+        for name in triggers:
+            triggered.setdefault(plan.message(m.bus, name), []).append(k)
+        faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in m.monitor.faults]
+    pool = np.zeros(max(cells, 1))
+    for k in range(len(monitors)):
+        handlers[k]["inputs_address"] = pool.ctypes.data + 8 * int(handlers[k]["inputs"])
+
+    vectors = table(len(plan.messages), VECTOR)
+    flat: list[int] = []
+    for row in range(len(plan.messages)):
+        mine = triggered.get(row, [])
+        vectors[row]["first"], vectors[row]["count"] = len(flat), len(mine)
+        vectors[row]["check"], vectors[row]["arrived_ns"] = -1, -1
+        flat += mine
+    check_rows = table(len(checks), CHECK)
+    for k, check in enumerate(checks):
+        row = plan.message(check.bus, check.params.message)
+        vectors[row]["check"] = k
+        faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
+
+    debounces = table(len(faults), DEBOUNCE)
+    for k, slot in enumerate(faults):
+        configure(debounces[k], debounce.get(slot.id, slot.fault.debounce))
+        debounces[k]["bus"] = slot.bus
+    out = table(1, RESULTS)
+    clock = table(1, CLOCK)
+    clock[0]["deadline_ns"] = NEVER
+    tables = Tables(
+        plan.keys,
+        plan.rows,
+        plan.messages,
+        plan.signals,
+        plan.mux_ids,
+        np.zeros(max(plan.max_signals, 1)),
+        np.zeros(max(plan.max_signals, 1), np.uint8),
+        np.full(max(plan.n_slots, 1), np.nan),
+        vectors,
+        np.asarray(flat, np.int32),
+        handlers,
+        np.asarray(slots, np.int32),
+        np.asarray(sources, np.int32),
+        pool,
+        pool.view(np.int64),
+        check_rows,
+        np.stack([crc8_table(name) for name in ALGORITHMS]),
+        debounces,
+        out,
+        np.asarray([out.ctypes.data], np.int64),
+        table(ring, EVENT),
+        clock,
+    )
+    return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
+
+
+def _prepare_check(
+    row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int
+) -> list[FaultSlot]:
+    """Fill one row of checks; returns the faults it can report, in order."""
+    p = check.params
+    message = database.message(p.message)
+    asked = (
+        p.timeout_ms is not None,
+        p.counter is not None,
+        p.crc is not None,
+        p.length,
+    )
+    slots = []
+    for kind, wanted in enumerate(asked):
+        row["fault"][kind] = first_fault + len(slots) if wanted else -1
+        if wanted:
+            fault = communication.FAULTS[kind]
+            slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
+    row["length"] = message.length
+    row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
+    row["deadline_ns"] = NEVER
+    if p.counter is not None:
+        signal = database.signal(p.message, p.counter.signal)
+        row["counter"] = plan.position(check.bus, p.message, p.counter.signal)
+        row["modulo"] = 1 << signal.length
+        row["max_step"] = p.counter.max_step
+    if p.crc is not None:
+        signal = database.signal(p.message, p.crc.signal)
+        big = signal.byte_order == "big_endian"
+        if signal.length != 8 or signal.start % 8 != (7 if big else 0):
+            raise InputError(
+                "a CRC signal has 8 bits on a byte boundary",
+                key=f"{p.message}.{p.crc.signal}",
+                value=f"start {signal.start}, length {signal.length}",
+            )
+        algorithm = ALGORITHMS[p.crc.algorithm]
+        row["crc_byte"] = signal.start // 8
+        row["data_id"] = -1 if p.crc.data_id is None else p.crc.data_id
+        row["crc_table"] = list(ALGORITHMS).index(p.crc.algorithm)
+        row["crc_init"], row["crc_xor"] = algorithm.init, algorithm.xorout
+    return slots

@@ -1,0 +1,124 @@
+"""The engine as Python sees it: frames go in, events come out, the mailbox can be read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.engine import loop
+from gateway.engine.debounce import fault_detection_counter, reset
+from gateway.engine.events import Events
+from gateway.engine.tables import Tables
+from gateway.monitors.shape import Fault
+from gateway.signals.decode import as_words
+from gateway.signals.tables import DecodePlan, SignalRef
+
+#: Takes the events of one pass, in order. The array is only valid during the call.
+Sink = Callable[[Events], None]
+
+
+@dataclass(frozen=True)
+class FaultSlot:
+    """One fault of the engine: its id, definition, and the bus it was found on."""
+
+    id: str
+    fault: Fault
+    bus: int
+
+
+class Engine:
+    """The compiled tables with the loop over them; made by :func:`gateway.engine.build_engine`.
+
+    Not thread-safe: one thread feeds it.
+    """
+
+    def __init__(
+        self,
+        plan: DecodePlan,
+        tables: Tables,
+        faults: tuple[FaultSlot, ...],
+        monitors: tuple[Any, ...],
+        states: tuple[Any, ...],
+        consts: tuple[Any, ...],
+    ) -> None:
+        self.plan = plan
+        self.tables = tables
+        self.faults = faults
+        self.monitors = monitors
+        self._states = states
+        self._consts = consts  # the handlers hold its address
+
+    @property
+    def now_ns(self) -> int:
+        """Time of the latest frame or :meth:`advance` [ns]."""
+        return int(self.tables.clock[0]["now_ns"])
+
+    def process(self, frames: Frames, sink: Sink) -> None:
+        """Feed a batch of frames, in order.
+
+        Args:
+            frames: shape (n,) of FRAME.
+            sink: called with the events, each time before any later frame is handled.
+        """
+        words = as_words(frames)
+        start, count = 0, len(frames)
+        while start < count:
+            start = loop.run(self.tables, frames, words, start)
+            self._drain(sink)
+
+    def advance(self, t_ns: int, sink: Sink) -> None:
+        """Let time pass without a frame, so that timers can run.
+
+        Args:
+            t_ns: the new time; frames that arrive later with an earlier stamp count as late.
+            sink: called with the events.
+        """
+        loop.advance(self.tables, t_ns)
+        self._drain(sink)
+
+    def _drain(self, sink: Sink) -> None:
+        clock = self.tables.clock[0]
+        count = int(clock["events"])
+        if count:
+            clock["events"] = 0
+            sink(self.tables.ring[:count])
+
+    def value(self, slot: int) -> float:
+        """Return the last value of a mailbox slot, NaN before the first."""
+        return float(self.tables.mailbox[slot])
+
+    def signal(self, reference: SignalRef) -> float:
+        """Return the last value of a signal in its unit, NaN before the first."""
+        return self.value(self.plan.slot(*reference))
+
+    def fault_detection_counter(self, fault: int) -> int:
+        """Return the debounce counter of a fault, -128..127."""
+        return fault_detection_counter(self.tables.debounces[fault])
+
+    def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
+        """Set debounce counters to zero: all of them, or those of some faults."""
+        for index in range(len(self.faults)) if faults is None else faults:
+            reset(self.tables.debounces[index])
+
+    def counters(self) -> dict[str, int]:
+        """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
+        clock = self.tables.clock[0]
+        names = clock.dtype.names or ()
+        hidden = {"now_ns", "deadline_ns", "started", "stop", "events"}
+        return {name: int(clock[name]) for name in names if name not in hidden}
+
+    def readout(self) -> dict[str, dict[str, float]]:
+        """Return what each monitor shows to people: {monitor: {name: value}}."""
+        shown: dict[str, dict[str, float]] = {}
+        for k, (instance, state) in enumerate(zip(self.monitors, self._states, strict=True)):
+            values = {
+                name: np.asarray(state[0][name]).item() for name in instance.monitor.readout
+            }
+            values["steps"] = int(self.tables.handlers[k]["steps"])
+            values["not_tested"] = int(self.tables.handlers[k]["skipped"])
+            shown[instance.name] = values
+        return shown

@@ -1,0 +1,297 @@
+"""The jitted loop: frames and timers in, events out.
+
+For each frame, in this order: timers that fall due up to its time stamp; look-up in the vector
+table; decode; communication check; mailbox; the kernels that the message triggers, by priority.
+
+The loop is left after any frame (and before any frame, for timers) that qualified a verdict, so that
+Python finds the mailbox as it was at that very event; it is entered again at the next frame. Batch
+boundaries therefore never change a result, and live equals replay.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.engine.debounce import count, fault_detection_counter
+from gateway.engine.events import RESULT_CHANGED
+from gateway.engine.tables import NEVER, Tables
+from gateway.jit import call_entry, kernel
+from gateway.monitors.communication import (
+    ACCEPT,
+    COUNTER,
+    CRC,
+    LENGTH,
+    REJECT,
+    TIMEOUT,
+    check_crc,
+    counter_step,
+)
+from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED, TIMER
+from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
+
+_ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
+
+
+@kernel
+def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, limit: float) -> int:
+    """Append an event to the ring; returns its place, -1 when the ring is full (counted)."""
+    clock = T.clock[0]
+    place = clock.events
+    if place >= T.ring.shape[0]:
+        clock.events_lost += 1
+        return -1
+    event = T.ring[place]
+    d = T.debounces[fault]
+    event.t_ns = t_ns
+    event.fault = fault
+    event.kind = kind
+    event.result = result
+    event.fdc = fault_detection_counter(d)
+    event.bus = d.bus
+    event.value = value
+    event.threshold = limit
+    for k in range(event.evidence.shape[0]):
+        event.evidence[k] = 0.0
+    clock.events = place + 1
+    if kind != RESULT_CHANGED:
+        clock.stop = 1
+    return int(place)
+
+
+@kernel
+def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
+    """Debounce one test result; returns the place of the event it made, -1 for none."""
+    result = FAILED if failed else PASSED
+    kind = count(T.debounces[fault], result)
+    if kind == 0:
+        return -1
+    return push(T, t_ns, fault, kind, result, value, limit)
+
+
+@kernel
+def not_tested(T: Any, t_ns: int, fault: int) -> None:
+    """Note that a fault's test could not run; its counter and state are held."""
+    d = T.debounces[fault]
+    if d.last != NOT_TESTED:
+        d.last = NOT_TESTED
+        push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0)
+
+
+@kernel
+def skip(T: Any, t_ns: int, h: Any) -> None:
+    """Skip a monitor whose inputs are stale or invalid: not tested, state held."""
+    h.skipped += 1
+    if h.tested == 1:
+        h.tested = 0
+        for k in range(h.faults):
+            not_tested(T, t_ns, h.fault + k)
+
+
+@kernel
+def fresh(T: Any, t_ns: int, h: Any) -> bool:
+    """Tell whether every message that feeds a monitor has arrived and is not overdue."""
+    for k in range(h.first_source, h.first_source + h.sources):
+        v = T.vectors[T.sources[k]]
+        if v.arrived_ns < 0:
+            return False
+        if v.check >= 0:
+            timeout = T.checks[v.check].timeout_ns
+            if timeout > 0 and t_ns - v.arrived_ns > timeout:
+                return False
+    return True
+
+
+@kernel
+def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
+    """Step one monitor and debounce what it reports."""
+    at = h.inputs
+    T.pool_ns[at] = t_ns
+    T.pool_ns[at + 1] = trigger
+    for k in range(h.slots):
+        T.pool[at + 2 + k] = T.mailbox[T.slots[h.first_slot + k]]
+    out = T.out[0]
+    out.n = 0
+    out.overflow = 0
+    out.wake_ns = 0
+    call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0])
+    h.steps += 1
+    h.tested = 1
+    h.wake_ns = out.wake_ns if out.wake_ns > 0 else NEVER
+    clock = T.clock[0]
+    clock.deadline_ns = min(clock.deadline_ns, h.wake_ns)
+    clock.results_lost += out.overflow
+    for k in range(out.n):
+        r = out.results[k]
+        place = tested(
+            T, t_ns, h.fault + r.fault, r.result == FAILED, r.value, r.threshold
+        )
+        if place >= 0:
+            evidence = T.ring[place].evidence
+            for e in range(evidence.shape[0]):
+                evidence[e] = r.evidence[e]
+
+
+@kernel
+def run_timers(T: Any, t_ns: int) -> None:
+    """Run every timer due at or before ``t_ns``, in order of deadline, each at its own time."""
+    clock = T.clock[0]
+    while clock.deadline_ns <= t_ns:
+        due, check, handler = NEVER, -1, -1
+        for k in range(T.checks.shape[0]):
+            if T.checks[k].deadline_ns < due:
+                due, check = T.checks[k].deadline_ns, k
+        for k in range(T.handlers.shape[0]):
+            if T.handlers[k].wake_ns < due:
+                due, check, handler = T.handlers[k].wake_ns, -1, k
+        clock.deadline_ns = due
+        if due > t_ns:
+            return
+        if check >= 0:
+            c = T.checks[check]
+            silent = due - (c.deadline_ns - c.timeout_ns)
+            c.deadline_ns += c.timeout_ns
+            clock.timeouts += 1
+            c.silent_ns += silent
+            place = tested(T, due, c.fault[TIMEOUT], True, c.silent_ns * 1e-6, c.timeout_ns * 1e-6)
+            if place >= 0:
+                T.ring[place].evidence[0] = c.silent_ns * 1e-6
+        else:
+            h = T.handlers[handler]
+            h.wake_ns = NEVER
+            step(T, due, TIMER, h)
+
+
+@kernel
+def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> int:
+    """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
+
+    Args:
+        T: the tables.
+        t_ns: the frame's time.
+        c: its record of CHECK.
+        words: payload, 8 little-endian uint64.
+        length: payload length [byte].
+        status: of the decoder.
+    """
+    clock = T.clock[0]
+    if c.timeout_ns > 0:
+        c.deadline_ns = t_ns + c.timeout_ns
+        c.silent_ns = 0
+        clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+        tested(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
+    if c.fault[LENGTH] >= 0:
+        place = tested(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
+        if place >= 0:
+            T.ring[place].evidence[0] = length
+    if status != OK:
+        return REJECT
+    if c.fault[CRC] >= 0:
+        received, computed = check_crc(c, words, length, T.crc_tables)
+        place = tested(T, t_ns, c.fault[CRC], received != computed, received, computed)
+        if place >= 0:
+            T.ring[place].evidence[0] = received
+            T.ring[place].evidence[1] = computed
+        if received != computed:
+            clock.crc_failed += 1
+            return REJECT
+    if c.fault[COUNTER] >= 0:
+        received = int(T.values[c.counter])
+        step_by = counter_step(c, received)
+        wrong = step_by == 0 or step_by > c.max_step
+        place = tested(T, t_ns, c.fault[COUNTER], wrong, step_by, c.max_step)
+        if place >= 0:
+            T.ring[place].evidence[0] = step_by
+            T.ring[place].evidence[1] = c.last_counter
+            T.ring[place].evidence[2] = received
+        c.last_counter = received
+        c.seen = 1
+        if step_by == 0:
+            clock.repeated += 1
+            return REJECT
+    return ACCEPT
+
+
+@kernel
+def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
+    """Handle one frame: vector table, decode, check, mailbox, monitors."""
+    clock = T.clock[0]
+    if can_id & (_ERROR | _REMOTE):
+        if can_id & _ERROR:
+            clock.error += 1
+        else:
+            clock.remote += 1
+        return
+    row = lookup(T.keys, T.rows, bus, can_id)
+    if row < 0:
+        clock.unknown += 1
+        return
+    v = T.vectors[row]
+    status = decode(words, length, row, T.messages, T.signals, T.mux_ids, T.values, T.present)
+    if status == TOO_SHORT:
+        clock.too_short += 1
+    elif status == UNKNOWN_MUX:
+        clock.unknown_mux += 1
+    verdict = ACCEPT if status == OK else REJECT
+    if v.check >= 0:
+        verdict = judge(T, t_ns, T.checks[v.check], words, length, status)
+    if verdict == REJECT:
+        for k in range(v.first, v.first + v.count):
+            skip(T, t_ns, T.handlers[T.triggers[k]])
+        return
+    clock.decoded += 1
+    commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
+    v.arrived_ns = t_ns
+    for k in range(v.first, v.first + v.count):
+        h = T.handlers[T.triggers[k]]
+        if fresh(T, t_ns, h):
+            step(T, t_ns, row, h)
+        else:
+            skip(T, t_ns, h)
+
+
+@kernel
+def advance(T: Tables, t_ns: int) -> None:
+    """Move the clock to ``t_ns`` without a frame; starts it at the first call."""
+    clock = T.clock[0]
+    if clock.started == 0:
+        clock.started = 1
+        clock.now_ns = t_ns
+        for k in range(T.checks.shape[0]):
+            c = T.checks[k]
+            if c.timeout_ns > 0:
+                c.deadline_ns = t_ns + c.timeout_ns
+                clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+    if t_ns > clock.now_ns:
+        if clock.deadline_ns <= t_ns:
+            run_timers(T, t_ns)
+        clock.now_ns = t_ns
+
+
+@kernel
+def run(T: Tables, frames: Any, words: Any, start: int) -> int:
+    """Walk a batch from frame ``start``; returns the first frame not handled yet.
+
+    Args:
+        T: the tables.
+        frames: batch, shape (n,) of FRAME.
+        words: the payloads of the same batch, uint64 of shape (n, 8).
+        start: where to begin.
+    """
+    clock = T.clock[0]
+    clock.stop = 0
+    room = T.ring.shape[0] // 2
+    for i in range(start, frames.shape[0]):
+        t_ns = frames[i]["t_ns"]
+        if t_ns < clock.now_ns:
+            clock.late += 1
+        else:
+            advance(T, t_ns)
+            if clock.stop == 1:
+                return i
+        clock.frames += 1
+        dispatch(
+            T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], words[i]
+        )
+        if clock.stop == 1 or clock.events >= room:
+            return i + 1
+    return int(frames.shape[0])

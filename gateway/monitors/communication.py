@@ -1,0 +1,149 @@
+"""Communication monitor: timeout, alive counter, CRC and length of each watched message.
+
+It stands beside the decoder and judges the frame itself, before any other monitor sees its signals:
+a frame that is too short, fails its CRC or repeats its alive counter never reaches the mailbox, so
+that corrupt data cannot look like a physical fault. A jump of the counter (frames lost) is reported,
+but the frame's data are good and are used (AUTOSAR E2E: OKSOMELOST against REPEATED).
+
+Failure type bytes (SAE J2012): 87 missing message, 82 alive counter incorrect, 83 protection
+calculation incorrect, 81 invalid serial data received.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from gateway.jit import i4, i8, kernel, record, u1
+from gateway.monitors.shape import Debounce, Fault, MonitorParams
+from gateway.signals.crc import crc8
+
+TYPE = "communication"
+
+TIMEOUT, COUNTER, CRC, LENGTH = range(4)
+
+#: Verdict on a frame: its data may be used.
+ACCEPT = 0
+#: Verdict on a frame: its data must not be used.
+REJECT = 1
+
+FAULTS = (
+    Fault(
+        "timeout",
+        "U0100-87",
+        "message missing for longer than its timeout",
+        ("silent [ms]",),
+        Debounce(failed_after=1, passed_after=5),
+    ),
+    Fault(
+        "counter",
+        "U0401-82",
+        "alive counter jumped (frames lost) or stands still (frame repeated)",
+        ("step", "last", "received"),
+        Debounce(failed_after=3, passed_after=50),
+    ),
+    Fault(
+        "crc",
+        "U0401-83",
+        "CRC does not match the payload",
+        ("received", "computed"),
+        Debounce(failed_after=2, passed_after=50),
+    ),
+    Fault(
+        "length",
+        "U0401-81",
+        "frame shorter than its message",
+        ("length [byte]",),
+        Debounce(failed_after=2, passed_after=50),
+    ),
+)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class CounterCheck(_Strict):
+    """Alive counter: a signal that every transmission raises by one, modulo its range."""
+
+    signal: str = Field(description="name of the counter signal")
+    max_step: int = Field(1, ge=1, description="largest step that is not a failure")
+
+
+class CrcCheck(_Strict):
+    """CRC over the payload without the CRC byte, then the data id (low byte first)."""
+
+    signal: str = Field(description="name of the CRC signal: 8 bits on a byte boundary")
+    algorithm: Literal["crc8_sae_j1850", "crc8_autosar"] = Field(
+        "crc8_sae_j1850", description="polynomial 0x1D, or 0x2F (AUTOSAR CRC8H2F)"
+    )
+    data_id: int | None = Field(
+        None, ge=0, le=0xFFFF, description="16-bit data id appended to the payload"
+    )
+
+
+class Params(MonitorParams):
+    """Checks of one message."""
+
+    message: str = Field(description="name of the message in the bus's database")
+    timeout_ms: float | None = Field(
+        None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched"
+    )
+    counter: CounterCheck | None = None
+    crc: CrcCheck | None = None
+    length: bool = Field(True, description="judge frames shorter than the message")
+
+
+#: Constants and state of the checks of one message. ``fault`` is the engine's index of each fault,
+#: -1 where that check is not asked for; ``counter`` the place of the counter among the message's
+#: signals.
+CHECK = record(
+    fault=(i4, len(FAULTS)),
+    timeout_ns=i8,
+    counter=i4,
+    modulo=i4,
+    max_step=i4,
+    crc_byte=i4,
+    data_id=i4,
+    crc_init=i4,
+    crc_xor=i4,
+    crc_table=i4,
+    length=i4,
+    deadline_ns=i8,
+    silent_ns=i8,
+    last_counter=i4,
+    seen=u1,
+)
+
+
+@kernel
+def check_crc(check: Any, words: Any, length: int, tables: Any) -> tuple[int, int]:
+    """Return the CRC that a frame carries and the one its payload asks for.
+
+    Args:
+        check: record of :data:`CHECK`.
+        words: payload as 8 little-endian uint64 words.
+        length: payload length [byte].
+        tables: uint8, shape (algorithms, 256).
+    """
+    at = check.crc_byte
+    received = (words[at >> 3] >> ((at & 7) * 8)) & 0xFF
+    computed = crc8(
+        words,
+        length,
+        at,
+        check.data_id,
+        tables[check.crc_table],
+        check.crc_init,
+        check.crc_xor,
+    )
+    return int(received), int(computed)
+
+
+@kernel
+def counter_step(check: Any, received: int) -> int:
+    """Return by how much the alive counter rose since the last frame (1 at the first)."""
+    if check.seen == 0:
+        return 1
+    return int((received - check.last_counter) % check.modulo)

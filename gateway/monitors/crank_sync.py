@@ -1,0 +1,444 @@
+"""Crankshaft trigger wheel: missed and added tooth pulses (paper 000), at constant speed.
+
+Source: Kim, Suh, Park, Yun, "A Method of Fault Diagnosis for Engine Synchronization Using Analytical
+Redundancy" (2003). The signal is the pulse time PT, the interval between two pulses::
+
+    x[k+1] = x[k] + u[k] + f[k],   y[k] = x[k] + n[k]                                (1), (2)
+    xh[k+1] = xh[k] + u[k] + D r[k],   r[k] = y[k] - xh[k]                           (6), (8)
+    u[k] = alpha (a[i+1] - a[i])                                                     (3)
+
+with ``a`` the wheel's pitches and ``alpha`` the time of one pitch. Written this way the input
+generator holds for any wheel; for N-m it is +delta before the gap, -delta after it, as printed.
+
+Corrections to the print, each used below:
+
+* (3), first line: the zeros lie in ``(n-1) Pi < k < n Pi - 1``; as printed the range is empty.
+* (6), second line: the output equation is ``yh[k] = xh[k]``; printed ``y[k] = xh[k]``.
+* Threshold: 1.0 in section 4 is 2.54 sqrt(gamma); the residual's deviation by (13) is
+  ``sqrt(2 gamma / (2 - D))``. At 2.09 sigma a healthy wheel alarms about once a revolution. Default
+  here: half the gap's step, ``delta / 2``.
+* Count: the residual's duration tells it only for a narrow window of thresholds. The lag from the
+  first exceedance to the largest residual of opposite sign is the count for the paper's faults
+  (4), (5): missed 1 gives r / delta = 1, -(1+D), ...; missed 2 gives 1, -D, -(1+D)+D^2, ...
+* (4), (5) describe only the *displaced gap*. A pulse that is really missed also leaves, at once, an
+  interval of 2 alpha. Both are told apart by time: intervals over a displaced gap last as long as
+  the model says, those over a missing or an added pulse end that many pitches late or early.
+
+Once the count is known the index of the input generator is shifted by it (the paper's lengthened or
+shortened run of zeros), so that synchronisation is kept.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, PlainSerializer, PlainValidator
+
+from gateway.fdi.wheel import Wheel
+from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.monitors.shape import (
+    TIMER,
+    Debounce,
+    Fault,
+    Monitor,
+    MonitorParams,
+    Wiring,
+    inputs,
+    report,
+)
+from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
+
+MISSED, ADDED, SYNC_LOST = range(3)
+
+_SHAPE = ("count", "tooth", "speed [rpm]", "r0", "r1", "r2", "r3", "r4")
+
+FAULTS = (
+    Fault(
+        "missed_pulse",
+        "P0336-29",
+        "pulses of the crankshaft sensor missed",
+        _SHAPE,
+        Debounce(failed_after=1, passed_after=10),
+    ),
+    Fault(
+        "added_pulse",
+        "P0336-2F",
+        "pulses of the crankshaft sensor that no tooth made",
+        _SHAPE,
+        Debounce(failed_after=1, passed_after=10),
+    ),
+    Fault(
+        "sync_lost",
+        "P0335-31",
+        "teeth arrive, but the wheel's gap is not found",
+        ("teeth",),
+        Debounce(failed_after=1, passed_after=3),
+    ),
+)
+
+#: Residuals looked at from the first exceedance on.
+WINDOW = 6
+#: Largest count that (4), (5) are read for.
+LARGEST_COUNT = 3
+#: Intervals that one frame can carry (CTW_FD27).
+MOST_INTERVALS = 27
+MOST_TEETH = 128
+
+SEARCH, LEARN, TRACK = range(3)
+
+
+def _wheel(value: Any) -> Wheel:
+    return value if isinstance(value, Wheel) else Wheel.parse(str(value))
+
+
+class Params(MonitorParams):
+    """Parameters of the crankshaft monitor."""
+
+    wheel: Annotated[Wheel, PlainValidator(_wheel), PlainSerializer(str)] = Field(
+        description='trigger wheel, e.g. "60-2"'
+    )
+    method: Literal["paper"] = Field("paper", description="paper: constant speed, equation (6)")
+    frame: Literal["classic", "fd"] = Field(
+        "classic", description="classic: CTW_PT4, 4 intervals a frame; fd: CTW_FD27"
+    )
+    gain: float = Field(0.6, gt=0, lt=2, description="observer gain D, (9)")
+    threshold: float | None = Field(
+        None, gt=0, description="of the residual [pitch]; default half the smallest gap's step"
+    )
+    follow_speed: bool = Field(
+        True, description="learn the pitch time anew after every clean revolution; false: as printed"
+    )
+    stall_ms: float = Field(
+        500.0, gt=0, description="no frame for so long: the engine stands, synchronisation ends [ms]"
+    )
+
+
+CONST = record(
+    pulses=i4,
+    per_frame=i4,
+    fd=u1,
+    follow_speed=u1,
+    turn=f8,
+    gap=f8,
+    gain=f8,
+    threshold=f8,
+    step=f8,
+    stall_ns=i8,
+    pitches=(f8, MOST_TEETH),
+)
+
+STATE = record(
+    phase=i4,
+    index=i4,
+    revolutions=i8,
+    teeth=i8,
+    speed_rpm=f8,
+    slowest_rpm=f8,
+    fastest_rpm=f8,
+    missed=i8,
+    added=i8,
+    unexplained=i8,
+    x=f8,
+    alpha=f8,
+    y1=f8,
+    y2=f8,
+    turn_us=f8,
+    clean=u1,
+    hole=u1,
+    linked=u1,
+    searched=i8,
+    recent=i8,
+    filled=i4,
+    at=i4,
+    scale=f8,
+    residuals=(f8, WINDOW),
+    intervals=(f8, WINDOW),
+    counter=i8,
+)
+
+INPUTS = inputs(
+    counter=f8, pulses=f8, valid=f8, shift=f8, intervals=(f8, MOST_INTERVALS)
+)
+
+
+def _wire(p: Params) -> Wiring:
+    if p.frame == "fd":
+        message, count = "CTW_FD27", 27
+        header = ["FrameCnt", "PulseCnt", "NValid", "Shift"]
+    else:
+        # A classic frame has neither pulse count nor shift; the kernel does not look at them.
+        message, count = "CTW_PT4", 4
+        header = ["FrameCnt", "FrameCnt", "FrameCnt", "FrameCnt"]
+    signals = header + [f"Pt{k}" for k in range(count)]
+    return Wiring((message,), tuple(f"{message}.{name}" for name in signals))
+
+
+def _prepare(p: Params, s: np.void, c: np.void) -> None:
+    pitches = np.asarray(p.wheel.pitches, float)
+    gaps = pitches[pitches > pitches.min() * 1.5]
+    c["pulses"] = len(pitches)
+    c["per_frame"] = 27 if p.frame == "fd" else 4
+    c["fd"] = p.frame == "fd"
+    c["follow_speed"] = p.follow_speed
+    c["turn"] = pitches.sum()
+    c["gap"] = pitches.max()
+    c["gain"] = p.gain
+    c["step"] = pitches.max() - 1.0
+    c["threshold"] = p.threshold if p.threshold is not None else (gaps.min() - 1.0) / 2
+    c["stall_ns"] = int(p.stall_ms * 1e6)
+    c["pitches"][: len(pitches)] = pitches
+    s["counter"] = -1
+
+
+@kernel
+def _search(s: Any) -> None:
+    """Forget synchronisation and look for the gap again."""
+    s.phase = SEARCH
+    s.searched = 0
+    s.recent = 0
+    s.filled = 0
+    s.y1 = 0.0
+    s.y2 = 0.0
+
+
+@kernel
+def _gap_seen(s: Any, c: Any, y: float) -> bool:
+    """Tell whether the last but one of three intervals is the wheel's largest gap."""
+    if s.y1 <= 0.0 or s.y2 <= 0.0:
+        return False
+    ratio = s.y1 / sqrt(y * s.y2)
+    return 0.72 * c.gap < ratio < 1.45 * c.gap and 0.45 < y / s.y2 < 2.2
+
+
+@kernel
+def _synchronise(s: Any, c: Any, y: float) -> None:
+    """Start the observer behind a gap: ``y`` was interval 0."""
+    s.phase = LEARN
+    s.alpha = y / c.pitches[0]
+    s.index = 1 % c.pulses
+    s.x = s.alpha * c.pitches[s.index]
+    s.turn_us = y
+    s.clean = 1
+    s.filled = 0
+
+
+@kernel
+def _shift(s: Any, c: Any, number: int) -> None:
+    """Shift the input generator by so many pulses."""
+    index = s.index + number
+    s.revolutions += index // c.pulses
+    s.index = index % c.pulses
+    s.x = s.alpha * c.pitches[s.index]
+
+
+@kernel
+def _fail(s: Any, c: Any, out: Any, fault: int, number: int) -> None:
+    """Report a missed or added pulse with the residual's shape as evidence."""
+    place = report(out, fault, True, s.residuals[0], c.threshold)
+    if place >= 0:
+        r = out.results[place]
+        r.evidence[0] = number
+        r.evidence[1] = s.at
+        r.evidence[2] = s.speed_rpm
+        for k in range(5):
+            r.evidence[3 + k] = s.residuals[k]
+
+
+@kernel
+def _classify(s: Any, c: Any) -> int:
+    """Return the signed count of pulses missed (+) or added (-) that a full window shows, 0: none.
+
+    First by time, then by the lag of the opposite peak (see the module).
+    """
+    measured = 0.0
+    expected = 0.0
+    for k in range(WINDOW):
+        measured += s.intervals[k]
+        expected += c.pitches[(s.at + k) % c.pulses]
+    direct = int(np.rint(measured / s.scale - expected))
+    if direct != 0:
+        return direct
+    sign = 1.0 if s.residuals[0] > 0 else -1.0
+    lag = 0
+    peak = 0.0
+    for k in range(1, 5):
+        opposite = -sign * s.residuals[k]
+        if opposite > peak:
+            peak = opposite
+            lag = k
+    # The opposite peak of a displaced gap is at least 1.096 of the gap's step.
+    if lag == 0 or lag > LARGEST_COUNT or peak < 0.8 * c.step:
+        return 0
+    return lag if sign > 0 else -lag
+
+
+@kernel
+def _judge(s: Any, c: Any, out: Any) -> None:
+    """Judge a full window: report, shift the input generator, or give synchronisation up."""
+    number = _classify(s, c)
+    s.filled = 0
+    s.clean = 0
+    if number == 0:
+        s.unexplained += 1
+        return
+    _shift(s, c, number)
+    if s.hole == 1:
+        # Frames were lost within this revolution: the count is theirs, not the sensor's.
+        return
+    s.recent += 1
+    if abs(number) > LARGEST_COUNT or s.recent > 2:
+        if report(out, SYNC_LOST, True, s.recent, 2.0) >= 0:
+            out.results[out.n - 1].evidence[0] = s.teeth
+        _search(s)
+    elif number > 0:
+        s.missed += number
+        _fail(s, c, out, MISSED, number)
+    else:
+        s.added -= number
+        _fail(s, c, out, ADDED, -number)
+
+
+@kernel
+def _turn(s: Any, c: Any, out: Any) -> None:
+    """End a revolution: speed, pitch time, and the passed results of a clean one."""
+    s.revolutions += 1
+    if s.clean == 1 and s.turn_us > 0.0:
+        s.speed_rpm = 60e6 / s.turn_us
+        s.fastest_rpm = max(s.fastest_rpm, s.speed_rpm)
+        if s.slowest_rpm == 0.0 or s.speed_rpm < s.slowest_rpm:
+            s.slowest_rpm = s.speed_rpm
+        if c.follow_speed == 1 or s.phase == LEARN:
+            s.alpha = s.turn_us / c.turn
+        s.phase = TRACK
+        s.recent = 0
+        report(out, MISSED, False, 0.0, c.threshold)
+        report(out, ADDED, False, 0.0, c.threshold)
+        report(out, SYNC_LOST, False, 0.0, 0.0)
+    if s.filled == 0:
+        s.hole = 0
+    s.clean = 1
+    s.turn_us = 0.0
+
+
+@kernel
+def tooth(s: Any, c: Any, y: float, out: Any) -> None:
+    """Take one interval between two pulses.
+
+    Args:
+        s: state.
+        c: constants.
+        y: interval [us].
+        out: record of RESULTS.
+    """
+    s.teeth += 1
+    found = _gap_seen(s, c, y)
+    s.y2 = s.y1
+    s.y1 = y
+    if s.phase == SEARCH:
+        s.searched += 1
+        if found:
+            _synchronise(s, c, y)
+        elif s.searched == 3 * c.pulses:
+            s.searched = 0
+            if report(out, SYNC_LOST, True, s.teeth, 0.0) >= 0:
+                out.results[out.n - 1].evidence[0] = s.teeth
+        return
+
+    if s.phase == LEARN and found != (s.index == 0):
+        # The first revolution must show the gap once, in its place.
+        _search(s)
+        return
+
+    r = y - s.x
+    if s.phase == TRACK and (s.filled > 0 or abs(r) > c.threshold * s.alpha):
+        if s.filled == 0:
+            s.clean = 0
+            s.at = s.index
+            s.scale = s.x / c.pitches[s.index]
+        s.residuals[s.filled] = r / s.alpha
+        s.intervals[s.filled] = y
+        s.filled += 1
+
+    s.turn_us += y
+    following = s.index + 1
+    if following == c.pulses:
+        following = 0
+    u = s.alpha * (c.pitches[following] - c.pitches[s.index])
+    s.x += u + c.gain * r
+    s.index = following
+    if s.filled == WINDOW:
+        _judge(s, c, out)
+    if following == 0 and s.phase != SEARCH:
+        _turn(s, c, out)
+
+
+@kernel
+def step(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take one frame of intervals, or the timer of a standing engine."""
+    if u.trigger == TIMER:
+        s.linked = 0
+        _search(s)
+        return
+    out.wake_ns = u.t_ns + c.stall_ns
+    count = c.per_frame
+    number = int(u.pulses) if c.fd == 1 else int(u.counter)
+    if s.linked == 1:
+        # A frame lost on the bus is known by the counter: its pulses were there, unseen.
+        if c.fd == 1:
+            lost = (number - s.counter) % 65536
+        else:
+            lost = ((number - s.counter - 1) % 256) * count
+        if lost > 0 and s.phase != SEARCH:
+            if s.phase == LEARN:
+                _search(s)
+            else:
+                _shift(s, c, lost)
+                s.filled = 0
+                s.clean = 0
+                s.hole = 1
+        if lost > 0:
+            s.y1 = 0.0
+            s.y2 = 0.0
+    if c.fd == 1:
+        count = int(u.valid)
+        s.counter = (number + count) % 65536
+    else:
+        s.counter = number
+    s.linked = 1
+    for k in range(count):
+        if c.fd == 1:
+            y = u.intervals[k] * (1 << int(u.shift))
+        else:
+            code = int(u.intervals[k])
+            if code == PADDING_CODE:
+                continue
+            if code == OVERFLOW_CODE:
+                _search(s)
+                continue
+            y = period_us(code)
+        tooth(s, c, y, out)
+
+
+MONITOR = Monitor(
+    type="crank_sync",
+    params=Params,
+    state=STATE,
+    const=CONST,
+    inputs=INPUTS,
+    step=step,
+    faults=FAULTS,
+    wire=_wire,
+    prepare=_prepare,
+    readout=(
+        "revolutions",
+        "speed_rpm",
+        "slowest_rpm",
+        "fastest_rpm",
+        "teeth",
+        "missed",
+        "added",
+        "unexplained",
+    ),
+)

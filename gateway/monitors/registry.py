@@ -1,0 +1,8 @@
+"""The types of monitor that a configuration can name."""
+
+from __future__ import annotations
+
+from gateway.monitors import crank_sync
+from gateway.monitors.shape import Monitor
+
+MONITORS: dict[str, Monitor] = {monitor.type: monitor for monitor in (crank_sync.MONITOR,)}

@@ -1,0 +1,54 @@
+"""Recorded logs through the same engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from gateway.bus.frames import Frames
+
+
+class Fed(Protocol):
+    """What a log is fed to: the gateway."""
+
+    def start(self, t_ns: int) -> None:
+        """Start an operation cycle."""
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch of frames; returns the frames to send."""
+
+    def stop(self, t_ns: int) -> None:
+        """End the operation cycle."""
+
+
+def replay(
+    gateway: Fed,
+    batches: Iterable[Frames],
+    *,
+    progress: Callable[[Frames], None] | None = None,
+) -> int:
+    """Feed the batches of a log to a gateway, one operation cycle long.
+
+    Args:
+        gateway: not started yet.
+        batches: of FRAME, in order of time.
+        progress: called after each batch.
+
+    Returns:
+        how many frames were fed. What the gateway would have sent is not sent anywhere.
+    """
+    count = 0
+    last_ns = 0
+    for frames in batches:
+        if not len(frames):
+            continue
+        if not count:
+            gateway.start(int(frames[0]["t_ns"]))
+        gateway.feed(frames)
+        count += len(frames)
+        last_ns = int(frames[-1]["t_ns"])
+        if progress is not None:
+            progress(frames)
+    if count:
+        gateway.stop(last_ns)
+    return count
