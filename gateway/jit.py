@@ -35,7 +35,8 @@ carray = cast(Any, numba).carray
 #: True when kernels are compiled; False under ``NUMBA_DISABLE_JIT=1``.
 COMPILED: bool = not config.DISABLE_JIT
 
-f8, i8, i4, u8, u4, u2, u1, i1 = "<f8", "<i8", "<i4", "<u8", "<u4", "<u2", "u1", "i1"
+f8, i8, i4, i2, i1 = "<f8", "<i8", "<i4", "<i2", "i1"
+u8, u4, u2, u1 = "<u8", "<u4", "<u2", "u1"
 
 
 def record(**fields: Any) -> np.dtype[np.void]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from gateway.jit import i4, i8, kernel, record, u1
@@ -128,7 +129,7 @@ def check_crc(check: Any, words: Any, length: int, tables: Any) -> tuple[int, in
         tables: uint8, shape (algorithms, 256).
     """
     at = check.crc_byte
-    received = (words[at >> 3] >> ((at & 7) * 8)) & 0xFF
+    received = np.int64((words[at >> 3] >> np.uint64((at & 7) * 8)) & np.uint64(0xFF))
     computed = crc8(
         words,
         length,

@@ -1,0 +1,114 @@
+"""CAN databases: DBC, KCD, SYM and ARXML files through cantools, with errors a user can mend."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+import cantools
+from cantools.database.can import Database as CanDatabase
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+
+from gateway.errors import InputError
+
+_LINE = re.compile(r"line (\d+)")
+_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+
+
+def _suggest(name: str, known: Sequence[str]) -> str:
+    close = get_close_matches(name, known, n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(close)}?" if close else ""
+
+
+class Database:
+    """The messages of one bus, from one or several files.
+
+    Messages that share a name (some SYM files have them) are left out; asking for one is an error.
+
+    Args:
+        messages: (message, file it came from) pairs.
+    """
+
+    def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:
+        count = Counter(message.name for message, _ in messages)
+        self._messages = {m.name: m for m, _ in messages if count[m.name] == 1}
+        self._ambiguous = {
+            name: sorted({str(file) for m, file in messages if m.name == name})
+            for name, number in count.items()
+            if number > 1
+        }
+
+    def __iter__(self) -> Iterator[Message]:
+        return iter(self._messages.values())
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def message(self, name: str) -> Message:
+        """Return a message by name.
+
+        Raises:
+            InputError: there is none; names close ones.
+        """
+        found = self._messages.get(name)
+        if name in self._ambiguous:
+            files = " and ".join(self._ambiguous[name])
+            raise InputError(f"several messages have this name, in {files}", value=name)
+        if found is None:
+            known = list(self._messages)
+            raise InputError(f"no message {name!r} in the database{_suggest(name, known)}")
+        return found
+
+    def signal(self, message: str, name: str) -> Signal:
+        """Return a signal of a message by name.
+
+        Raises:
+            InputError: there is none; names close ones.
+        """
+        found = self.message(message)
+        for signal in found.signals:
+            if signal.name == name:
+                return signal
+        known = [signal.name for signal in found.signals]
+        raise InputError(f"no signal {name!r} in message {message!r}{_suggest(name, known)}")
+
+
+def load_database(paths: Sequence[Path]) -> Database:
+    """Load the database of a bus.
+
+    Loading is not strict: databases of real vehicles hold signals that overlap or stick out of
+    their message, and those are decoded as cantools does.
+
+    Args:
+        paths: DBC, KCD, SYM or ARXML files; their messages are joined.
+
+    Raises:
+        InputError: a file that cannot be read or parsed (with the line where it is known), that
+            holds no CAN messages.
+    """
+    messages: list[tuple[Message, Path]] = []
+    for path in paths:
+        messages += [(message, path) for message in _load(path)]
+    return Database(messages)
+
+
+def _load(path: Path) -> list[Message]:
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InputError(f"a database is one of {', '.join(_SUFFIXES)}", file=path)
+    try:
+        loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=path) from error
+    except Exception as error:  # the parsers let any exception of theirs through
+        text = " ".join(str(error).split()) or type(error).__name__
+        found = _LINE.search(text)
+        line = int(found[1]) if found else None
+        raise InputError(f"not a good {suffix} file: {text}", file=path, line=line) from error
+    if not isinstance(loaded, CanDatabase) or not loaded.messages:
+        raise InputError("the file holds no CAN messages", file=path)
+    return list(loaded.messages)

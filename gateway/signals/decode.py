@@ -1,0 +1,212 @@
+"""Decode kernels: one frame's payload into physical values, by the tables of a decode plan.
+
+The payload is read as 64-bit words. A little-endian signal starts at bit ``s`` of the payload: word
+``s >> 6``, shift ``s & 63``, what spills over comes from the next word. For a big-endian signal count
+bits from the first byte's most significant one: its last bit is ``q``; in byte-swapped words that is
+word ``q >> 6``, shift ``63 - (q & 63)``, and the spill comes from the word before.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import Frames
+from gateway.jit import f8, i2, i4, kernel, record, u1, u4
+
+OK, TOO_SHORT, UNKNOWN_MUX = 0, 1, 2
+
+UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
+
+#: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there),
+#: present when its value is one of ``mux_ids[first_id:+ids]``; a multiplexer's own known values are
+#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that nobody asked for.
+SIGNAL = record(
+    scale=f8,
+    offset=f8,
+    slot=i4,
+    first_id=i4,
+    ids=i4,
+    first_known=i4,
+    known=i4,
+    parent=i2,
+    word=u1,
+    shift=u1,
+    length=u1,
+    big=u1,
+    spill=u1,
+    kind=u1,
+)
+
+#: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity.
+MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, bus=u1)
+
+_PGN = np.uint64(1 << 40)  # marks keys that match by PGN
+
+
+def as_words(frames: Frames) -> NDArray[np.uint64]:
+    """Return the payloads of a batch as little-endian 64-bit words: a view, shape (n, 8)."""
+    return frames["data"].view("<u8")
+
+
+@kernel
+def hashed(key: Any, mask: int) -> int:
+    """Return where a key's search in the table begins (Fibonacci hashing)."""
+    mixed = (key ^ (key >> np.uint64(29))) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64((mixed >> np.uint64(32)) & np.uint64(mask))  # type: ignore[return-value]
+
+
+@kernel
+def find(keys: Any, rows: Any, key: Any) -> int:
+    """Return the row of a key in an open-addressed table, -1 if it is not there."""
+    mask = keys.shape[0] - 1
+    at = hashed(key, mask)
+    while rows[at] >= 0:
+        if keys[at] == key:
+            return int(rows[at])
+        at = (at + 1) & mask
+    return -1
+
+
+@kernel
+def pgn_key(bus: int, can_id: int) -> Any:
+    """Return the key by which a J1939 message matches: priority and addresses left out.
+
+    SAE J1939-21: the PDU format is byte 2 of the identifier; below 240 (PDU1) byte 1 is the
+    destination address, from 240 on (PDU2) it belongs to the parameter group number.
+    """
+    group = (can_id >> 8) & 0x3FFFF
+    if (can_id >> 16) & 0xFF < 240:
+        group &= 0x3FF00
+    return _PGN | (np.uint64(bus) << np.uint64(32)) | np.uint64(group)
+
+
+@kernel
+def exact_key(bus: int, can_id: int) -> Any:
+    """Return the key of a frame's bus and identifier (with its EXTENDED flag)."""
+    return (np.uint64(bus) << np.uint64(32)) | np.uint64(can_id)
+
+
+@kernel
+def lookup(keys: Any, rows: Any, bus: int, can_id: int) -> int:
+    """Return the row of a frame's message, -1 for a foreign frame; exact identifiers win over PGNs."""
+    row = find(keys, rows, exact_key(bus, can_id))
+    if row < 0 and can_id & 0x80000000:
+        row = find(keys, rows, pgn_key(bus, can_id))
+    return row
+
+
+@kernel
+def swapped(word: Any) -> Any:
+    """Return a 64-bit word with its bytes reversed."""
+    low8 = np.uint64(0x00FF00FF00FF00FF)
+    low16 = np.uint64(0x0000FFFF0000FFFF)
+    word = ((word >> np.uint64(8)) & low8) | ((word & low8) << np.uint64(8))
+    word = ((word >> np.uint64(16)) & low16) | ((word & low16) << np.uint64(16))
+    return (word >> np.uint64(32)) | (word << np.uint64(32))
+
+
+@kernel
+def ieee(bits: Any, exponent_bits: int, mantissa_bits: int) -> float:
+    """Return the value of an IEEE 754 binary16, binary32 or binary64 pattern."""
+    top = (1 << exponent_bits) - 1
+    mantissa = float(bits & np.uint64((1 << mantissa_bits) - 1))
+    exponent = np.int64((bits >> np.uint64(mantissa_bits)) & np.uint64(top))
+    sign = -1.0 if (bits >> np.uint64(mantissa_bits + exponent_bits)) & np.uint64(1) else 1.0
+    bias = top >> 1
+    if exponent == top:
+        return sign * np.inf if mantissa == 0.0 else np.nan
+    if exponent == 0:
+        return sign * mantissa * 2.0 ** (1 - bias) * 2.0**-mantissa_bits
+    return float(sign * (1.0 + mantissa * 2.0**-mantissa_bits) * 2.0 ** (exponent - bias))
+
+
+@kernel
+def extract(words: Any, s: Any) -> float:
+    """Return the physical value of one signal.
+
+    Args:
+        words: payload, 8 little-endian uint64.
+        s: record of SIGNAL.
+    """
+    shift = np.uint64(s.shift)
+    if s.big == 1:
+        bits = swapped(words[s.word]) >> shift
+        if s.spill == 1:
+            bits |= swapped(words[s.word - 1]) << (np.uint64(64) - shift)
+    else:
+        bits = words[s.word] >> shift
+        if s.spill == 1:
+            bits |= words[s.word + 1] << (np.uint64(64) - shift)
+    unused = np.uint64(64 - s.length)
+    if s.kind == SIGNED:
+        raw = float(np.int64(bits << unused) >> np.int64(unused))
+    else:
+        bits = (bits << unused) >> unused
+        if s.kind == UNSIGNED:
+            raw = float(bits)
+        elif s.kind == FLOAT32:
+            raw = ieee(bits, 8, 23)
+        elif s.kind == FLOAT64:
+            raw = ieee(bits, 11, 52)
+        else:
+            raw = ieee(bits, 5, 10)
+    return raw * s.scale + s.offset
+
+
+@kernel
+def among(value: int, ids: Any, first: int, count: int) -> bool:
+    """Tell whether a value is one of ``ids[first:first + count]``."""
+    for k in range(first, first + count):
+        if ids[k] == value:
+            return True
+    return False
+
+
+@kernel
+def decode(
+    words: Any, length: int, row: int, messages: Any, signals: Any, mux_ids: Any, values: Any, present: Any
+) -> int:
+    """Decode the wanted signals of one frame into scratch arrays.
+
+    Args:
+        words: payload, 8 little-endian uint64, zero beyond its length.
+        length: payload length [byte].
+        row: of the message.
+        messages: shape (messages,) of MESSAGE.
+        signals: shape (signals,) of SIGNAL.
+        mux_ids: int64, the multiplexer values of all signals.
+        values: float64, takes the physical value of the message's j-th signal.
+        present: uint8, takes whether the j-th signal is in this frame.
+
+    Returns:
+        OK, TOO_SHORT or UNKNOWN_MUX; unless OK nothing of ``values`` may be used.
+    """
+    m = messages[row]
+    if length < m.length:
+        return TOO_SHORT
+    for j in range(m.count):
+        s = signals[m.first + j]
+        if s.parent >= 0 and (
+            present[s.parent] == 0
+            or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)
+        ):
+            present[j] = 0
+            continue
+        present[j] = 1
+        values[j] = extract(words, s)
+        if s.known > 0 and not among(int(values[j]), mux_ids, s.first_known, s.known):
+            return UNKNOWN_MUX
+    return OK
+
+
+@kernel
+def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mailbox: Any) -> None:
+    """Copy the decoded signals that somebody asked for into the mailbox."""
+    m = messages[row]
+    for j in range(m.count):
+        slot = signals[m.first + j].slot
+        if slot >= 0 and present[j] == 1:
+            mailbox[slot] = values[j]

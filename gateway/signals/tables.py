@@ -1,0 +1,287 @@
+"""From databases to a decode plan: which signals are decoded, and where their values go."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
+
+from gateway.bus.frames import EXTENDED
+from gateway.errors import InputError
+from gateway.jit import COMPILED
+from gateway.signals.database import Database
+from gateway.signals.decode import (
+    FLOAT16,
+    FLOAT32,
+    FLOAT64,
+    MESSAGE,
+    SIGNAL,
+    SIGNED,
+    UNSIGNED,
+    exact_key,
+    hashed,
+    pgn_key,
+)
+
+#: Length asked of a message that its database describes wrongly.
+NEVER_LONG_ENOUGH = 255
+
+_FLOATS = {16: FLOAT16, 32: FLOAT32, 64: FLOAT64}
+
+
+class SignalRef(NamedTuple):
+    """Names a signal: index of its bus, message, signal."""
+
+    bus: int
+    message: str
+    signal: str
+
+
+@dataclass(frozen=True)
+class DecodePlan:
+    """The decode tables, and the names of what is in them.
+
+    ``keys``/``rows`` are an open-addressed hash from a frame's bus and identifier to the row of its
+    message; ``messages``, ``signals`` and ``mux_ids`` as the decode kernels want them.
+    """
+
+    keys: NDArray[np.uint64]
+    rows: NDArray[np.int32]
+    messages: Any
+    signals: Any
+    mux_ids: NDArray[np.int64]
+    slot_names: tuple[SignalRef, ...]
+    slot_units: tuple[str, ...]
+    slot_message: NDArray[np.int32]
+    message_names: tuple[tuple[int, str], ...]
+    by_pgn: tuple[bool, ...]
+    positions: dict[SignalRef, int]
+
+    @property
+    def n_slots(self) -> int:
+        """Number of mailbox slots."""
+        return len(self.slot_names)
+
+    @property
+    def max_signals(self) -> int:
+        """Largest number of signals decoded of one message."""
+        return int(self.messages["count"].max(initial=0))
+
+    def slot(self, bus: int, message: str, signal: str) -> int:
+        """Return the mailbox slot of a signal that was wanted.
+
+        Raises:
+            InputError: it was not.
+        """
+        try:
+            return self.slot_names.index(SignalRef(bus, message, signal))
+        except ValueError:
+            raise InputError("this signal is not decoded", value=f"{message}.{signal}") from None
+
+    def position(self, bus: int, message: str, signal: str) -> int:
+        """Return the place of a signal among those decoded of its message."""
+        return self.positions[SignalRef(bus, message, signal)]
+
+    def message(self, bus: int, name: str) -> int:
+        """Return the row of a message."""
+        return self.message_names.index((bus, name))
+
+    def identifiers(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) of a bus's messages; None if some match by PGN."""
+        mine = [row for row, (index, _) in enumerate(self.message_names) if index == bus]
+        if any(self.by_pgn[row] for row in mine):
+            return None
+        return [int(self.messages["can_id"][row]) for row in mine]
+
+
+def _needed(message: Message, wanted: set[str]) -> list[Signal]:
+    """Return wanted signals and all multiplexers, each multiplexer before what depends on it."""
+    by_name = {signal.name: signal for signal in message.signals}
+    ordered: dict[str, Signal] = {}
+
+    def take(signal: Signal) -> None:
+        if signal.multiplexer_signal is not None:
+            take(by_name[signal.multiplexer_signal])
+        ordered.setdefault(signal.name, signal)
+
+    for signal in message.signals:
+        if signal.is_multiplexer or signal.name in wanted:
+            take(signal)
+    return list(ordered.values())
+
+
+def _known_values(tree: Any, multiplexer: str) -> set[int]:
+    """Return the values of a multiplexer that the database describes, anywhere in the message.
+
+    Args:
+        tree: cantools' signal tree: names, and ``{multiplexer: {value: tree}}``.
+        multiplexer: its name.
+    """
+    known: set[int] = set()
+    for entry in tree:
+        if isinstance(entry, dict):
+            for name, branches in entry.items():
+                if name == multiplexer:
+                    known |= set(branches)
+                for branch in branches.values():
+                    known |= _known_values(branch, multiplexer)
+    return known
+
+
+def _sticks_out(message: Message, signal: Signal) -> bool:
+    """Tell whether a signal needs more bytes than its message has."""
+    start = signal.start
+    if signal.byte_order == "big_endian":
+        start = 8 * (start // 8) + 7 - start % 8
+    return start + signal.length > 8 * message.length
+
+
+def _fill(row: Any, signal: Signal) -> None:
+    if signal.byte_order == "big_endian":
+        first = 8 * (signal.start // 8) + 7 - signal.start % 8
+        last = first + signal.length - 1
+        row["big"] = 1
+        row["word"], row["shift"] = last >> 6, 63 - (last & 63)
+    else:
+        row["word"], row["shift"] = signal.start >> 6, signal.start & 63
+    row["length"] = signal.length
+    row["spill"] = int(row["shift"]) + signal.length > 64
+    if signal.is_float:
+        row["kind"] = _FLOATS[signal.length]
+    else:
+        row["kind"] = SIGNED if signal.is_signed else UNSIGNED
+    row["scale"], row["offset"] = signal.scale, signal.offset
+    row["slot"], row["parent"] = -1, -1
+
+
+def _by_pgn(message: Message, whole_bus: bool) -> bool:
+    return message.is_extended_frame and (whole_bus or message.protocol == "j1939")
+
+
+def _hash(
+    messages: Sequence[tuple[int, Message]], by_pgn: Sequence[bool]
+) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+    capacity = 8
+    while capacity < 2 * len(messages) + 1:
+        capacity *= 2
+    keys = np.zeros(capacity, np.uint64)
+    rows = np.full(capacity, -1, np.int32)
+    for row, (bus, message) in enumerate(messages):
+        can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        key = pgn_key(bus, can_id) if by_pgn[row] else exact_key(bus, can_id)
+        at = int(hashed(np.uint64(key), capacity - 1))
+        while rows[at] >= 0:
+            if keys[at] == key:
+                other = messages[rows[at]][1].name
+                raise InputError(
+                    f"has the identifier of {other}: 0x{message.frame_id:X}", key=message.name
+                )
+            at = (at + 1) % capacity
+        keys[at], rows[at] = key, row
+    return keys, rows
+
+
+def compile_plan(
+    databases: Sequence[tuple[int, Database]],
+    wanted: Collection[SignalRef] | None = None,
+    *,
+    messages: Collection[tuple[int, str]] = (),
+    pgn: Collection[int] = (),
+) -> DecodePlan:
+    """Compile the decode tables.
+
+    Args:
+        databases: (bus index, database) pairs.
+        wanted: signals to decode; None: all of them that have at most 64 bits.
+        messages: (bus index, name) of messages that get a row although none of their signals is
+            wanted: their arrival matters.
+        pgn: buses whose extended identifiers all match by PGN. Messages that their database calls
+            J1939 do so in any case.
+
+    Raises:
+        InputError: a name that no database has, a signal longer than 64 bits, two messages with one
+            identity.
+    """
+    by_bus = dict(databases)
+    if wanted is None:
+        wanted = [
+            SignalRef(bus, message.name, signal.name)
+            for bus, database in databases
+            for message in database
+            for signal in message.signals
+            if signal.length <= 64
+        ]
+        messages = [(bus, message.name) for bus, database in databases for message in database]
+    asked: dict[tuple[int, str], set[str]] = {key: set() for key in messages}
+    for ref in wanted:
+        signal = by_bus[ref.bus].signal(ref.message, ref.signal)
+        if signal.length > 64:
+            raise InputError(
+                "a signal of more than 64 bits cannot be decoded",
+                key=f"{ref.message}.{ref.signal}",
+                value=signal.length,
+            )
+        asked.setdefault((ref.bus, ref.message), set()).add(ref.signal)
+    chosen = sorted(
+        ((bus, by_bus[bus].message(name)) for bus, name in asked),
+        key=lambda pair: (pair[0], pair[1].is_extended_frame, pair[1].frame_id, pair[1].name),
+    )
+
+    signal_rows: list[Any] = []
+    mux_ids: list[int] = []
+    slots: list[SignalRef] = []
+    units: list[str] = []
+    slot_message: list[int] = []
+    positions: dict[SignalRef, int] = {}
+    table = np.zeros(len(chosen), MESSAGE)
+    for row, (bus, message) in enumerate(chosen):
+        names = asked[bus, message.name]
+        needed = _needed(message, names)
+        place = {signal.name: j for j, signal in enumerate(needed)}
+        table[row]["first"], table[row]["count"] = len(signal_rows), len(needed)
+        # A message that is too short for its own signals can never be decoded (nor by cantools).
+        broken = any(_sticks_out(message, signal) for signal in message.signals)
+        table[row]["length"] = NEVER_LONG_ENOUGH if broken else message.length
+        table[row]["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        table[row]["bus"] = bus
+        for j, signal in enumerate(needed):
+            entry = np.zeros(1, SIGNAL)[0]
+            _fill(entry, signal)
+            if signal.multiplexer_signal is not None:
+                ids = signal.multiplexer_ids or []
+                entry["parent"] = place[signal.multiplexer_signal]
+                entry["first_id"], entry["ids"] = len(mux_ids), len(ids)
+                mux_ids += ids
+            if signal.is_multiplexer:
+                known = sorted(_known_values(message.signal_tree, signal.name))
+                entry["first_known"], entry["known"] = len(mux_ids), len(known)
+                mux_ids += known
+            ref = SignalRef(bus, message.name, signal.name)
+            positions[ref] = j
+            if signal.name in names:
+                entry["slot"] = len(slots)
+                slots.append(ref)
+                units.append(signal.unit or "")
+                slot_message.append(row)
+            signal_rows.append(entry)
+    by_pgn = [_by_pgn(message, bus in pgn) for bus, message in chosen]
+    keys, rows = _hash(chosen, by_pgn)
+    signals = np.asarray(signal_rows, SIGNAL) if signal_rows else np.zeros(0, SIGNAL)
+    return DecodePlan(
+        keys,
+        rows,
+        table if COMPILED else table.view(np.recarray),
+        signals if COMPILED else signals.view(np.recarray),
+        np.asarray(mux_ids or [0], np.int64),
+        tuple(slots),
+        tuple(units),
+        np.asarray(slot_message, np.int32),
+        tuple((bus, message.name) for bus, message in chosen),
+        tuple(by_pgn),
+        positions,
+    )
