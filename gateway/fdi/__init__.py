@@ -1,0 +1,1 @@
+"""Mathematics of fault detection and isolation, with no CAN in it."""

@@ -1,0 +1,98 @@
+"""Crankshaft trigger wheels: teeth on equal pitches, some of them missing or added."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_SHORT = re.compile(r"(\d+)((?:-\d+){1,2})")
+_ADDED = re.compile(r"(\d+)\+1")
+_RUN = re.compile(r"(?:(\d+)\*)?(\d+(?:\.\d+)?)")
+
+#: Teeth that a wheel can have.
+MOST_TEETH = 128
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A wheel as the pitches between its pulses.
+
+    Attributes:
+        text: as it was written.
+        pitches: shape (P,), pitches from pulse i to pulse i + 1; pulse 0 is the first one after the
+            largest gap, so the last entry is that gap.
+    """
+
+    text: str
+    pitches: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def pulses(self) -> int:
+        """Pulses in one revolution."""
+        return len(self.pitches)
+
+    @property
+    def turn(self) -> float:
+        """Pitches in one revolution."""
+        return sum(self.pitches)
+
+    @property
+    def positions(self) -> tuple[float, ...]:
+        """Angle of each pulse [pitch], pulse 0 at zero."""
+        angles, angle = [], 0.0
+        for pitch in self.pitches:
+            angles.append(angle)
+            angle += pitch
+        return tuple(angles)
+
+    @classmethod
+    def parse(cls, text: str) -> Wheel:
+        """Read a wheel.
+
+        * ``60-2``: 60 pitches, 2 neighbouring teeth missing.
+        * ``36-2-1``: two gaps whose far ends lie half a turn apart (Mitsubishi 4B11 and others).
+        * ``12+1``: 12 teeth and one more halfway between two of them.
+        * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs.
+
+        Raises:
+            ValueError: anything else, or a wheel of fewer than 4 or more than 128 pulses.
+        """
+        compact = text.replace(" ", "")
+        if found := _ADDED.fullmatch(compact):
+            teeth = int(found[1])
+            pitches = [1.0] * (teeth - 1) + [0.5, 0.5]
+        elif found := _SHORT.fullmatch(compact):
+            pitches = _with_gaps(text, int(found[1]), [int(n) for n in found[2][1:].split("-")])
+        else:
+            pitches = []
+            for part in compact.split(","):
+                run = _RUN.fullmatch(part)
+                if run is None:
+                    raise ValueError(
+                        f'{text!r} is not a wheel: write "60-2", "36-2-1", "12+1", '
+                        'or its pitches as "57*1,3"'
+                    )
+                pitches += [float(run[2])] * int(run[1] or 1)
+        if not 4 <= len(pitches) <= MOST_TEETH or min(pitches) <= 0:
+            raise ValueError(
+                f"{text!r}: a wheel has 4 to {MOST_TEETH} pulses, all pitches above zero"
+            )
+        largest = max(range(len(pitches)), key=lambda k: pitches[k])
+        turned = pitches[largest + 1 :] + pitches[: largest + 1]
+        return cls(text, tuple(turned))
+
+
+def _with_gaps(text: str, teeth: int, missing: list[int]) -> list[float]:
+    if sum(missing) + 2 * len(missing) > teeth or 0 in missing:
+        raise ValueError(f"{text!r}: more teeth missing than the wheel has")
+    # Tooth places 0 .. teeth - 1; each gap ends an equal share of the turn after the last.
+    gone: set[int] = set()
+    for k, number in enumerate(missing):
+        end = missing[0] + k * teeth // len(missing)
+        gone.update(range(end - number, end))
+    there = [place for place in range(teeth) if place not in gone]
+    following = [*there[1:], there[0] + teeth]
+    return [float(b - a) for a, b in zip(there, following, strict=True)]
