@@ -19,7 +19,7 @@ from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
 from gateway.engine.core import Engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.errors import InputError, InputErrors
-from gateway.faults.catalogue import Catalogue, FaultDefinition, define
+from gateway.faults.catalogue import Catalogue, FaultDefinition, debounce_of, define
 from gateway.faults.memory import DtcChange, FaultMemory
 from gateway.faults.store import Store
 from gateway.monitors.shape import FAILED, PASSED
@@ -88,17 +88,27 @@ class Gateway:
             raise InputError(
                 error.message, file=file, key=error.key, value=error.value
             ) from error
+        self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self.store = Store(memory_path)
         self.memory = FaultMemory(self.catalogue, self.store)
         frame = config.output.dtc_frame
         self._dtc_frame = (
             None
             if frame is None
-            else DtcFrameOutput(frame, shipped("dbc/gateway.dbc"), config.bus_index(frame.bus))
+            else DtcFrameOutput(
+                frame,
+                shipped("dbc/gateway.dbc"),
+                config.bus_index(frame.bus),
+                self._fault_detection_counter,
+            )
         )
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []
         self.event_count = 0
+
+    def _fault_detection_counter(self, fault: str) -> int:
+        index = self._index.get(fault)
+        return 0 if index is None else self.engine.fault_detection_counter(index)
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
@@ -130,6 +140,11 @@ class Gateway:
         """Let time pass without frames; returns the frames to send."""
         self.engine.advance(t_ns, self._on_events)
         return self._outputs()
+
+    def serve_requests(self) -> None:
+        """Do what other processes asked the fault memory for (``gateway faults clear``)."""
+        cleared = self.memory.serve_requests()
+        self.engine.reset_debounce(self._index[name] for name in cleared if name in self._index)
 
     def _on_events(self, events: Events) -> None:
         self.event_count += len(events)
@@ -238,11 +253,6 @@ def _assemble(
         for index, bus in enumerate(config.bus)
         for check in bus.check
     ]
-    debounce = {
-        fault: override.debounce
-        for fault, override in config.fault.items()
-        if override.debounce is not None
-    }
     frozen = {
         fault: {name: _signal_ref(config, name, 0) for name in override.freeze_frame or ()}
         for fault, override in config.fault.items()
@@ -251,7 +261,7 @@ def _assemble(
         databases,
         monitors,
         checks,
-        debounce=debounce,
+        debounce=lambda name, fault: debounce_of(fault, config.fault.get(name)),
         extra={ref for names in frozen.values() for ref in names.values()},
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
     )

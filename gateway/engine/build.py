@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
 from gateway.errors import InputError
 from gateway.monitors import communication
 from gateway.monitors.communication import CHECK
-from gateway.monitors.shape import RESULTS, Debounce, Monitor, MonitorParams
+from gateway.monitors.shape import RESULTS, Debounce, Fault, Monitor, MonitorParams
 from gateway.signals.crc import ALGORITHMS, crc8_table
 from gateway.signals.database import Database
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
@@ -57,7 +57,7 @@ def build_engine(
     monitors: Sequence[MonitorInstance],
     checks: Sequence[CheckInstance],
     *,
-    debounce: Mapping[str, Debounce] | None = None,
+    debounce: Callable[[str, Fault], Debounce] | None = None,
     extra: Collection[SignalRef] = (),
     pgn: Collection[int] = (),
     ring: int = 4096,
@@ -68,7 +68,7 @@ def build_engine(
         databases: (bus index, database) pairs.
         monitors: configured monitors.
         checks: communication checks.
-        debounce: debounce by fault id, where it differs from the monitor's own.
+        debounce: fault id, fault -> its debounce; default: the fault's own.
         extra: further signals to decode (freeze frames, identifiers).
         pgn: buses whose extended identifiers match by J1939 PGN.
         ring: events that one pass of the loop can hold.
@@ -79,7 +79,6 @@ def build_engine(
     Raises:
         InputError: a message or signal that no database has, a CRC signal off its byte boundary.
     """
-    debounce = debounce or {}
     by_bus = dict(databases)
     monitors = sorted(monitors, key=lambda m: m.priority)
     wirings = []
@@ -150,7 +149,8 @@ def build_engine(
 
     debounces = table(len(faults), DEBOUNCE)
     for k, slot in enumerate(faults):
-        configure(debounces[k], debounce.get(slot.id, slot.fault.debounce))
+        asked = slot.fault.debounce if debounce is None else debounce(slot.id, slot.fault)
+        configure(debounces[k], asked)
         debounces[k]["bus"] = slot.bus
     out = table(1, RESULTS)
     clock = table(1, CLOCK)

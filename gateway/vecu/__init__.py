@@ -1,0 +1,1 @@
+"""Virtual ECUs: plants, the frames real ECUs would send, injected faults, scenarios."""

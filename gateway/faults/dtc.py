@@ -1,0 +1,58 @@
+"""Diagnostic trouble codes: text and three bytes (SAE J2012-DA, ISO 15031-6)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from gateway.errors import InputError
+
+_TEXT = re.compile(r"([PCBU])([0-3])([0-9A-F]{3})(?:-([0-9A-F]{2}))?")
+_LETTERS = "PCBU"
+
+
+@dataclass(frozen=True, order=True)
+class Dtc:
+    """A DTC as UDS carries it: 24 bits, two of the base code and one of the failure type.
+
+    Attributes:
+        value: 0x000000 .. 0xFFFFFF.
+    """
+
+    value: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.value <= 0xFFFFFF:
+            raise InputError("a DTC has 24 bits", value=self.value)
+
+    @classmethod
+    def parse(cls, text: str) -> Dtc:
+        """Read ``P0336-29``; without a failure type byte it is 00.
+
+        Raises:
+            InputError: it is not a DTC.
+        """
+        found = _TEXT.fullmatch(text.strip().upper())
+        if found is None:
+            raise InputError(
+                "a DTC is a letter P, C, B or U, a digit 0 to 3, three hex digits, "
+                'and "-" with a failure type byte of two: "P0336-29"',
+                value=text,
+            )
+        letter, first, rest, failure = found.groups()
+        base = (_LETTERS.index(letter) << 14) | (int(first) << 12) | int(rest, 16)
+        return cls((base << 8) | int(failure or "00", 16))
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Dtc:
+        """Read three bytes, high byte first (ISO 14229-1, DTCHighByte first)."""
+        if len(data) != 3:
+            raise InputError("a DTC has three bytes", value=data.hex())
+        return cls(int.from_bytes(data, "big"))
+
+    def __bytes__(self) -> bytes:
+        return self.value.to_bytes(3, "big")
+
+    def __str__(self) -> str:
+        base, failure = self.value >> 8, self.value & 0xFF
+        return f"{_LETTERS[base >> 14]}{(base >> 12) & 3}{base & 0xFFF:03X}-{failure:02X}"

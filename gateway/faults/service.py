@@ -1,0 +1,102 @@
+"""A fault memory file from outside: list, show, clear, beside a daemon or without one."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from gateway.errors import GatewayError, InputError
+from gateway.faults.catalogue import Catalogue
+from gateway.faults.dtc import Dtc
+from gateway.faults.memory import ALL_DTCS, Entry, FaultMemory, entry_of
+from gateway.faults.status import Status
+from gateway.faults.store import Store, has_writer
+
+
+def as_dict(entry: Entry) -> dict[str, Any]:
+    """Return an entry in the form of the JSON contract."""
+    return {
+        "dtc": str(entry.dtc),
+        "fault": entry.fault,
+        "status": int(entry.status),
+        "confirmed": bool(entry.status & Status.CONFIRMED_DTC),
+        "occurrence": entry.occurrence,
+        "first_ns": entry.first_ns,
+        "last_ns": entry.last_ns,
+        "freeze_frames": [
+            {"record": frame.number, "t_ns": frame.t_ns, "signals": frame.content}
+            for frame in entry.freeze_frames
+        ],
+        "evidence": dict(entry.evidence),
+    }
+
+
+def list_entries(path: Path) -> list[dict[str, Any]]:
+    """Return every entry of a fault memory.
+
+    Raises:
+        InputError: there is none at this path.
+    """
+    store = Store(path, write=False)
+    try:
+        return [as_dict(entry_of(record)) for record in store.load() if record.occurrence > 0]
+    finally:
+        store.close()
+
+
+def show(path: Path, dtc: str) -> dict[str, Any]:
+    """Return the entry of one DTC.
+
+    Raises:
+        InputError: it is not a DTC, or the memory has no entry of it.
+    """
+    wanted = str(Dtc.parse(dtc))
+    entries = list_entries(path)
+    for entry in entries:
+        if entry["dtc"] == wanted:
+            return entry
+    known = ", ".join(entry["dtc"] for entry in entries) or "none"
+    raise InputError(f"no entry of this DTC; the memory has {known}", file=path, value=wanted)
+
+
+def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int:
+    """Clear one DTC, or all; a daemon that keeps the memory does it, else this process.
+
+    Args:
+        path: of the fault memory.
+        dtc: which one; None for all.
+        patience_s: how long to wait for the daemon [s].
+
+    Returns:
+        how many entries were cleared.
+
+    Raises:
+        InputError: there is no fault memory, or ``dtc`` is none.
+        GatewayError: the daemon did not answer; nothing was cleared.
+    """
+    group = ALL_DTCS if dtc is None else Dtc.parse(dtc).value
+    if not path.exists():
+        raise InputError("there is no fault memory here", file=path)
+    if not has_writer(path):
+        store = Store(path)
+        try:
+            memory = FaultMemory(Catalogue(()), store)
+            count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
+            memory.clear(group)
+            return count
+        finally:
+            store.close()
+    store = Store(path, write=False)
+    try:
+        request = store.request("clear", str(group))
+        limit = time.monotonic() + patience_s
+        while (answer := store.answer(request)) is None:
+            if time.monotonic() > limit:
+                store.withdraw(request)
+                raise GatewayError(f"{path}: the gateway that keeps this memory does not answer")
+            time.sleep(0.02)
+        store.withdraw(request)
+        return answer
+    finally:
+        store.close()

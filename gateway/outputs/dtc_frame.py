@@ -1,0 +1,143 @@
+"""DTC frames: message GW_DTC of dbc/gateway.dbc, at each change and cyclically."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import cantools
+from cantools.database.can import Message
+from pydantic import BaseModel, ConfigDict, Field
+
+from gateway.bus.frames import Frames, empty, put
+from gateway.faults.memory import DtcChange, FaultMemory
+
+MESSAGE = "GW_DTC"
+
+
+class DtcFrameParams(BaseModel):
+    """Settings of the DTC frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    bus: str | None = Field(None, description="name of the bus it is sent on")
+    cycle_ms: float = Field(1000.0, ge=10, description="time between two cyclic lists [ms]")
+    status_mask: int = Field(
+        0x0D, ge=1, le=0xFF, description="DTCs with any of these status bits are in the list"
+    )
+    min_interval_ms: float = Field(
+        10.0, ge=0, description="least time between two change frames of one DTC [ms]"
+    )
+
+
+@cache
+def message_of(database: Path) -> Message:
+    """Return the message from its database."""
+    loaded = cantools.database.load_file(database)
+    return loaded.get_message_by_name(MESSAGE)
+
+
+class DtcFrameOutput:
+    """Makes the DTC frames; driven by the time it is given.
+
+    Args:
+        params: settings.
+        database: dbc/gateway.dbc.
+        bus: index of the bus.
+        counter_of: fault id -> its fault detection counter now.
+    """
+
+    def __init__(
+        self, params: DtcFrameParams, database: Path, bus: int, counter_of: Callable[[str], int]
+    ) -> None:
+        self._params = params
+        self._message = message_of(database)
+        self._bus = bus
+        self._next_ns: int | None = None
+        self._held: dict[str, DtcChange] = {}
+        self._sent_ns: dict[str, int] = {}
+        self._counter_of = counter_of
+
+    def on_changes(self, changes: Sequence[DtcChange], memory: FaultMemory, t_ns: int) -> Frames:
+        """Return the frames for changes that are durable.
+
+        A DTC that chatters is sent at most once in ``min_interval_ms``, its latest state always.
+        """
+        for change in changes:
+            self._held[change.definition.id] = change
+        interval = self._params.min_interval_ms * 1e6
+        due = [
+            change
+            for name, change in self._held.items()
+            if name not in self._sent_ns or t_ns - self._sent_ns[name] >= interval
+        ]
+        if not due:
+            return empty(0)
+        count = len(memory.by_status_mask(self._params.status_mask))
+        frames = empty(len(due))
+        for k, change in enumerate(due):
+            name = change.definition.id
+            del self._held[name]
+            self._sent_ns[name] = t_ns
+            self._put(
+                frames,
+                k,
+                t_ns,
+                change.dtc.value,
+                int(change.new_status),
+                change.fdc,
+                0,
+                count,
+                change.occurrence,
+            )
+        return frames
+
+    def on_time(self, t_ns: int, memory: FaultMemory) -> Frames:
+        """Return the cyclic list when it is due, else nothing."""
+        if self._next_ns is not None and t_ns < self._next_ns:
+            return empty(0)
+        cycle = round(self._params.cycle_ms * 1e6)
+        late = self._next_ns is None or t_ns - self._next_ns > cycle
+        self._next_ns = t_ns + cycle if late or self._next_ns is None else self._next_ns + cycle
+        entries = memory.by_status_mask(self._params.status_mask)
+        frames = empty(max(len(entries), 1))
+        if not entries:
+            self._put(frames, 0, t_ns, 0, 0, 0, 0, 0, 0)
+        for k, entry in enumerate(entries):
+            self._put(
+                frames,
+                k,
+                t_ns,
+                entry.dtc.value,
+                int(entry.status),
+                self._counter_of(entry.fault),
+                k + 1,
+                len(entries),
+                entry.occurrence,
+            )
+        return frames
+
+    def _put(
+        self,
+        frames: Frames,
+        k: int,
+        t_ns: int,
+        dtc: int,
+        status: int,
+        fdc: int,
+        index: int,
+        count: int,
+        occurrence: int,
+    ) -> None:
+        payload = self._message.encode(
+            {
+                "Dtc": dtc,
+                "Status": status,
+                "FaultDetectionCounter": fdc,
+                "Index": min(index, 255),
+                "Count": min(count, 255),
+                "Occurrence": occurrence,
+            }
+        )
+        put(frames, k, t_ns, self._message.frame_id, payload, bus=self._bus)
