@@ -7,7 +7,8 @@ from pathlib import Path
 from gateway.bus.logs import open_writer
 from gateway.cli.present import print_json
 from gateway.errors import InputError
-from gateway.vecu.capture import capture_frames, read_capture
+from gateway.vecu.capture import read_capture
+from gateway.vecu.tooth_frames import Format, tooth_frames
 
 
 def convert_teeth(
@@ -19,7 +20,8 @@ def convert_teeth(
     if frame not in ("classic", "fd"):
         raise InputError("the frames are classic and fd", key="--frame", value=frame)
     teeth = read_capture(capture, channel=channel, edge=edge)
-    frames = capture_frames(teeth, frame)
+    form: Format = "fd" if frame == "fd" else "classic"
+    frames = tooth_frames(teeth.times_ns, form)
     with open_writer(log) as writer:
         writer.write(frames)
     facts = {"edges": teeth.edges, "seconds": teeth.duration_s, "frames": len(frames)}

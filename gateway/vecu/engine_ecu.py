@@ -1,0 +1,56 @@
+"""The engine ECU: crank, sensor with its faults, tooth frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.vecu.crank import tooth_times
+from gateway.vecu.pulse_faults import Truth, added_pulses, missed_pulses
+from gateway.vecu.scenario import EngineParams, PulseFault
+from gateway.vecu.tooth_frames import tooth_frames
+
+
+def engine_frames(
+    params: EngineParams,
+    faults: Iterable[PulseFault],
+    duration_s: float,
+    *,
+    bus: int,
+    rng: np.random.Generator,
+) -> tuple[Frames, list[Truth]]:
+    """Return all frames of a run, stamped from time 0, and what was injected.
+
+    Args:
+        params: the engine.
+        faults: of its sensor.
+        duration_s: length of the run [s].
+        bus: index of its bus.
+        rng: source of all randomness.
+    """
+    pulses = params.wheel.pulses
+    healthy = tooth_times(
+        params.wheel,
+        params.speed,
+        duration_s,
+        ripple=[(r.order, r.amplitude, r.phase) for r in params.ripple],
+        jitter=params.jitter,
+        tooth_error=params.tooth_error,
+        rng=rng,
+    )
+    truth: list[Truth] = []
+    gone = np.zeros(len(healthy), bool)
+    extra = []
+    for fault in faults:
+        at_ns = round(fault.at_s * 1e9)
+        if fault.kind == "missed_pulses":
+            places, injected = missed_pulses(healthy, pulses, at_ns, fault.count, fault.tooth)
+            gone[places] = True
+        else:
+            added, injected = added_pulses(healthy, pulses, at_ns, fault.count, rng, fault.tooth)
+            extra.append(added)
+        truth += injected
+    times = np.unique(np.concatenate([healthy[~gone], *extra]))
+    return tooth_frames(times, params.format, bus=bus), truth

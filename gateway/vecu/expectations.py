@@ -1,0 +1,99 @@
+"""Did the expected DTCs come? Judged from what is reported on the bus, as a tester sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gateway.faults.status import Status
+from gateway.vecu.scenario import Scenario
+
+
+@dataclass
+class _Seen:
+    occurrence: int
+    failed: bool
+    set_s: list[float] = field(default_factory=list)
+    healed_s: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the verdict."""
+
+    good: bool
+    text: str
+
+
+class Judge:
+    """Compares reported DTCs with a scenario's expectations.
+
+    A DTC counts as set when its testFailed bit goes up, or its occurrence counter does, after the start;
+    what was reported before the start is the state to compare with.
+
+    Args:
+        scenario: with the expectations.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._seen: dict[str, _Seen] = {}
+
+    def report(self, t_s: float, dtc: str, status: int, occurrence: int) -> None:
+        """Take one report.
+
+        Args:
+            t_s: time since the start [s]; negative before it.
+            dtc: text.
+            status: status byte.
+            occurrence: its counter.
+        """
+        failed = bool(status & Status.TEST_FAILED)
+        seen = self._seen.get(dtc)
+        if t_s < 0:
+            self._seen[dtc] = _Seen(occurrence, failed)
+            return
+        if seen is None:
+            seen = self._seen[dtc] = _Seen(0, False)
+        if occurrence > seen.occurrence or (failed and not seen.failed):
+            seen.set_s.append(t_s)
+        if not failed and (seen.failed or occurrence > seen.occurrence):
+            seen.healed_s.append(t_s)
+        seen.occurrence, seen.failed = occurrence, failed
+
+    def findings(self) -> list[Finding]:
+        """Return the verdict, line by line."""
+        found = []
+        expected = set()
+        for line in self._scenario.expect:
+            expected.add(line.dtc)
+            seen = self._seen.get(line.dtc)
+            times = seen.set_s if seen else []
+            if line.absent:
+                good = not times
+                text = "never set" if good else f"set at {times[0]:.3f} s, should never be"
+                found.append(Finding(good, f"{line.dtc} {text}"))
+                continue
+            limit = self._scenario.duration_s if line.by_s is None else line.by_s
+            inside = [t for t in times if line.after_s <= t <= limit]
+            early = [t for t in times if t < line.after_s]
+            if early:
+                found.append(
+                    Finding(False, f"{line.dtc} set at {early[0]:.3f} s, before {line.after_s} s")
+                )
+            elif not inside:
+                late = f", but at {times[0]:.3f} s" if times else ""
+                found.append(Finding(False, f"{line.dtc} not set by {limit} s{late}"))
+            else:
+                found.append(Finding(True, f"{line.dtc} set at {inside[0]:.3f} s"))
+            if line.healed_by_s is not None and inside and seen is not None:
+                healed = [t for t in seen.healed_s if inside[0] <= t <= line.healed_by_s]
+                good = bool(healed) and not (seen.failed and seen.set_s[-1] > healed[-1])
+                text = f"healed at {healed[0]:.3f} s" if good else (
+                    f"not healed by {line.healed_by_s} s"
+                )
+                found.append(Finding(good, f"{line.dtc} {text}"))
+        if self._scenario.unexpected == "fail":
+            for dtc, seen in sorted(self._seen.items()):
+                if dtc not in expected and seen.set_s:
+                    found.append(Finding(False, f"{dtc} set at {seen.set_s[0]:.3f} s, not expected"))
+        return found

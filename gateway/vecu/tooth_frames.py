@@ -1,0 +1,146 @@
+"""Pulse trains into the frames of dbc/engine.dbc: what an ECU, or a logger, would send."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import cantools
+import numpy as np
+from cantools.database.can import Message
+from numpy.typing import NDArray
+
+from gateway.bus.frames import FD, Frames, empty, put
+from gateway.resources import shipped
+from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
+from gateway.signals.tooth_codec import LONGEST_US, encode_intervals
+
+Format = Literal["classic", "fd"]
+
+#: A frame that is not full leaves so long after its first interval began [ns].
+FLUSH_NS = 20_000_000
+#: Time on the wire: 8 bytes at 500 kbit/s with typical stuffing; 64 bytes FD at 500 kbit/s / 2 Mbit/s.
+WIRE_NS = {"classic": 242_000, "fd": 354_000}
+#: Pulses between two CTW_BASE frames.
+BASE_EVERY = 58
+
+_CRC = "crc8_sae_j1850"
+
+
+@cache
+def _message(name: str) -> Message:
+    return cantools.database.load_file(shipped("dbc/engine.dbc")).get_message_by_name(name)
+
+
+@cache
+def _table() -> NDArray[np.uint8]:
+    return crc8_table(_CRC)
+
+
+def protect(message: Message, values: dict[str, Any]) -> bytes:
+    """Encode a message of engine.dbc and put its CRC in."""
+    data = bytearray(message.encode({**values, "Crc": 0}))
+    words = np.frombuffer(bytes(data).ljust(64, b"\0"), "<u8")
+    algorithm = ALGORITHMS[_CRC]
+    data[0] = crc8(
+        words, len(data), 0, message.frame_id, _table(), algorithm.init, algorithm.xorout
+    )
+    return bytes(data)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Intervals ``first .. last - 1`` of a train, sent together at a time."""
+
+    first: int
+    last: int
+    t_ns: int
+
+
+def _groups(times_ns: NDArray[np.int64], most: int) -> list[_Group]:
+    """Divide the intervals of a train among frames: full ones, and those that waited too long."""
+    groups = []
+    first = 0
+    intervals = len(times_ns) - 1
+    while first < intervals:
+        last = min(first + most, intervals)
+        limit = int(times_ns[first + 1]) + FLUSH_NS
+        waited = int(np.searchsorted(times_ns, limit, side="right")) - 1
+        if waited < last:
+            last = max(waited, first + 1)
+            groups.append(_Group(first, last, limit))
+        else:
+            groups.append(_Group(first, last, int(times_ns[last])))
+        first = last
+    return groups
+
+
+def tooth_frames(
+    times_ns: NDArray[np.int64], form: Format, *, bus: int = 0, wire_ns: int | None = None
+) -> Frames:
+    """Return the frames that carry a pulse train.
+
+    Args:
+        times_ns: shape (n,), pulse times, rising [ns].
+        form: classic (CTW_PT4 and CTW_BASE) or fd (CTW_FD27).
+        bus: index of the bus.
+        wire_ns: from the last pulse to the frame's time stamp [ns].
+    """
+    if len(times_ns) < 2:
+        return empty(0)
+    delay = WIRE_NS[form] if wire_ns is None else wire_ns
+    if form == "classic":
+        return _classic(times_ns, bus, delay)
+    return _fd(times_ns, bus, delay)
+
+
+def _classic(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
+    codes = np.zeros(len(times_ns) - 1, np.int64)
+    encode_intervals(times_ns / 1e3, codes)
+    teeth, base = _message("CTW_PT4"), _message("CTW_BASE")
+    rows: list[tuple[int, int, bytes]] = []
+    bases = 0
+    for number, group in enumerate(_groups(times_ns, 4)):
+        inside = list(map(int, codes[group.first : group.last]))
+        values = {f"Pt{k}": code for k, code in enumerate(inside + [0] * (4 - len(inside)))}
+        stamp = group.t_ns + delay
+        rows.append((stamp, teeth.frame_id, protect(teeth, {"FrameCnt": number % 256, **values})))
+        if group.last // BASE_EVERY > bases:
+            values = {
+                "FrameCnt": bases % 16,
+                "PulseCnt": group.last % 65536,
+                "BaseTime": int(times_ns[group.last]) // 1000 % 2**32,
+            }
+            rows.append((stamp + delay, base.frame_id, protect(base, values)))
+            bases = group.last // BASE_EVERY
+    frames = empty(len(rows))
+    for k, (stamp, can_id, payload) in enumerate(rows):
+        put(frames, k, stamp, can_id, payload, bus=bus)
+    return frames[np.argsort(frames["t_ns"], kind="stable")]
+
+
+def _fd(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
+    message = _message("CTW_FD27")
+    groups = _groups(times_ns, 27)
+    frames = empty(len(groups))
+    half_us = times_ns // 500
+    for number, group in enumerate(groups):
+        span = np.diff(half_us[group.first : group.last + 1])
+        longest = min(int(span.max()), LONGEST_US * 2)
+        shift = max(0, longest.bit_length() - 16)
+        # Differences to what the receiver decodes, so that rounding does not add up.
+        ends = np.rint(np.cumsum(span) / (1 << shift)).astype(np.int64)
+        codes = np.minimum(np.diff(ends, prepend=0), 0xFFFF)
+        values: dict[str, Any] = {f"Pt{k}": 0.0 for k in range(27)}
+        values.update({f"Pt{k}": int(code) * 0.5 for k, code in enumerate(codes)})
+        values |= {
+            "FrameCnt": number % 256,
+            "PulseCnt": group.first % 65536,
+            "BaseTime": int(half_us[group.first]) % 2**32 * 0.5,
+            "NValid": len(codes),
+            "Shift": shift,
+        }
+        put(frames, number, group.t_ns + delay, message.frame_id, protect(message, values), bus=bus)
+        frames[number]["flags"] = FD
+    return frames
