@@ -184,6 +184,7 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
         if place >= 0:
             T.ring[place].evidence[0] = length
     if status != OK:
+        c.unread += 1
         return REJECT
     if c.fault[CRC] >= 0:
         received, computed = check_crc(c, words, length, T.crc_tables)
@@ -193,11 +194,14 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
             T.ring[place].evidence[1] = computed
         if received != computed:
             clock.crc_failed += 1
+            c.unread += 1
             return REJECT
     if c.fault[COUNTER] >= 0:
         received = int(T.values[c.counter])
         step_by = counter_step(c, received)
-        wrong = step_by == 0 or step_by > c.max_step
+        # The counters of rejected frames went by unread; those frames were not lost.
+        wrong = step_by == 0 or step_by > c.max_step + c.unread
+        c.unread = 0
         place = tested(T, t_ns, c.fault[COUNTER], wrong, step_by, c.max_step)
         if place >= 0:
             T.ring[place].evidence[0] = step_by

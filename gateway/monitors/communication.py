@@ -98,7 +98,7 @@ class Params(MonitorParams):
 
 #: Constants and state of the checks of one message. ``fault`` is the engine's index of each fault,
 #: -1 where that check is not asked for; ``counter`` the place of the counter among the message's
-#: signals.
+#: signals; ``unread`` the frames rejected since the counter was last read.
 CHECK = record(
     fault=(i4, len(FAULTS)),
     timeout_ns=i8,
@@ -114,6 +114,7 @@ CHECK = record(
     deadline_ns=i8,
     silent_ns=i8,
     last_counter=i4,
+    unread=i4,
     seen=u1,
 )
 
