@@ -23,7 +23,7 @@ from gateway.faults.catalogue import Catalogue, FaultDefinition, debounce_of, de
 from gateway.faults.memory import DtcChange, FaultMemory
 from gateway.faults.store import Store
 from gateway.monitors.shape import FAILED, PASSED
-from gateway.outputs.dtc_frame import DtcFrameOutput
+from gateway.outputs.dtc_frame import DtcFrameOutput, message_of
 from gateway.resources import shipped
 from gateway.signals.database import Database, load_database
 from gateway.signals.tables import SignalRef
@@ -140,6 +140,11 @@ class Gateway:
         """Let time pass without frames; returns the frames to send."""
         self.engine.advance(t_ns, self._on_events)
         return self._outputs()
+
+    @property
+    def dtc_frame_id(self) -> int:
+        """Identifier of the DTC frame."""
+        return int(message_of(shipped("dbc/gateway.dbc")).frame_id)
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""

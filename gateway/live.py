@@ -34,7 +34,6 @@ def run_live(
     record: LogWriter | None = None,
     clock_ns: Callable[[], int] = time.time_ns,
     tick_s: float = TICK_S,
-    on_idle: Callable[[], None] | None = None,
 ) -> None:
     """Feed a gateway from its buses until told to stop.
 
@@ -45,7 +44,6 @@ def run_live(
         record: takes each frame exactly as the engine gets it.
         clock_ns: the clock that stamps the frames of these buses [ns].
         tick_s: longest wait without traffic [s].
-        on_idle: called once a tick.
 
     Raises:
         BusError: a bus failed.
@@ -58,15 +56,17 @@ def run_live(
             ready = selector.select(tick_s)
             for key, _ in ready:
                 bus = key.data
-                count = bus.receive(batch)
-                if count:
+                count = BATCH
+                while count == BATCH:
+                    count = bus.receive(batch)
+                    if not count:
+                        break
                     frames = batch[:count]
                     if record is not None:
                         record.write(frames)
                     send(buses, gateway.feed(frames))
             send(buses, gateway.advance(clock_ns() - GRACE_NS))
-            if on_idle is not None:
-                on_idle()
+            gateway.serve_requests()
 
 
 def send(buses: Sequence[Bus], frames: Frames) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import cantools
+import numpy as np
 from cantools.database.can import Message
 from pydantic import BaseModel, ConfigDict, Field
 
-from gateway.bus.frames import Frames, empty, put
+from gateway.bus.frames import Frames, empty, payload, put
+from gateway.faults.dtc import Dtc
 from gateway.faults.memory import DtcChange, FaultMemory
 
 MESSAGE = "GW_DTC"
@@ -36,6 +39,37 @@ def message_of(database: Path) -> Message:
     """Return the message from its database."""
     loaded = cantools.database.load_file(database)
     return loaded.get_message_by_name(MESSAGE)
+
+
+@dataclass(frozen=True)
+class DtcReport:
+    """What one DTC frame says; ``dtc`` is None in the all-clear form."""
+
+    t_ns: int
+    dtc: Dtc | None
+    status: int
+    fdc: int
+    index: int
+    count: int
+    occurrence: int
+
+
+def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
+    """Decode a DTC frame as a tester does, with cantools; None for any other frame."""
+    message = message_of(database)
+    if int(frame["can_id"]) != message.frame_id or int(frame["length"]) < message.length:
+        return None
+    values = message.decode(payload(frame), decode_choices=False)
+    number = int(values["Dtc"])
+    return DtcReport(
+        int(frame["t_ns"]),
+        Dtc(number) if number else None,
+        int(values["Status"]),
+        int(values["FaultDetectionCounter"]),
+        int(values["Index"]),
+        int(values["Count"]),
+        int(values["Occurrence"]),
+    )
 
 
 class DtcFrameOutput:

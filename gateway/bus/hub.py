@@ -1,0 +1,235 @@
+"""The hub: CAN buses between processes on this machine, speaking the socketcand protocol.
+
+A frame from one client goes to all others on the same bus, stamped with the hub's clock as a CAN
+controller would. A client that does not read loses its oldest frames; it never holds up the others.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import structlog
+
+from gateway.bus.socketcand import (
+    Parts,
+    extended_frame,
+    parse_extended,
+    parse_send,
+    plain_frame,
+    split,
+)
+from gateway.errors import BusError
+
+#: Frames that wait for a slow client.
+QUEUE = 20_000
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass
+class HubStatistics:
+    """Counters of a hub."""
+
+    frames: int = 0
+    dropped: int = 0  # for slow clients
+    inexpressible: int = 0  # FD and the like, for plain clients
+    rejected: int = 0  # input that was no message
+
+
+@dataclass(eq=False)
+class _Client:
+    socket: socket.socket
+    received: bytearray = field(default_factory=bytearray)
+    waiting: deque[bytes] = field(default_factory=deque)
+    partial: bytes = b""
+    bus: str | None = None
+    raw: bool = False
+    extended: bool = False
+    ended: bool = False
+
+
+class Hub:
+    """Serves buses on a loopback address; any bus name a client opens exists.
+
+    Args:
+        host: 127.0.0.1 or ::1.
+        port: 0 takes a free one.
+        clock_ns: stamps the frames [ns].
+
+    Raises:
+        BusError: the address is taken.
+    """
+
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 29536, *, clock_ns: Callable[[], int] = time.time_ns
+    ) -> None:
+        self.statistics = HubStatistics()
+        self._clock_ns = clock_ns
+        self._selector = selectors.DefaultSelector()
+        self._clients: list[_Client] = []
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._server = socket.socket(family, socket.SOCK_STREAM)
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._server.bind((host, port))
+        except OSError as error:
+            self._server.close()
+            raise BusError(f"loopback:{host}:{port}: {error.strerror}") from error
+        self._server.listen()
+        self._server.setblocking(False)
+        self._selector.register(self._server, selectors.EVENT_READ)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        host, port = self._server.getsockname()[:2]
+        return host, port
+
+    def serve_forever(self, stop: Callable[[], bool]) -> None:
+        """Serve until told to stop (asked at least ten times a second)."""
+        while not stop():
+            self.serve_once(0.1)
+
+    def serve_once(self, timeout_s: float) -> None:
+        """Wait for work, at most so long [s], and do it."""
+        for key, mask in self._selector.select(timeout_s):
+            client = key.data
+            if client is None:
+                self._accept()
+                continue
+            if mask & selectors.EVENT_READ:
+                self._read(client)
+            if mask & selectors.EVENT_WRITE and not client.ended:
+                self._write(client)
+        for client in [client for client in self._clients if client.ended]:
+            self._drop(client)
+        for client in self._clients:
+            if client.waiting:
+                self._write(client)
+
+    def close(self) -> None:
+        """Close all connections and the address."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._selector.unregister(self._server)
+        self._server.close()
+        self._selector.close()
+
+    def _accept(self) -> None:
+        connection, _ = self._server.accept()
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = _Client(connection)
+        self._clients.append(client)
+        self._selector.register(connection, selectors.EVENT_READ, client)
+        self._answer(client, "hi")
+
+    def _drop(self, client: _Client) -> None:
+        self._clients.remove(client)
+        self._selector.unregister(client.socket)
+        client.socket.close()
+
+    def _answer(self, client: _Client, text: str) -> None:
+        client.waiting.append(f"< {text} >".encode())
+        self._write(client)
+
+    def _read(self, client: _Client) -> None:
+        try:
+            data = client.socket.recv(1 << 16)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            data = b""
+        if not data:
+            client.ended = True
+            return
+        client.received += data
+        messages, garbage = split(client.received)
+        for _ in range(garbage):
+            self._refuse(client, "malformed input")
+        for words in messages:
+            self._handle(client, words)
+
+    def _refuse(self, client: _Client, why: str) -> None:
+        self.statistics.rejected += 1
+        self._answer(client, f"error {why}")
+
+    def _handle(self, client: _Client, words: list[str]) -> None:
+        command = words[0] if words else ""
+        if command in ("send", "x"):
+            self._take(client, words)
+        elif command == "open" and len(words) == 2:
+            client.bus = words[1]
+            self._answer(client, "ok")
+        elif command == "rawmode" and client.bus is not None:
+            client.raw = True
+            self._answer(client, "ok")
+        elif command == "xmode" and client.raw:
+            client.extended = True
+            self._answer(client, "ok")
+        elif command == "echo":
+            self._answer(client, "echo")
+        elif command in ("rawmode", "xmode"):
+            self._refuse(client, "open a bus first")
+        else:
+            self._refuse(client, "unknown command")
+
+    def _take(self, client: _Client, words: list[str]) -> None:
+        if client.bus is None:
+            self._refuse(client, "open a bus first")
+            return
+        try:
+            if words[0] == "x":
+                if not client.extended:
+                    raise ValueError("mode")
+                parts = parse_extended(words)
+            else:
+                parts = parse_send(words)
+        except (ValueError, IndexError):
+            self._refuse(client, "malformed frame")
+            return
+        self._spread(client, (self._clock_ns(), *parts[1:]))
+
+    def _spread(self, sender: _Client, parts: Parts) -> None:
+        self.statistics.frames += 1
+        plain: bytes | None = None
+        extended: bytes | None = None
+        for client in self._clients:
+            if client is sender or client.bus != sender.bus or not client.raw:
+                continue
+            if client.extended:
+                line = extended = extended or extended_frame(parts)
+            else:
+                plain = plain or plain_frame(parts)
+                if plain is None:
+                    self.statistics.inexpressible += 1
+                    continue
+                line = plain
+            if len(client.waiting) >= QUEUE:
+                client.waiting.popleft()
+                self.statistics.dropped += 1
+            client.waiting.append(line)
+
+    def _write(self, client: _Client) -> None:
+        while client.waiting or client.partial:
+            if not client.partial:
+                count = min(len(client.waiting), 512)
+                client.partial = b"".join(client.waiting.popleft() for _ in range(count))
+            try:
+                sent = client.socket.send(client.partial)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:
+                client.ended = True
+                return
+            client.partial = client.partial[sent:]
+        events = selectors.EVENT_READ
+        if client.waiting or client.partial:
+            events |= selectors.EVENT_WRITE
+        if self._selector.get_key(client.socket).events != events:
+            self._selector.modify(client.socket, events, client)

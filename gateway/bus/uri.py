@@ -1,0 +1,108 @@
+"""Buses by URI."""
+
+from __future__ import annotations
+
+import ipaddress
+from urllib.parse import parse_qsl
+
+import can
+
+from gateway.bus.adapter import PythonCanBus
+from gateway.bus.base import Bus
+from gateway.bus.loopback import DEFAULT_ADDRESS, DEFAULT_BUS, LoopbackBus
+from gateway.bus.socketcan import SocketCanBus
+from gateway.errors import BusError, InputError
+
+_FORMS = (
+    "socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, "
+    "or a python-can interface as pcan:PCAN_USBBUS1?bitrate=500000"
+)
+
+
+def loopback_address(text: str) -> tuple[str, int]:
+    """Read ``host:port`` of this machine's loopback; either may be left out.
+
+    Raises:
+        InputError: not an address, or one that other machines could reach.
+    """
+    host, port = DEFAULT_ADDRESS
+    if text:
+        given, colon, number = text.rpartition(":")
+        if not colon:
+            given, number = (text, "") if not text.isdigit() else ("", text)
+        host = given.strip("[]") or host
+        if number:
+            if not number.isdigit() or not 0 <= int(number) <= 65535:
+                raise InputError("a port is a number up to 65535", key="port", value=number)
+            port = int(number)
+    try:
+        local = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host).is_loopback
+    except ValueError:
+        local = False
+    if not local:
+        raise InputError(
+            "the bus between processes stays on this machine: 127.0.0.1 or ::1", value=host
+        )
+    return ("127.0.0.1" if host == "localhost" else host), port
+
+
+def _options(query: str) -> dict[str, object]:
+    """Read ``a=1&b=true`` into numbers, truth values and texts."""
+    found: dict[str, object] = {}
+    for key, text in parse_qsl(query, keep_blank_values=True):
+        if text.lower() in ("true", "false"):
+            found[key] = text.lower() == "true"
+        else:
+            try:
+                found[key] = int(text, 0)
+            except ValueError:
+                found[key] = text
+    return found
+
+
+def open_bus(uri: str, index: int = 0, *, patience_s: float = 10.0) -> Bus:
+    """Open a bus.
+
+    Args:
+        uri: what and where, see the errors for the forms.
+        index: stamped into every frame.
+        patience_s: how long a loopback bus may take to appear [s].
+
+    Raises:
+        InputError: not a URI of a bus.
+        BusError: the bus cannot be opened.
+    """
+    scheme, colon, rest = uri.partition(":")
+    place, _, query = rest.partition("?")
+    options = _options(query)
+    if not colon or not scheme:
+        raise InputError(f"a bus is named as {_FORMS}", key="uri", value=uri)
+    if scheme == "loopback":
+        address, _, name = place.partition("/")
+        host, port = loopback_address(address)
+        return LoopbackBus(uri, index, (host, port), name or DEFAULT_BUS, patience_s=patience_s)
+    if not place:
+        raise InputError(f"the channel is missing: {_FORMS}", key="uri", value=uri)
+    if scheme == "socketcan":
+        unknown = set(options) - {"fd", "rcvbuf"}
+        if unknown:
+            raise InputError(
+                "socketcan takes fd=true and rcvbuf=bytes", key="uri", value=", ".join(unknown)
+            )
+        rcvbuf = options.get("rcvbuf")
+        return SocketCanBus(
+            uri,
+            index,
+            place,
+            fd=bool(options.get("fd", True)),
+            rcvbuf=rcvbuf if isinstance(rcvbuf, int) else None,
+        )
+    if scheme == "virtual":
+        options = {"preserve_timestamps": True, **options}
+    elif scheme not in can.VALID_INTERFACES:
+        raise InputError(f"no such kind of bus; there are {_FORMS}", key="uri", value=uri)
+    try:
+        opened = can.Bus(channel=place, interface=scheme, **options)  # type: ignore[arg-type]
+    except Exception as error:  # each interface of python-can raises its own
+        raise BusError(f"{uri}: {error}") from error
+    return PythonCanBus(uri, index, opened)

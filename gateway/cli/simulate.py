@@ -1,0 +1,235 @@
+"""``gateway demo`` and ``gateway simulate``: virtual ECUs, alone or with a gateway in this process."""
+
+from __future__ import annotations
+
+import select
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from gateway.app import Gateway
+from gateway.bus.base import Bus
+from gateway.bus.frames import Frames, empty
+from gateway.bus.logs import LogWriter, open_writer
+from gateway.bus.uri import open_bus
+from gateway.cli.present import (
+    EventPrinter,
+    find_scenario,
+    print_json,
+    say,
+    say_if_cold,
+    status_text,
+)
+from gateway.cli.run import until_signal
+from gateway.config import Config, load_config
+from gateway.drive import drive
+from gateway.errors import GatewayError, InputError
+from gateway.outputs.dtc_frame import DtcReport, read_dtc_frame
+from gateway.resources import shipped
+from gateway.vecu.expectations import Finding, Judge
+from gateway.vecu.player import Player
+from gateway.vecu.scenario import Scenario, load_scenario
+
+INSIDE = "inside"
+
+
+def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
+    scenario = load_scenario(find_scenario(name))
+    config = load_config(scenario.config)
+    buses = {bus.name: index for index, bus in enumerate(config.bus)}
+    return scenario, config, Player(scenario, buses, seed=seed)
+
+
+def _finding_event(finding: Finding) -> dict[str, Any]:
+    return {"event": "expectation", "met": finding.good, "text": finding.text}
+
+
+def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
+    """Show the whole chain in one process; returns the exit code."""
+    scenario, config, player = _open(scenario_name, seed)
+    say_if_cold()
+    console = Console(highlight=False, soft_wrap=True)
+    printer = EventPrinter(as_json=json)
+    gateway = Gateway(config, file=scenario.config)
+    gateway.listen(printer)
+    judge = Judge(scenario)
+    if not json:
+        console.print(f"[bold]{scenario.name}[/]: {scenario.description} (seed {player.seed})")
+        for ecu in scenario.ecu:
+            console.print(
+                f"virtual ECU [bold]{ecu.name}[/]: {ecu.wheel} trigger wheel,"
+                f" {len(player.frames)} frames in {scenario.duration_s} s"
+            )
+    truth = list(player.truth)
+    begun = time.monotonic()
+    shown_s = -1
+
+    def on_report(report: DtcReport) -> None:
+        if report.dtc is None or json:
+            return
+        where = "change" if report.index == 0 else f"{report.index} of {report.count}"
+        console.print(
+            f"{report.t_ns / 1e9:10.4f} s  [cyan]CAN GW_DTC[/] ({where}): {report.dtc}"
+            f"  status 0x{report.status:02X} = {status_text(report.status)}"
+        )
+
+    def on_step(t_ns: int) -> None:
+        nonlocal shown_s
+        while truth and truth[0].t_ns <= t_ns:
+            fact = truth.pop(0)
+            if not json:
+                tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
+                console.print(
+                    f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]:"
+                    f" {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
+                )
+        if not json and t_ns // 10**9 > shown_s:
+            shown_s = t_ns // 10**9
+            for name, values in gateway.engine.readout().items():
+                facts = "  ".join(f"{k} {v:.6g}" for k, v in values.items() if k != "not_tested")
+                console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
+        if speed:
+            time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
+
+    try:
+        drive(gateway, player, judge=judge, on_report=on_report, on_step=on_step)
+        printer(gateway.summary(time.monotonic() - begun))
+    finally:
+        gateway.close()
+    return _verdict(judge, json=json, check=False)
+
+
+def _verdict(judge: Judge, *, json: bool, check: bool) -> int:
+    findings = judge.findings()
+    for finding in findings:
+        if json:
+            print_json(_finding_event(finding), indent=None)
+        else:
+            print(("as expected: " if finding.good else "NOT as expected: ") + finding.text)
+    return 1 if check and not all(finding.good for finding in findings) else 0
+
+
+def simulate(
+    scenario_name: Path,
+    *,
+    bus: str | None,
+    check: bool,
+    wait: float,
+    record: Path | None,
+    seed: int | None,
+    json: bool,
+) -> int:
+    """Drive a bus with a scenario's ECUs; returns the exit code."""
+    stop = until_signal(None)
+    scenario, config, player = _open(scenario_name, seed)
+    say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
+    with ExitStack() as stack:
+        writer = None if record is None else stack.enter_context(open_writer(record))
+        judge = Judge(scenario)
+        if bus == INSIDE:
+            say_if_cold()
+            gateway = Gateway(config, file=scenario.config)
+            stack.callback(gateway.close)
+            printer = EventPrinter(as_json=json)
+            gateway.listen(printer)
+            begun = time.monotonic()
+            drive(
+                gateway,
+                player,
+                judge=judge,
+                on_frames=None if writer is None else writer.write,
+            )
+            printer(gateway.summary(time.monotonic() - begun))
+            return _verdict(judge, json=json, check=check)
+        uris = [entry.uri for entry in config.bus] if bus is None else [bus]
+        if len(uris) != len(config.bus):
+            raise InputError("the scenario has several buses; set them in its configuration", value=bus)
+        buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
+        tester = _Tester(buses, judge)
+        if check:
+            tester.wait_for_gateway(wait)
+        _play(player, buses, tester, writer, stop)
+    return _verdict(judge, json=json, check=check) if check else 0
+
+
+class _Tester:
+    """Listens to the DTC frames of a gateway elsewhere."""
+
+    def __init__(self, buses: list[Bus], judge: Judge) -> None:
+        self._buses = buses
+        self._judge = judge
+        self._database = shipped("dbc/gateway.dbc")
+        self._batch = empty(256)
+        self.begun: float | None = None
+
+    def listen(self, timeout_s: float) -> int:
+        """Take what comes within so long [s]; returns how many DTC frames."""
+        ready, _, _ = select.select([bus.fileno() for bus in self._buses], [], [], timeout_s)
+        found = 0
+        for bus in self._buses:
+            if bus.fileno() not in ready:
+                continue
+            count = len(self._batch)
+            while count == len(self._batch):
+                count = bus.receive(self._batch)
+                for frame in self._batch[:count]:
+                    found += self._take(frame)
+        return found
+
+    def _take(self, frame: Any) -> int:
+        report = read_dtc_frame(frame, self._database)
+        if report is None:
+            return 0
+        if report.dtc is not None:
+            now = -1.0 if self.begun is None else time.monotonic() - self.begun
+            self._judge.report(now, str(report.dtc), report.status, report.occurrence)
+        return 1
+
+    def wait_for_gateway(self, wait_s: float) -> None:
+        """Wait until a gateway's DTC frames are there, and take its list as the state to compare with.
+
+        Raises:
+            GatewayError: none came.
+        """
+        say("waiting for a gateway's DTC frame ...")
+        limit = time.monotonic() + wait_s
+        while not self.listen(0.1):
+            if time.monotonic() > limit:
+                raise GatewayError(
+                    f"no DTC frame (GW_DTC) within {wait_s} s: is gateway run on this bus?"
+                )
+        while self.listen(0.1):
+            pass
+
+
+def _play(
+    player: Player,
+    buses: list[Bus],
+    tester: _Tester,
+    writer: LogWriter | None,
+    stop: Any,
+) -> None:
+    """Send the scenario in real time, listening meanwhile; then listen half a second more."""
+    tester.begun = begun = time.monotonic()
+    for until, frames in player.batches():
+        if stop():
+            return
+        # A step's frames leave at its end; within a step they follow each other at once.
+        while (rest := begun + until / 1e9 - time.monotonic()) > 0:
+            tester.listen(rest)
+        _send(buses, frames)
+        if writer is not None:
+            writer.write(frames)
+    limit = time.monotonic() + 0.5
+    while (rest := limit - time.monotonic()) > 0:
+        tester.listen(rest)
+
+
+def _send(buses: list[Bus], frames: Frames) -> None:
+    for index, bus in enumerate(buses):
+        mine = frames[frames["bus"] == index]
+        if len(mine):
+            bus.send(mine)
