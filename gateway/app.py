@@ -85,9 +85,7 @@ class Gateway:
         except InputError as error:
             if error.file is not None:
                 raise
-            raise InputError(
-                error.message, file=file, key=error.key, value=error.value
-            ) from error
+            raise InputError(error.message, file=file, key=error.key, value=error.value) from error
         self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self.store = Store(memory_path)
         self.memory = FaultMemory(self.catalogue, self.store)
@@ -104,6 +102,7 @@ class Gateway:
         )
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []
+        self._uncommitted = False
         self.event_count = 0
 
     def _fault_detection_counter(self, fault: str) -> int:
@@ -158,13 +157,18 @@ class Gateway:
                 self._tell(self._monitor_event(event))
                 continue
             changes = self.memory.apply(events_of(event), self._snapshot)
-            self._changes += changes
-            for change in changes:
+            self._uncommitted = self._uncommitted or bool(changes)
+            told = [change for change in changes if change.concerns_fault]
+            self._changes += told
+            for change in told:
                 self._tell(self._dtc_event(change, int(event["bus"])))
+            if not told:
+                self._tell(self._monitor_event(event))
 
     def _outputs(self) -> Frames:
-        if self._changes:
+        if self._uncommitted:
             self.memory.commit()
+            self._uncommitted = False
         changes, self._changes = self._changes, []
         if self._dtc_frame is None:
             return empty(0)
@@ -177,9 +181,7 @@ class Gateway:
         )
 
     def _snapshot(self, definition: FaultDefinition) -> Mapping[str, float]:
-        return {
-            name: self.engine.value(slot) for name, slot in self._frozen[definition.id].items()
-        }
+        return {name: self.engine.value(slot) for name, slot in self._frozen[definition.id].items()}
 
     def _tell(self, event: dict[str, Any]) -> None:
         for listener in self._listeners:
@@ -286,9 +288,7 @@ def _assemble(
         define(slot.id, slot.fault, config.fault.get(slot.id)) for slot in engine.faults
     )
     slots = {
-        slot.id: {
-            name: engine.plan.slot(*ref) for name, ref in frozen.get(slot.id, {}).items()
-        }
+        slot.id: {name: engine.plan.slot(*ref) for name, ref in frozen.get(slot.id, {}).items()}
         for slot in engine.faults
     }
     return engine, catalogue, slots

@@ -57,7 +57,9 @@ class MonitorConfig(BaseModel):
 class MemoryConfig(_Strict):
     """The fault memory."""
 
-    path: Path = Field(Path("faults.sqlite"), description="SQLite file; relative to the work folder")
+    path: Path = Field(
+        Path("faults.sqlite"), description="SQLite file; relative to the work folder"
+    )
 
 
 class OutputConfig(_Strict):
@@ -77,7 +79,8 @@ class Config(BaseSettings):
     bus: tuple[BusConfig, ...] = Field(min_length=1)
     monitor: tuple[MonitorConfig, ...] = ()
     fault: dict[str, FaultOverride] = Field(
-        default_factory=dict, description='settings of single faults, e.g. [fault."crank.added_pulse"]'
+        default_factory=dict,
+        description='settings of single faults, e.g. [fault."crank.added_pulse"]',
     )
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()

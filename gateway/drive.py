@@ -67,9 +67,7 @@ def drive(
         on_step: called at the end of each step with its time [ns].
     """
     database = shipped("dbc/gateway.dbc")
-    uris = [
-        f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus
-    ]
+    uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
     ecus = [open_bus(uri, index) for index, uri in enumerate(uris)]
     ours = [open_bus(uri, index) for index, uri in enumerate(uris)]
     testers = [open_bus(uri, index) for index, uri in enumerate(uris)]

@@ -6,6 +6,8 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
 
 import can
 
@@ -67,10 +69,8 @@ class PythonCanBus(Bus):
             taken = [self._queue.popleft() for _ in range(min(len(out), len(self._queue)))]
             rest = bool(self._queue)
         if not rest and self._error is None:
-            try:
+            with suppress(BlockingIOError):
                 os.eventfd_read(self._event)
-            except BlockingIOError:
-                pass
             with self._lock:
                 if self._queue:  # one came in between
                     os.eventfd_write(self._event, 1)
@@ -96,7 +96,7 @@ class PythonCanBus(Bus):
                 raise BusError(f"{self.uri}: sending failed: {error}") from error
             self.statistics.sent += 1
 
-    def set_filters(self, can_ids: list[int]) -> None:  # type: ignore[override]
+    def set_filters(self, can_ids: Sequence[int]) -> None:
         """Set python-can's filters."""
         self._bus.set_filters(
             [

@@ -60,7 +60,7 @@ class Bus(ABC):
             BusError: the bus did not take them.
         """
 
-    def set_filters(self, can_ids: Sequence[int]) -> None:
+    def set_filters(self, can_ids: Sequence[int]) -> None:  # noqa: B027 - a hint may be ignored
         """Ask for these identifiers only (with EXTENDED); a hint, others may still come."""
 
     @abstractmethod

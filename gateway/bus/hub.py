@@ -66,7 +66,11 @@ class Hub:
     """
 
     def __init__(
-        self, host: str = "127.0.0.1", port: int = 29536, *, clock_ns: Callable[[], int] = time.time_ns
+        self,
+        host: str = "127.0.0.1",
+        port: int = 29536,
+        *,
+        clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.statistics = HubStatistics()
         self._clock_ns = clock_ns

@@ -103,9 +103,7 @@ class LogReader:
                 yield frames[:filled]
             if wrong is not None:
                 text = " ".join(str(wrong).split()) or type(wrong).__name__
-                raise InputError(
-                    f"damaged after frame {count}: {text}", file=self.path
-                ) from wrong
+                raise InputError(f"damaged after frame {count}: {text}", file=self.path) from wrong
             if filled == 0:
                 self.bytes_done = self.bytes_total
                 return

@@ -12,6 +12,7 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class RawReceiver:
         """
         rows = out.view(np.uint8).reshape(len(out), FRAME.itemsize)
         rows[:, 16:] = 0
-        raw = memoryview(rows).cast("B")
+        raw = memoryview(cast(Any, rows)).cast("B")
         stamps: list[int] = []
         sizes: list[int] = []
         own: list[int] = []
@@ -224,4 +225,3 @@ class SocketCanBus(Bus):
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-

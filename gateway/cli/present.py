@@ -12,6 +12,7 @@ from typing import Any
 
 import structlog
 from rich.console import Console
+from rich.markup import escape
 
 from gateway.errors import InputError
 from gateway.faults.status import Status
@@ -79,13 +80,13 @@ class EventPrinter:
     def __init__(self, *, as_json: bool, start_ns: int = 0) -> None:
         self._json = as_json
         self.start_ns = start_ns
-        self.confirmed = 0
+        self.failures = 0
         self._console = Console(highlight=False, soft_wrap=True)
 
     def __call__(self, event: dict[str, Any]) -> None:
         """Print one event."""
-        if event["event"] == "dtc" and event["status"] & Status.CONFIRMED_DTC:
-            self.confirmed += 1
+        if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
+            self.failures += 1
         if self._json:
             print_json(event, indent=None)
         elif event["event"] == "dtc":
@@ -106,7 +107,7 @@ class EventPrinter:
         )
         if failed:
             shown = "  ".join(f"{k} {v:.6g}" for k, v in event["evidence"].items())
-            self._console.print(f"{'':14}evidence: {shown}", style="dim")
+            self._console.print(escape(f"{'':14}evidence: {shown}"), style="dim")
 
     def _summary(self, event: dict[str, Any]) -> None:
         print_ = self._console.print

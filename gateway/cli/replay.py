@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
@@ -40,7 +41,7 @@ def replay(
                 seen += len(frames)
                 progress.update(task, completed=reader.bytes_done, frames=seen)
 
-            def stamped() -> object:
+            def stamped() -> Iterator[Frames]:
                 for frames in reader:
                     if not seen and not printer.start_ns and len(frames):
                         printer.start_ns = int(frames[0]["t_ns"])
@@ -51,4 +52,4 @@ def replay(
         printer(gateway.summary(time.monotonic() - begun))
     finally:
         gateway.close()
-    return 1 if fail_on_dtc and printer.confirmed else 0
+    return 1 if fail_on_dtc and printer.failures else 0

@@ -60,9 +60,7 @@ def run(
         gateway = Gateway(config, memory or config.memory.path, file=path)
         stack.callback(gateway.close)
         gateway.listen(printer)
-        buses = [
-            stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)
-        ]
+        buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         for opened in buses:
             ids = gateway.engine.plan.identifiers(opened.index)
             if ids is not None and record is None:
@@ -78,4 +76,4 @@ def run(
         for opened in buses:
             log.info("bus closed", uri=opened.uri, **vars(opened.statistics))
         printer(gateway.summary(time.monotonic() - begun))
-    return 1 if fail_on_dtc and printer.confirmed else 0
+    return 1 if fail_on_dtc and printer.failures else 0

@@ -146,7 +146,9 @@ def simulate(
             return _verdict(judge, json=json, check=check)
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]
         if len(uris) != len(config.bus):
-            raise InputError("the scenario has several buses; set them in its configuration", value=bus)
+            raise InputError(
+                "the scenario has several buses; set them in its configuration", value=bus
+            )
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         tester = _Tester(buses, judge)
         if check:

@@ -194,7 +194,7 @@ def _prepare_check(
         p.crc is not None,
         p.length,
     )
-    slots = []
+    slots: list[FaultSlot] = []
     for kind, wanted in enumerate(asked):
         row["fault"][kind] = first_fault + len(slots) if wanted else -1
         if wanted:

@@ -115,9 +115,7 @@ class Engine:
         """Return what each monitor shows to people: {monitor: {name: value}}."""
         shown: dict[str, dict[str, float]] = {}
         for k, (instance, state) in enumerate(zip(self.monitors, self._states, strict=True)):
-            values = {
-                name: np.asarray(state[0][name]).item() for name in instance.monitor.readout
-            }
+            values = {name: np.asarray(state[0][name]).item() for name in instance.monitor.readout}
             values["steps"] = int(self.tables.handlers[k]["steps"])
             values["not_tested"] = int(self.tables.handlers[k]["skipped"])
             shown[instance.name] = values

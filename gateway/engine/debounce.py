@@ -18,7 +18,14 @@ from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED, Debounce
 
 #: Debounce of one fault: thresholds and jumps; counter, last result, last verdict.
 DEBOUNCE = record(
-    failed_after=i4, passed_after=i4, counter=i4, jump_up=u1, jump_down=u1, last=u1, verdict=u1, bus=u1
+    failed_after=i4,
+    passed_after=i4,
+    counter=i4,
+    jump_up=u1,
+    jump_down=u1,
+    last=u1,
+    verdict=u1,
+    bus=u1,
 )
 
 

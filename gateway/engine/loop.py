@@ -122,9 +122,7 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     clock.results_lost += out.overflow
     for k in range(out.n):
         r = out.results[k]
-        place = tested(
-            T, t_ns, h.fault + r.fault, r.result == FAILED, r.value, r.threshold
-        )
+        place = tested(T, t_ns, h.fault + r.fault, r.result == FAILED, r.value, r.threshold)
         if place >= 0:
             evidence = T.ring[place].evidence
             for e in range(evidence.shape[0]):
@@ -293,9 +291,7 @@ def run(T: Tables, frames: Any, words: Any, start: int) -> int:
             if clock.stop == 1:
                 return i
         clock.frames += 1
-        dispatch(
-            T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], words[i]
-        )
+        dispatch(T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], words[i])
         if clock.stop == 1 or clock.events >= room:
             return i + 1
     return int(frames.shape[0])

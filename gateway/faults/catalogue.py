@@ -30,7 +30,9 @@ class DebounceOverride(BaseModel):
     failed_after: int | None = Field(None, ge=1, le=32767, description="failed results")
     passed_after: int | None = Field(None, ge=1, le=32767, description="passed results")
     jump_up: bool | None = Field(None, description="a failed result leaves the passed side at once")
-    jump_down: bool | None = Field(None, description="a passed result leaves the failed side at once")
+    jump_down: bool | None = Field(
+        None, description="a passed result leaves the failed side at once"
+    )
 
 
 class FaultOverride(BaseModel):

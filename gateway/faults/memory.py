@@ -14,7 +14,7 @@ from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
-from gateway.faults.status import CLEARED, Status
+from gateway.faults.status import CLEARED, NOT_COMPLETED, Status
 from gateway.faults.store import Cycle, FreezeFrame, Record, Store
 
 #: The group of all DTCs (ISO 14229-1, 0x14).
@@ -43,6 +43,11 @@ class DtcChange:
     def dtc(self) -> Dtc:
         """The fault's DTC."""
         return self.definition.dtc
+
+    @property
+    def concerns_fault(self) -> bool:
+        """Whether more changed than that the test is complete now."""
+        return bool((self.old_status ^ self.new_status) & ~NOT_COMPLETED)
 
 
 @dataclass(frozen=True)
@@ -182,9 +187,7 @@ class FaultMemory:
         record.last_ns = t_ns
         names = ("value", "threshold", *definition.evidence)
         values = (event["value"], event["threshold"], *event["evidence"])  # type: ignore[index]
-        record.evidence = {
-            name: _finite(value) for name, value in zip(names, values, strict=False)
-        }
+        record.evidence = {name: _finite(value) for name, value in zip(names, values, strict=False)}
         content = {name: _finite(value) for name, value in snapshot(definition).items()}
         number = LATEST_FAILURE if FIRST_FAILURE in record.freeze_frames else FIRST_FAILURE
         record.freeze_frames[number] = FreezeFrame(number, t_ns, content)

@@ -22,15 +22,15 @@ class Status(IntFlag):
     WARNING_INDICATOR = 0x80
 
 
+#: The bits that only tell whether the test has run to its end.
+NOT_COMPLETED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE
 #: Status at the first start and after a clear.
-CLEARED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE
-
-_NOT_COMPLETED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE
+CLEARED = NOT_COMPLETED
 
 
 def on_passed(status: Status) -> Status:
     """Return the status after a qualified pass: the test is complete and does not fail now."""
-    return status & ~(_NOT_COMPLETED | Status.TEST_FAILED)
+    return status & ~(NOT_COMPLETED | Status.TEST_FAILED)
 
 
 def on_failed(
@@ -46,7 +46,7 @@ def on_failed(
     """
     if not status & Status.TEST_FAILED_THIS_CYCLE:
         failed_cycles += 1
-    status &= ~_NOT_COMPLETED
+    status &= ~NOT_COMPLETED
     status |= (
         Status.TEST_FAILED
         | Status.TEST_FAILED_THIS_CYCLE

@@ -150,7 +150,7 @@ class Store:
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs."""
         records = {
-            row[0]: Record(row[0], *row[1:7], json.loads(row[7]))
+            row[0]: Record(*row[:7], json.loads(row[7]))
             for row in self._db.execute(
                 "SELECT id, dtc, status, failed_cycles, occurrence, first_ns, last_ns, evidence"
                 " FROM fault ORDER BY dtc, id"
@@ -169,7 +169,10 @@ class Store:
         return Cycle(number, bool(opened), t_ns)
 
     def save(
-        self, records: Iterable[Record], cycle: Cycle | None = None, answered: dict[int, int] | None = None
+        self,
+        records: Iterable[Record],
+        cycle: Cycle | None = None,
+        answered: dict[int, int] | None = None,
     ) -> None:
         """Write records, and the cycle and answered requests, in one transaction; durable on return."""
         self._db.execute("BEGIN IMMEDIATE")

@@ -108,10 +108,13 @@ class Params(MonitorParams):
         None, gt=0, description="of the residual [pitch]; default half the smallest gap's step"
     )
     follow_speed: bool = Field(
-        True, description="learn the pitch time anew after every clean revolution; false: as printed"
+        True,
+        description="learn the pitch time anew after every clean revolution; false: as printed",
     )
     stall_ms: float = Field(
-        500.0, gt=0, description="no frame for so long: the engine stands, synchronisation ends [ms]"
+        500.0,
+        gt=0,
+        description="no frame for so long: the engine stands, synchronisation ends [ms]",
     )
 
 
@@ -158,9 +161,7 @@ STATE = record(
     counter=i8,
 )
 
-INPUTS = inputs(
-    counter=f8, pulses=f8, valid=f8, shift=f8, intervals=(f8, MOST_INTERVALS)
-)
+INPUTS = inputs(counter=f8, pulses=f8, valid=f8, shift=f8, intervals=(f8, MOST_INTERVALS))
 
 
 def _wire(p: Params) -> Wiring:
@@ -209,7 +210,7 @@ def _gap_seen(s: Any, c: Any, y: float) -> bool:
     if s.y1 <= 0.0 or s.y2 <= 0.0:
         return False
     ratio = s.y1 / sqrt(y * s.y2)
-    return 0.72 * c.gap < ratio < 1.45 * c.gap and 0.45 < y / s.y2 < 2.2
+    return bool(0.72 * c.gap < ratio < 1.45 * c.gap and 0.45 < y / s.y2 < 2.2)
 
 
 @kernel
@@ -386,10 +387,9 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
     number = int(u.pulses) if c.fd == 1 else int(u.counter)
     if s.linked == 1:
         # A frame lost on the bus is known by the counter: its pulses were there, unseen.
+        lost = (number - s.counter - 1) % 256 * count
         if c.fd == 1:
             lost = (number - s.counter) % 65536
-        else:
-            lost = ((number - s.counter - 1) % 256) * count
         if lost > 0 and s.phase != SEARCH:
             if s.phase == LEARN:
                 _search(s)

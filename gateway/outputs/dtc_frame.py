@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any, cast
 
-import cantools
 import numpy as np
 from cantools.database.can import Message
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from gateway.bus.frames import Frames, empty, payload, put
 from gateway.faults.dtc import Dtc
 from gateway.faults.memory import DtcChange, FaultMemory
+from gateway.signals.database import load_database
 
 MESSAGE = "GW_DTC"
 
@@ -37,8 +38,7 @@ class DtcFrameParams(BaseModel):
 @cache
 def message_of(database: Path) -> Message:
     """Return the message from its database."""
-    loaded = cantools.database.load_file(database)
-    return loaded.get_message_by_name(MESSAGE)
+    return load_database([database]).message(MESSAGE)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     message = message_of(database)
     if int(frame["can_id"]) != message.frame_id or int(frame["length"]) < message.length:
         return None
-    values = message.decode(payload(frame), decode_choices=False)
+    values = cast(Any, message.decode(payload(frame), decode_choices=False))
     number = int(values["Dtc"])
     return DtcReport(
         int(frame["t_ns"]),

@@ -1,0 +1,1 @@
+"""CAN databases to decode tables, and the kernels that walk them."""

@@ -153,13 +153,13 @@ def extract(words: Any, s: Any) -> float:
             raw = ieee(bits, 11, 52)
         else:
             raw = ieee(bits, 5, 10)
-    return raw * s.scale + s.offset
+    return float(raw * s.scale + s.offset)
 
 
 @kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
     """Tell whether a value is one of ``ids[first:first + count]``."""
-    for k in range(first, first + count):
+    for k in range(first, first + count):  # noqa: SIM110 - numba has no any() over a generator
         if ids[k] == value:
             return True
     return False
@@ -167,7 +167,14 @@ def among(value: int, ids: Any, first: int, count: int) -> bool:
 
 @kernel
 def decode(
-    words: Any, length: int, row: int, messages: Any, signals: Any, mux_ids: Any, values: Any, present: Any
+    words: Any,
+    length: int,
+    row: int,
+    messages: Any,
+    signals: Any,
+    mux_ids: Any,
+    values: Any,
+    present: Any,
 ) -> int:
     """Decode the wanted signals of one frame into scratch arrays.
 
@@ -190,8 +197,7 @@ def decode(
     for j in range(m.count):
         s = signals[m.first + j]
         if s.parent >= 0 and (
-            present[s.parent] == 0
-            or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)
+            present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)
         ):
             present[j] = 0
             continue

@@ -88,12 +88,16 @@ class Judge:
             if line.healed_by_s is not None and inside and seen is not None:
                 healed = [t for t in seen.healed_s if inside[0] <= t <= line.healed_by_s]
                 good = bool(healed) and not (seen.failed and seen.set_s[-1] > healed[-1])
-                text = f"healed at {healed[0]:.3f} s" if good else (
-                    f"not healed by {line.healed_by_s} s"
+                text = (
+                    f"healed at {healed[0]:.3f} s"
+                    if good
+                    else (f"not healed by {line.healed_by_s} s")
                 )
                 found.append(Finding(good, f"{line.dtc} {text}"))
         if self._scenario.unexpected == "fail":
             for dtc, seen in sorted(self._seen.items()):
                 if dtc not in expected and seen.set_s:
-                    found.append(Finding(False, f"{dtc} set at {seen.set_s[0]:.3f} s, not expected"))
+                    found.append(
+                        Finding(False, f"{dtc} set at {seen.set_s[0]:.3f} s, not expected")
+                    )
         return found

@@ -41,7 +41,7 @@ class Player:
         for k, ecu in enumerate(scenario.ecu):
             if ecu.bus is None and len(buses) == 1:
                 bus = next(iter(buses.values()))
-            elif ecu.bus in buses:
+            elif ecu.bus is not None and ecu.bus in buses:
                 bus = buses[ecu.bus]
             else:
                 raise InputError(
@@ -59,7 +59,9 @@ class Player:
         self.frames, done = apply_wire_faults(frames, scenario.wire, rng)
         self.truth += done
 
-    def batches(self, step_ns: int = 10_000_000, *, start_ns: int = 0) -> Iterator[tuple[int, Frames]]:
+    def batches(
+        self, step_ns: int = 10_000_000, *, start_ns: int = 0
+    ) -> Iterator[tuple[int, Frames]]:
         """Yield (end of the step [ns], its frames), the time from ``start_ns`` on, empty steps too.
 
         Args:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
-from pydantic import model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    model_validator,
+)
 
 from gateway.errors import InputError
 from gateway.faults.dtc import Dtc
@@ -57,7 +65,7 @@ class EngineParams(_Strict):
     @model_validator(mode="after")
     def _speed_is_a_profile(self) -> EngineParams:
         times = [t for t, _ in self.speed]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)) or times[0] < 0:
+        if any(b <= a for a, b in pairwise(times)) or times[0] < 0:
             raise ValueError("the times of the speed's breakpoints must rise from 0")
         if any(rpm < 0 for _, rpm in self.speed):
             raise ValueError("a speed cannot be negative")

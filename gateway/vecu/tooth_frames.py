@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
 
-import cantools
 import numpy as np
 from cantools.database.can import Message
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import FD, Frames, empty, put
 from gateway.resources import shipped
 from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
+from gateway.signals.database import load_database
 from gateway.signals.tooth_codec import LONGEST_US, encode_intervals
 
 Format = Literal["classic", "fd"]
@@ -30,7 +30,7 @@ _CRC = "crc8_sae_j1850"
 
 @cache
 def _message(name: str) -> Message:
-    return cantools.database.load_file(shipped("dbc/engine.dbc")).get_message_by_name(name)
+    return load_database([shipped("dbc/engine.dbc")]).message(name)
 
 
 @cache

@@ -145,7 +145,11 @@ def batch(*rows):
 
 
 def alpha(t_ms, volts, count=0, crc=0):
-    return (t_ms, 256, bytes([crc, count]) + round(volts * 2).to_bytes(2, "little", signed=True) + bytes(4))
+    return (
+        t_ms,
+        256,
+        bytes([crc, count]) + round(volts * 2).to_bytes(2, "little", signed=True) + bytes(4),
+    )
 
 
 def beta(t_ms, value):

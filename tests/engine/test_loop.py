@@ -1,5 +1,7 @@
 """Vector table, priorities, timers, mailbox, event ring: the loop as a whole."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -47,7 +49,9 @@ def test_the_mailbox_is_as_at_the_event_when_python_sees_it(build, tools):
     def sink(events):
         values.extend(engine.value(slot) for e in events if e["kind"] == QUALIFIED_FAILED)
 
-    rows = [tools.alpha(k, v) for k, v in enumerate([11.0, 12.0, 0.0, 0.0, 0.0, 0.0, 13.0, 14.0, 1.0])]
+    rows = [
+        tools.alpha(k, v) for k, v in enumerate([11.0, 12.0, 0.0, 0.0, 0.0, 0.0, 13.0, 14.0, 1.0])
+    ]
     engine.process(tools.batch(*rows), sink)
     assert values == [12.0, 14.0]
     assert engine.value(slot) == 1.0
@@ -214,5 +218,5 @@ def test_batch_boundaries_never_change_an_event(build, tools, rows, cuts, ticks)
         return seen.events, engine.counters(), engine.readout()
 
     edges = [0, *sorted(min(c, len(frames)) for c in cuts), len(frames)]
-    pieces = [frames[a:b] for a, b in zip(edges, edges[1:], strict=False)]
+    pieces = [frames[a:b] for a, b in pairwise(edges)]
     assert run([frames], False) == run(pieces, True)
