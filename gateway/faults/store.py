@@ -150,7 +150,16 @@ class Store:
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs."""
         records = {
-            row[0]: Record(*row[:7], json.loads(row[7]))
+            row[0]: Record(
+                id=row[0],
+                dtc=row[1],
+                status=row[2],
+                failed_cycles=row[3],
+                occurrence=row[4],
+                first_ns=row[5],
+                last_ns=row[6],
+                evidence=json.loads(row[7]),
+            )
             for row in self._db.execute(
                 "SELECT id, dtc, status, failed_cycles, occurrence, first_ns, last_ns, evidence"
                 " FROM fault ORDER BY dtc, id"
