@@ -1,0 +1,66 @@
+"""CRC against crccheck; tooth codes against their error bounds."""
+
+import crccheck
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
+from gateway.signals.tooth_codec import (
+    LONGEST_US,
+    OVERFLOW_CODE,
+    PADDING_CODE,
+    code_of,
+    encode_intervals,
+    period_us,
+)
+
+ORACLES = {
+    "crc8_sae_j1850": crccheck.crc.Crc8SaeJ1850,
+    "crc8_autosar": crccheck.crc.Crc8Autosar,
+}
+
+
+@given(
+    st.sampled_from(sorted(ALGORITHMS)),
+    st.binary(min_size=1, max_size=64),
+    st.integers(-1, 63),
+    st.one_of(st.just(-1), st.integers(0, 0xFFFF)),
+)
+def test_crc_equals_crccheck(name, data, skipped, data_id):
+    words = np.frombuffer(data.ljust(64, b"\0"), "<u8")
+    algorithm = ALGORITHMS[name]
+    ours = crc8(
+        words, len(data), skipped, data_id, crc8_table(name), algorithm.init, algorithm.xorout
+    )
+    covered = bytes(b for k, b in enumerate(data) if k != skipped)
+    if data_id >= 0:
+        covered += data_id.to_bytes(2, "little")
+    assert ours == ORACLES[name].calc(covered)
+
+
+def test_every_code_keeps_its_value():
+    for code in range(4096):
+        if code in (PADDING_CODE, OVERFLOW_CODE) or code & 0x3FF == 0:
+            continue
+        assert period_us(code_of(period_us(code))) == period_us(code)
+
+
+@given(st.floats(1, LONGEST_US))
+def test_a_code_is_near_its_interval(interval):
+    code = code_of(interval)
+    assert code not in (PADDING_CODE, OVERFLOW_CODE)
+    assert abs(period_us(code) - interval) <= max(0.5, 0.002 * interval + 1e-9)
+
+
+def test_too_long_an_interval_is_said_to_be_so():
+    assert code_of(LONGEST_US + 64.0) == OVERFLOW_CODE
+
+
+@given(st.lists(st.floats(20, 60000), min_size=1, max_size=200))
+def test_rounding_does_not_add_up(intervals):
+    times = np.concatenate([[0.0], np.cumsum(intervals)])
+    codes = np.zeros(len(intervals), np.int64)
+    encode_intervals(times, codes)
+    decoded = np.cumsum([period_us(int(c)) for c in codes])
+    assert np.abs(decoded - times[1:]).max() <= 32.5
