@@ -126,7 +126,14 @@ def compare(database, message, rng):
         body = rng.randbytes(min(size, 64))
         put(frames, 0, 0, message.frame_id, body)
         status = decode(
-            as_words(frames)[0], len(body), 0, plan.messages, plan.signals, plan.mux_ids, values, present
+            as_words(frames)[0],
+            len(body),
+            0,
+            plan.messages,
+            plan.signals,
+            plan.mux_ids,
+            values,
+            present,
         )
         try:
             expected = message.decode(body, decode_choices=False)
@@ -135,7 +142,9 @@ def compare(database, message, rng):
             continue
         assert status == OK, (message.name, body.hex())
         ours = {
-            ref.signal: values[plan.position(*ref)] for ref in wanted if present[plan.position(*ref)]
+            ref.signal: values[plan.position(*ref)]
+            for ref in wanted
+            if present[plan.position(*ref)]
         }
         assert set(ours) == set(expected) - long, (message.name, body.hex())
         for name, value in ours.items():

@@ -152,7 +152,9 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
     names = [signal.name for signal in message.signals]
     chosen = data.draw(st.sets(st.sampled_from(names)) if names else st.just(set()))
     whole = compile_plan([(0, database)])
-    part = compile_plan([(0, database)], {SignalRef(0, "M", n) for n in chosen}, messages=[(0, "M")])
+    part = compile_plan(
+        [(0, database)], {SignalRef(0, "M", n) for n in chosen}, messages=[(0, "M")]
+    )
     body = data.draw(st.binary(min_size=message.length, max_size=message.length))
     frames = empty(1)
     put(frames, 0, 0, message.frame_id, body)
@@ -162,7 +164,14 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
         present = np.zeros(plan.max_signals + 1, np.uint8)
         mailbox = np.full(plan.n_slots + 1, np.nan)
         status = decode(
-            as_words(frames)[0], len(body), 0, plan.messages, plan.signals, plan.mux_ids, values, present
+            as_words(frames)[0],
+            len(body),
+            0,
+            plan.messages,
+            plan.signals,
+            plan.mux_ids,
+            values,
+            present,
         )
         if status == OK:
             commit(0, plan.messages, plan.signals, values, present, mailbox)
