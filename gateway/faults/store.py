@@ -18,6 +18,7 @@ from gateway.errors import InputError
 
 #: "GWFM": marks the file as a fault memory.
 _APPLICATION_ID = 0x4757464D
+_MAGIC = b"SQLite format 3\0"
 
 _FIRST = """
 CREATE TABLE fault (
@@ -96,6 +97,8 @@ class Store:
         self._lock: int | None = None
         if path is not None and not write and not path.exists():
             raise InputError("there is no fault memory here", file=path)
+        if path is not None and path.exists():
+            _refuse_foreign(path)
         try:
             if path is not None and write:
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -108,7 +111,6 @@ class Store:
             self._unlock()
             raise InputError(f"not usable as a fault memory: {error}", file=path) from error
         except InputError:
-            self._db.close() if hasattr(self, "_db") else None
             self._unlock()
             raise
 
@@ -260,6 +262,17 @@ class Store:
             return different
 
         return changed
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a file that SQLite would take for an empty database and overwrite."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_MAGIC))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=path) from error
+    if head and head != _MAGIC:
+        raise InputError("not usable as a fault memory: it is no SQLite file", file=path)
 
 
 def _take_lock(path: Path) -> int:

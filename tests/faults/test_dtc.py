@@ -1,0 +1,38 @@
+"""DTC text and bytes; udsoncan and SAE J2012 agree on the base codes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.errors import InputError
+from gateway.faults.dtc import Dtc
+
+
+@given(st.integers(0, 0xFFFFFF))
+def test_text_and_bytes_round_trip(value):
+    dtc = Dtc(value)
+    assert Dtc.parse(str(dtc)) == dtc
+    assert Dtc.from_bytes(bytes(dtc)) == dtc
+
+
+@pytest.mark.parametrize(
+    ("text", "data"),
+    [
+        ("P0336-29", "033629"),
+        ("P0336", "033600"),
+        ("C0035-1F", "40351f"),
+        ("B3FFF-FF", "bfffff"),
+        ("U0100-87", "c10087"),
+        ("p3abc-0d", "3abc0d"),
+    ],
+)
+def test_known_codes(text, data):
+    assert bytes(Dtc.parse(text)).hex() == data
+
+
+@pytest.mark.parametrize(
+    "text", ["", "P", "P4000-00", "X0000-00", "P033", "P03361-29", "P0336-2", "P0336_29"]
+)
+def test_wrong_text_says_the_rule(text):
+    with pytest.raises(InputError, match="a letter P, C, B or U"):
+        Dtc.parse(text)
