@@ -106,12 +106,19 @@ class Store:
             self._db = sqlite3.connect(
                 ":memory:" if path is None else path, isolation_level=None, timeout=10.0
             )
-            self._open(write=write)
         except (sqlite3.Error, OSError) as error:
             self._unlock()
             raise InputError(f"not usable as a fault memory: {error}", file=path) from error
         except InputError:
             self._unlock()
+            raise
+        try:
+            self._open(write=write)
+        except sqlite3.Error as error:
+            self.close()
+            raise InputError(f"not usable as a fault memory: {error}", file=path) from error
+        except InputError:
+            self.close()
             raise
 
     def _open(self, *, write: bool) -> None:
@@ -128,7 +135,6 @@ class Store:
         if not write:
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
-            self._db.execute("PRAGMA query_only = 0")
             return
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")

@@ -11,8 +11,6 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
 from gateway.outputs.dtc_frame import DtcFrameOutput, DtcFrameParams, read_dtc_frame
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "faults"))
-
 DBC = Path(__file__).parents[2] / "dbc" / "gateway.dbc"
 MESSAGE = cantools.database.load_file(DBC).get_message_by_name("GW_DTC")
 MS = 1_000_000
