@@ -83,9 +83,9 @@ class Gateway:
             self.databases = load_databases(config)
             self.engine, self.catalogue, self._frozen = _assemble(config, self.databases)
         except InputError as error:
-            if error.file is not None:
-                raise
-            raise InputError(error.message, file=file, key=error.key, value=error.value) from error
+            raise error.within(file) from error
+        except InputErrors as errors:
+            raise InputErrors([error.within(file) for error in errors.errors]) from errors
         self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self.store = Store(memory_path)
         self.memory = FaultMemory(self.catalogue, self.store)
@@ -233,6 +233,23 @@ class Gateway:
         }
 
 
+def _frozen_refs(
+    config: Config, fault: str, names: tuple[str, ...], databases: Mapping[int, Database]
+) -> dict[str, SignalRef]:
+    """Find the signals of a fault's freeze frame; errors name the key."""
+    found = {}
+    for k, name in enumerate(names):
+        try:
+            ref = _signal_ref(config, name, 0)
+            databases[ref.bus].signal(ref.message, ref.signal)
+        except InputError as error:
+            raise InputError(
+                error.message, key=f'fault."{fault}".freeze_frame[{k}]', value=name
+            ) from error
+        found[name] = ref
+    return found
+
+
 def events_of(event: np.void) -> Events:
     """Return one event as an array of one."""
     return np.asarray([event], dtype=event.dtype)
@@ -261,7 +278,7 @@ def _assemble(
         for check in bus.check
     ]
     frozen = {
-        fault: {name: _signal_ref(config, name, 0) for name in override.freeze_frame or ()}
+        fault: _frozen_refs(config, fault, override.freeze_frame, dict(databases))
         for fault, override in config.fault.items()
     }
     engine = build_engine(

@@ -36,6 +36,12 @@ class InputError(GatewayError):
         self.value = value
         super().__init__(str(self))
 
+    def within(self, file: str | Path | None) -> InputError:
+        """Return the same error, found in a file, unless it names one already."""
+        if self.file is not None or file is None:
+            return self
+        return InputError(self.message, file=file, line=self.line, key=self.key, value=self.value)
+
     def __str__(self) -> str:
         place = self.file or ""
         if self.line is not None:

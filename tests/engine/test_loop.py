@@ -109,6 +109,15 @@ def test_a_message_timeout_is_reported_at_each_deadline_and_heals(build, tools):
     assert seen.events[-1][2] == QUALIFIED_PASSED
 
 
+def test_a_jump_of_the_clock_by_decades_is_one_timeout(build, tools):
+    engine = build(checks=[{"message": "Alpha", "timeout_ms": 0.001}])
+    seen = tools.Collector()
+    engine.process(tools.batch(tools.alpha(0, 0)), seen)
+    engine.advance(2**60, seen)
+    assert len([e for e in seen.events if e[2] == QUALIFIED_FAILED]) == 1
+    assert engine.counters()["timeouts"] == 2**60 // 1000
+
+
 def test_a_message_that_never_comes_times_out(build, tools):
     engine = build(checks=[{"message": "Alpha", "timeout_ms": 50.0}])
     seen = tools.Collector()

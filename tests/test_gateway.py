@@ -1,0 +1,270 @@
+"""The whole gateway in one process: scenarios, live against replay, robustness, clear errors."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gateway.app import Gateway
+from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
+from gateway.bus.logs import open_writer, read_log
+from gateway.config import load_config, schema
+from gateway.drive import drive
+from gateway.errors import InputError, InputErrors
+from gateway.faults import service
+from gateway.replay import replay
+from gateway.resources import shipped
+from gateway.vecu.expectations import Judge
+from gateway.vecu.player import Player
+from gateway.vecu.scenario import load_scenario
+
+SCENARIOS = sorted(path.stem for path in shipped("scenarios").glob("*.toml"))
+
+
+def build(name, seed=None):
+    scenario = load_scenario(shipped(f"scenarios/{name}.toml"))
+    config = load_config(scenario.config)
+    player = Player(scenario, {bus.name: k for k, bus in enumerate(config.bus)}, seed=seed)
+    return scenario, config, player
+
+
+def live(name, seed=None, log=None):
+    """Run a scenario over the virtual bus; returns its events and findings."""
+    scenario, config, player = build(name, seed)
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    judge = Judge(scenario)
+    writer = None if log is None else open_writer(log)
+    drive(gateway, player, judge=judge, on_frames=None if writer is None else writer.write)
+    if writer is not None:
+        writer.close()
+    summary = gateway.summary(1.0)
+    gateway.close()
+    return config, events, judge.findings(), summary
+
+
+def replayed(config, batches):
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    replay(gateway, batches)
+    summary = gateway.summary(1.0)
+    gateway.close()
+    return events, summary
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_path):
+    """Event for event, time stamp for time stamp, whatever the chunks of the replay."""
+    for seed in (1,):
+        log = tmp_path / f"{seed}.log"
+        config, events, findings, summary = live(name, seed, log)
+        assert all(finding.good for finding in findings), [f.text for f in findings]
+        for chunk in (1, 97, 100_000):
+            again, repeated = replayed(config, read_log(log, chunk=chunk))
+            assert again == events
+            assert repeated["counters"] == summary["counters"]
+            assert repeated["monitors"] == summary["monitors"]
+        assert len(events) > 0
+
+
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**31), data=st.data())
+def test_live_equals_replay_for_any_seed_and_any_chunks(seed, data):
+    name = data.draw(st.sampled_from(["crank_missed_tooth", "crank_wire_corrupted", "crank_fd"]))
+    _, config, player = build(name, seed)
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    step = data.draw(st.sampled_from([1_000_000, 13_000_000, 400_000_000]))
+    for until, frames in player.batches(step):
+        gateway.feed(frames)
+        gateway.advance(until)
+    gateway.close()
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(player.frames)), max_size=6)))
+    again, _ = replayed(config, np.split(player.frames, cuts))
+    assert again == events
+
+
+def test_the_json_contract_of_events():
+    _, events, _, summary = live("crank_missed_tooth")
+    dtcs = [event for event in events if event["event"] == "dtc"]
+    first = dtcs[0]
+    assert (first["fault"], first["dtc"], first["status"]) == ("crank.missed_pulse", "P0336-29", 47)
+    assert (first["fdc"], first["bus"], first["occurrence"]) == (127, "powertrain", 1)
+    assert {"value", "threshold", "count", "tooth", "r0"} <= set(first["evidence"])
+    assert [event["status"] for event in dtcs] == [0x2F, 0x2E]
+    assert {event["event"] for event in events} == {"dtc", "monitor"}
+    assert summary["event"] == "summary"
+    assert {"frames", "decoded", "events", "seconds", "frames_per_s"} <= set(summary)
+    assert summary["events"] == len(events)
+
+
+def test_the_freeze_frame_is_of_the_very_frame_that_failed(tmp_path):
+    """The same record from single frames as from one big batch, and its values lie in that frame."""
+    _, config, player = build("crank_missed_tooth")
+    records = []
+    for name, parts in (("one", 1), ("each", len(player.frames))):
+        path = tmp_path / f"{name}.sqlite"
+        gateway = Gateway(config, path)
+        replay(gateway, np.array_split(player.frames, parts))
+        gateway.close()
+        records.append(service.show(path, "P0336-29"))
+    assert records[0] == records[1]
+    (record,) = records[0]["freeze_frames"]
+    at = player.frames[player.frames["t_ns"] == record["t_ns"]][0]
+    assert record["signals"]["powertrain.CTW_PT4.FrameCnt"] == int(at["data"][1])
+
+
+def random_frames(rng, count):
+    frames = np.zeros(count, FRAME)
+    frames["t_ns"] = np.sort(rng.integers(0, 10**11, count))
+    late = rng.random(count) < 0.01
+    frames["t_ns"][late] = rng.integers(-(2**40), 2**60, late.sum())
+    known = rng.choice([0x700, 0x701, 0x703, 0x6F0], count)
+    frames["can_id"] = np.where(rng.random(count) < 0.5, known, rng.integers(0, 2**29, count))
+    for bit, share in ((EXTENDED, 0.3), (REMOTE, 0.02), (ERROR, 0.02)):
+        frames["can_id"] |= np.where(rng.random(count) < share, bit, 0).astype(np.uint32)
+    frames["bus"] = rng.integers(0, 3, count)
+    frames["flags"] = rng.choice([0, FD, FD | 2, 8], count)
+    frames["length"] = rng.choice([0, 1, 7, 8, 8, 8, 8, 12, 63, 64], count)
+    frames["data"] = rng.integers(0, 256, (count, 64), dtype=np.uint8)
+    frames["data"][np.arange(64)[None, :] >= frames["length"][:, None]] = 0
+    return frames
+
+
+@pytest.mark.parametrize("config", ["gateway.toml", "configs/crank_fd.toml"])
+def test_a_hundred_thousand_random_frames(config):
+    print("seed 77")
+    rng = np.random.default_rng(77)
+    gateway = Gateway(load_config(shipped(config)))
+    frames = random_frames(rng, 100_000)
+    # Half of the frames of the watched message get a good CRC, so that the monitor sees garbage too.
+    watched = 0x700 if config == "gateway.toml" else 0x703
+    import crccheck
+
+    for k in np.flatnonzero(frames["can_id"] == watched)[::2]:
+        length = int(frames[k]["length"])
+        if length:
+            body = bytes(frames[k]["data"][1:length]) + watched.to_bytes(2, "little")
+            frames[k]["data"][0] = crccheck.crc.Crc8SaeJ1850.calc(body)
+    gateway.start(0)
+    for part in np.split(frames, 100):
+        gateway.feed(part)
+    counters = gateway.engine.counters()
+    assert counters["frames"] == 100_000
+    told = sum(
+        counters[k] for k in ("unknown", "remote", "error", "too_short", "crc_failed", "repeated")
+    )
+    assert told + counters["decoded"] == 100_000
+    assert counters["decoded"] > 100
+    assert counters["events_lost"] == counters["results_lost"] == 0
+    for values in gateway.engine.readout().values():
+        assert all(np.isfinite(value) for value in values.values())
+    gateway.close()
+
+
+def test_a_damaged_configuration_is_one_clear_error(tmp_path):
+    whole = shipped("gateway.toml").read_text().replace('"dbc/', f'"{shipped("dbc")}/')
+    path = tmp_path / "gateway.toml"
+    rng = random.Random(3)
+    print("seed 3")
+    outcomes = set()
+    for k in range(400):
+        text = whole[: rng.randrange(len(whole))] if k % 2 else whole
+        noise = bytearray(text.encode())
+        if k % 2 == 0:
+            for _ in range(rng.randrange(1, 4)):
+                noise[rng.randrange(len(noise))] = rng.randrange(32, 127)
+        path.write_bytes(bytes(noise))
+        try:
+            Gateway(load_config(path), file=path).close()
+        except (InputError, InputErrors) as error:
+            outcomes.add("refused")
+            assert all("gateway.toml" in line or ".dbc" in line for line in str(error).splitlines())
+        else:
+            outcomes.add("good")
+    assert outcomes == {"refused", "good"}
+
+
+def config_error(tmp_path, *changes):
+    text = shipped("gateway.toml").read_text().replace('"dbc/', f'"{shipped("dbc")}/')
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "gateway.toml"
+    path.write_text(text)
+    with pytest.raises((InputError, InputErrors)) as caught:
+        Gateway(load_config(path), file=path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('wheel = "60-2"', 'wheel = "sixty"', "monitor[0].wheel = 'sixty'"),
+        ('wheel = "60-2"', 'wheel = "60-2"\ngian = 1', "monitor[0].gian: unknown key"),
+        ('wheel = "60-2"', "", "monitor[0].wheel: this key is missing"),
+        (
+            'type = "crank_sync"',
+            'type = "crank"',
+            "monitor[0].type = 'crank': the types are crank_sync",
+        ),
+        ('bus = "powertrain"\nwheel', 'bus = "body"\nwheel', "the buses are powertrain"),
+        ('"FrameCnt"', '"FrameCount"', "did you mean FrameCnt"),
+        ('message = "CTW_PT4"', 'message = "CTW_PT5"', "did you mean CTW_PT4"),
+        ("timeout_ms = 500.0", "timeout_ms = -1", "bus[0].check[0].timeout_ms = -1"),
+        ('[fault."crank.missed_pulse"]', '[fault."crank.missed"]', "no monitor reports this fault"),
+        ("freeze_frame = [", 'dtc = "P033"\nfreeze_frame = [', 'fault."crank.missed_pulse".dtc'),
+        (
+            "freeze_frame = [",
+            'dtc = "P0336-2F"\nfreeze_frame = [',
+            "crank.missed_pulse has this DTC",
+        ),
+        ('"powertrain.CTW_PT4.Pt1"', '"powertrain.CTW_PT4.Pt9"', "no signal 'Pt9'"),
+        ("engine.dbc", "motor.dbc", "No such file"),
+        ('name = "bench"', 'name = "bench', "gateway.toml:3"),
+        ("cycle_ms = 1000.0", 'cycle_ms = "x"', "output.dtc_frame.cycle_ms = 'x'"),
+    ],
+)
+def test_wrong_configurations_name_file_key_and_value(tmp_path, old, new, said):
+    text = config_error(tmp_path, (old, new))
+    assert said in text
+    assert "gateway.toml" in text or ".dbc" in text
+
+
+def test_all_mistakes_are_named_at_once(tmp_path):
+    text = config_error(
+        tmp_path,
+        ('wheel = "60-2"', 'wheel = "x"\nfoo = 1'),
+        ('bus = "powertrain"\nwheel', 'bus = "body"\nwheel'),
+    )
+    assert len(text.splitlines()) == 3
+
+
+def test_the_environment_overrides_the_file(monkeypatch):
+    monkeypatch.setenv("GATEWAY_MEMORY__PATH", "/elsewhere/f.sqlite")
+    monkeypatch.setenv("GATEWAY_NAME", "other")
+    config = load_config(shipped("gateway.toml"))
+    assert config.memory.path == Path("/elsewhere/f.sqlite")
+    assert config.name == "other"
+    assert config.bus[0].name == "powertrain"
+
+
+def test_the_schema_describes_monitors():
+    text = str(schema())
+    assert "crank_sync" in text
+    assert "observer gain D" in text
+
+
+def test_an_empty_log_is_no_cycle():
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    assert replay(gateway, [empty(0)]) == 0
+    assert gateway.memory.cycle_number == 0
