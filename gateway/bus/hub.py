@@ -27,6 +27,8 @@ from gateway.errors import BusError
 
 #: Frames that wait for a slow client.
 QUEUE = 20_000
+#: A plain client's first frames wait so long [s]: python-can wants the answer to rawmode alone.
+HOLD_S = 0.05
 
 log = structlog.get_logger(__name__)
 
@@ -50,6 +52,7 @@ class _Client:
     bus: str | None = None
     raw: bool = False
     extended: bool = False
+    held_until: float = 0.0
     ended: bool = False
 
 
@@ -173,9 +176,11 @@ class Hub:
             client.bus = words[1]
             self._answer(client, "ok")
         elif command == "rawmode" and client.bus is not None:
-            client.raw = True
             self._answer(client, "ok")
-        elif command == "xmode" and client.raw:
+            client.raw = True
+            if not client.extended:
+                client.held_until = time.monotonic() + HOLD_S
+        elif command == "xmode" and client.bus is not None:
             client.extended = True
             self._answer(client, "ok")
         elif command == "echo":
@@ -222,6 +227,10 @@ class Hub:
             client.waiting.append(line)
 
     def _write(self, client: _Client) -> None:
+        if client.held_until:
+            if time.monotonic() < client.held_until:
+                return
+            client.held_until = 0.0
         while client.waiting or client.partial:
             if not client.partial:
                 count = min(len(client.waiting), 512)

@@ -50,8 +50,8 @@ class LoopbackBus(Bus):
             for said, answer in (
                 (None, b"< hi >"),
                 (f"< open {name} >", b"< ok >"),
-                ("< rawmode >", b"< ok >"),
                 ("< xmode >", b"< ok >"),
+                ("< rawmode >", b"< ok >"),  # the last: from here on frames come
             ):
                 if said is not None:
                     self._socket.sendall(said.encode())

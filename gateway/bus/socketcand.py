@@ -3,7 +3,7 @@
 Plain (linux-can/socketcand, raw mode): ``< frame 123 1700000000.123456789 11 22 >`` style messages from
 the server, ``< send 123 2 11 22 >`` from the client; identifiers have 3 hex digits, or 8 when extended.
 
-The protocol has no CAN FD, no remote frames and no flags. A client that says ``< xmode >`` after
+The protocol has no CAN FD, no remote frames and no flags. A client that says ``< xmode >`` before
 ``< rawmode >`` gets and sends every frame as ``< x CANID T_NS FLAGS HEX >`` instead (``T_NS`` is ``-`` from
 the client): identifier with the flags of ``struct can_frame`` in 8 hex digits, time in nanoseconds, our frame
 flags in hex, payload as hex or ``-``. Plain clients never see such a line, nor a frame they could not express.

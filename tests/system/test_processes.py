@@ -1,0 +1,289 @@
+"""Several processes over the loopback bus, as a user starts them."""
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+
+from gateway.faults import service
+from gateway.faults.dtc import Dtc
+from gateway.resources import shipped
+
+pytestmark = pytest.mark.system
+
+GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
+
+
+def gateway(*arguments, cwd, timeout=120, **options):
+    return subprocess.run(
+        [*GATEWAY, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+        **options,
+    )
+
+
+@contextmanager
+def process(*arguments, cwd, ready):
+    """Start a command, wait for a line on stderr, end it with SIGTERM."""
+    started = subprocess.Popen(
+        [*GATEWAY, *map(str, arguments)],
+        cwd=cwd,
+        stdout=(Path(cwd) / f"{arguments[0]}.out").open("a"),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        line = ""
+        while ready not in line:
+            line = started.stderr.readline()
+            assert line, f"{arguments} ended with {started.wait(5)}"
+        started.said = line
+        drain = threading.Thread(target=started.stderr.read, daemon=True)
+        drain.start()
+        yield started
+    finally:
+        if started.poll() is None:
+            started.terminate()
+        started.code = started.wait(20)
+
+
+@contextmanager
+def bus(cwd):
+    with process("bus", "127.0.0.1:0", cwd=cwd, ready="serving") as started:
+        yield re.search(r"loopback:\S+", started.said)[0]
+
+
+def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):
+    with ExitStack() as stack:
+        uri = stack.enter_context(bus(tmp_path))
+        daemon = stack.enter_context(
+            process("run", shipped("gateway.toml"), "--bus", uri, "--json", "--record", "r.log",
+                    "--memory", "f.sqlite", cwd=tmp_path, ready="monitoring")
+        )  # fmt: skip
+        good = gateway("simulate", "crank_missed_tooth", "--check", "--bus", uri, cwd=tmp_path)
+        assert good.returncode == 0, good.stdout + good.stderr
+        assert "P0336-29 set at" in good.stdout
+        assert "healed" in good.stdout
+        text = shipped("scenarios/crank_missed_tooth.toml").read_text()
+        text = text.replace("../gateway.toml", str(shipped("gateway.toml")))
+        wrong = tmp_path / "wrong.toml"
+        wrong.write_text(text.replace('dtc = "P0336-29"', 'dtc = "P0336-2F"'))
+        bad = gateway("simulate", wrong, "--check", "--bus", uri, cwd=tmp_path)
+        assert bad.returncode == 1, bad.stdout
+        assert "P0336-29" in bad.stdout
+        listed = gateway("faults", "list", "--memory", "f.sqlite", "--json", cwd=tmp_path)
+        assert {e["dtc"]: e["occurrence"] for e in json.loads(listed.stdout)}["P0336-29"] == 2
+        cleared = gateway("faults", "clear", "P0336-29", "--memory", "f.sqlite", cwd=tmp_path)
+        assert cleared.stdout == "1 cleared\n"
+    assert daemon.code == 0
+    events = [json.loads(line) for line in (tmp_path / "run.out").read_text().splitlines()]
+    assert events[-1]["event"] == "summary"
+    live = [
+        {k: v for k, v in e.items() if k not in ("status", "occurrence")}
+        for e in events
+        if e["event"] == "dtc" and e["fault"].startswith("crank")
+    ]
+    assert len(live) == 4
+    # The daemon's recording of real time replays to the same events with the same time stamps.
+    again = gateway("replay", "r.log", "--json", "-c", shipped("gateway.toml"), cwd=tmp_path)
+    repeated = [
+        {k: v for k, v in json.loads(line).items() if k not in ("status", "occurrence")}
+        for line in again.stdout.splitlines()
+    ]
+    repeated = [e for e in repeated if e["event"] == "dtc" and e["fault"].startswith("crank")]
+    assert repeated == live
+    assert not (tmp_path / "faults.sqlite").exists(), "replay touches no fault memory"
+
+
+def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
+    message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
+    with ExitStack() as stack:
+        uri = stack.enter_context(bus(tmp_path))
+        host, _, port = uri.removeprefix("loopback:").rpartition(":")
+        tester = stack.enter_context(
+            can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
+        )
+        stack.enter_context(
+            process("run", shipped("gateway.toml"), "--bus", uri, "--memory", "f.sqlite",
+                    cwd=tmp_path, ready="monitoring")
+        )  # fmt: skip
+        seen = []
+        limit = time.monotonic() + 10
+        while time.monotonic() < limit and "U0100-87" not in seen:
+            got = tester.recv(1)
+            if got is not None and got.arbitration_id == message.frame_id:
+                values = message.decode(bytes(got.data))
+                seen.append(str(Dtc(values["Dtc"])) if values["Dtc"] else "")
+        assert seen[0] == "", "first the all-clear form"
+        assert "U0100-87" in seen, "then the missing message"
+
+
+def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path):
+    """Fifty kills at random moments after the daemon is up, in a storm of DTCs."""
+    rng = random.Random(50)
+    print("seed 50")
+    message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
+    config = tmp_path / "gateway.toml"
+    config.write_text(
+        shipped("gateway.toml").read_text()
+        .replace('"dbc/', f'"{shipped("dbc")}/')
+        .replace("cycle_ms = 1000.0", "cycle_ms = 50.0\nmin_interval_ms = 0")
+        .replace("timeout_ms = 500.0", "timeout_ms = 3.0")
+    )  # fmt: skip
+    memory = tmp_path / "f.sqlite"
+    kills = confirmed_reports = 0
+    worst = {}
+    with ExitStack() as stack:
+        uri = stack.enter_context(bus(tmp_path))
+        host, _, port = uri.removeprefix("loopback:").rpartition(":")
+        tester = stack.enter_context(
+            can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
+        )
+        storm = stack.enter_context(
+            process("simulate", _storm(tmp_path), "--bus", uri, cwd=tmp_path, ready="seed")
+        )
+        while kills < 50:
+            started = subprocess.Popen(
+                [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
+                cwd=tmp_path,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            line = said_last = ""
+            while "monitoring" not in line:
+                line = started.stderr.readline()
+                assert line, (kills, said_last, started.wait(5))
+                said_last = line
+            while tester.recv(0) is not None:
+                pass
+            limit = time.monotonic() + rng.uniform(0.01, 0.35)
+            said = {}
+            while (rest := limit - time.monotonic()) > 0:
+                _note(tester.recv(rest), message, said)
+            os.kill(started.pid, signal.SIGKILL)
+            started.wait(10)
+            started.stderr.close()
+            time.sleep(0.02)
+            while (got := tester.recv(0)) is not None:
+                _note(got, message, said)
+            kills += 1
+            confirmed_reports += len(said)
+            kept = {e["dtc"]: e for e in service.list_entries(memory)}
+            for dtc, occurrence in said.items():
+                assert kept[dtc]["confirmed"], (kills, dtc)
+                assert kept[dtc]["occurrence"] >= occurrence, (kills, dtc)
+            for dtc, occurrence in worst.items():
+                assert kept[dtc]["occurrence"] >= occurrence
+            worst = {dtc: entry["occurrence"] for dtc, entry in kept.items()}
+        assert storm.poll() is None, "the storm must have lasted to the last kill"
+    print(f"{kills} kills, {confirmed_reports} confirmed DTCs reported before them")
+    assert confirmed_reports >= 100
+
+
+def _note(got, message, said):
+    if got is not None and got.arbitration_id == message.frame_id:
+        values = message.decode(bytes(got.data))
+        if values["Status"] & 0x08:
+            said[str(Dtc(values["Dtc"]))] = values["Occurrence"]
+
+
+def _storm(folder):
+    """A scenario in which every kind of communication fault comes and goes all the time."""
+    path = folder / "storm.toml"
+    path.write_text(
+        f'name = "storm"\nduration_s = 600.0\nconfig = "{shipped("gateway.toml")}"\n'
+        '[[ecu]]\nwheel = "60-2"\nspeed = [[0.0, 1500.0]]\n'
+        + "".join(
+            f'[[wire]]\nkind = "{kind}"\nprobability = {p}\n'
+            for kind, p in (("corrupted", 0.1), ("lost", 0.1), ("short", 0.1))
+        )
+    )
+    return path
+
+
+def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):
+    (tmp_path / "bad.toml").write_text('[[bus]]\nname = "x"\nuri = "loopback:"\nfoo = 1\n')
+    (tmp_path / "bad.log").write_text("nonsense\n")
+    cases = [
+        (("run", "none.toml"), "none.toml"),
+        (("check", "bad.toml"), "bus[0].foo: unknown key"),
+        (("replay", "bad.log"), "bad.log:1"),
+        (("replay", "none.blf"), "none.blf"),
+        (("simulate", "nosuch"), "shipped: crank_"),
+        (("demo", "nosuch.toml"), "nosuch.toml"),
+        (("bus", "10.0.0.1:5"), "stays on this machine"),
+        (("run", "--bus", "nonsense:x"), "no such kind of bus"),
+        (("faults", "list", "--memory", "none.sqlite"), "none.sqlite"),
+        (("faults", "show", "Q", "--memory", "none.sqlite"), "a DTC is a letter"),
+        (("convert", "teeth", "none.csv", "o.log"), "none.csv"),
+        (("convert", "teeth", "none.csv", "o.log", "--edge", "up"), "--edge"),
+        (("nonsense",), "No such command"),
+        (("simulate",), "Missing argument"),
+    ]
+    for arguments, said in cases:
+        ended = gateway(*arguments, cwd=tmp_path)
+        assert ended.returncode == 2, (arguments, ended.stdout, ended.stderr)
+        assert said in ended.stderr, (arguments, ended.stderr)
+        assert "Traceback" not in ended.stderr
+
+
+def test_the_demo_shows_the_whole_chain(tmp_path):
+    ended = gateway("demo", "--speed", "0", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    text = ended.stdout
+    places = [
+        text.index(part)
+        for part in (
+            "teeth",
+            "injected: missed pulses, 1 at tooth 20",
+            "DTC P0336-29 SET",
+            "CAN GW_DTC (change): P0336-29  status 0x2F",
+            "DTC P0336-29 healed",
+            "as expected: P0336-29 healed",
+        )
+    ]
+    assert places == sorted(places)
+    assert "speed [rpm]" in text
+
+
+def test_commands_for_scripts(tmp_path):
+    inside = gateway("simulate", "crank_missed_tooth", "--bus", "inside", "--check", "--json",
+                     "--record", "d.log", cwd=tmp_path)  # fmt: skip
+    assert inside.returncode == 0, inside.stderr
+    kinds = [json.loads(line)["event"] for line in inside.stdout.splitlines()]
+    assert kinds.count("dtc") == 2
+    assert kinds[-1] == "expectation"
+    for flag, code in (((), 0), (("--fail-on-dtc",), 1)):
+        ended = gateway("replay", "d.log", "--memory", "f.sqlite", *flag, cwd=tmp_path)
+        assert ended.returncode == code, ended.stderr
+        assert "DTCs: P0336-29" in ended.stdout
+    shown = gateway("faults", "show", "P0336-29", "--memory", "f.sqlite", cwd=tmp_path)
+    assert "freeze frame 1 (first failure)" in shown.stdout
+    healthy = gateway(
+        "simulate", "crank_healthy", "--bus", "inside", "--record", "h.log", cwd=tmp_path
+    )
+    assert healthy.returncode == 0
+    assert gateway("replay", "h.log", "--fail-on-dtc", cwd=tmp_path).returncode == 0
+    good = json.loads(gateway("check", "--json", cwd=tmp_path).stdout)
+    assert good["ok"]
+    assert {"fault": "crank.missed_pulse", "dtc": "P0336-29"}.items() <= good["faults"][0].items()
+    assert "properties" in json.loads(gateway("check", "--schema", cwd=tmp_path).stdout)
+    facts = json.loads(gateway("doctor", "--json", cwd=tmp_path).stdout)
+    assert facts["cache_warm"] is True
+    assert gateway("--version", cwd=tmp_path).stdout.startswith("gateway ")
