@@ -1,0 +1,203 @@
+"""The same log through the loop a user would write and through the gateway, in one run.
+
+Peers: python-can messages, cantools decode, filterpy filters. All paths get the same frames from memory and
+do the same work on each: CRC and alive counter, decode, and a first-order observer on every tooth time.
+
+    python bench/engine.py [--frames 1000000] [--user-frames 20000] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import socket
+import time
+
+import cantools
+import crccheck
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from gateway.app import Gateway
+from gateway.bus.base import Statistics
+from gateway.bus.frames import empty, to_message
+from gateway.bus.socketcan import RawReceiver, pack
+from gateway.config import load_config
+from gateway.engine.build import MonitorInstance, build_engine
+from gateway.fdi.wheel import Wheel
+from gateway.monitors.registry import MONITORS
+from gateway.resources import shipped
+from gateway.signals.database import load_database
+from gateway.signals.tables import SignalRef
+from gateway.vecu.crank import tooth_times
+from gateway.vecu.tooth_frames import tooth_frames
+
+RATE_RPM = 3000
+BATCH = 64
+
+
+def make_log(count):
+    """Return ``count`` CTW_PT4 frames of a healthy engine, in order of time."""
+    wheel = Wheel.parse("60-2")
+    # 256 frames bring the alive counter round; one such piece (with the wheel's turn) is repeated.
+    period = 58 * 64  # turns and counter both come round: 58 * 64 pulses = 928 frames = 64 turns
+    turns = 4 * 64
+    rng = np.random.default_rng(1)
+    times = tooth_times(wheel, [(0, RATE_RPM)], (turns + 1) * 60 / RATE_RPM, jitter=0.003, rng=rng)
+    piece = tooth_frames(times[: 4 * period + 1], "classic")
+    piece = piece[piece["can_id"] == 0x700]
+    # From the last pulse of a piece to the first of the next is one whole number of turns.
+    span = int(times[4 * period] - times[0])
+    copies = -(-count // len(piece))
+    frames = np.tile(piece, copies)
+    frames["t_ns"] += np.repeat(np.arange(copies) * span, len(piece))
+    return frames[:count]
+
+
+def user_loop(messages):
+    """What one writes with the libraries: returns how many exceedances it saw."""
+    message = cantools.database.load_file(shipped("dbc/engine.dbc")).get_message_by_name("CTW_PT4")
+    kf = KalmanFilter(dim_x=1, dim_z=1)
+    kf.F, kf.H = np.eye(1), np.eye(1)
+    kf.Q, kf.R = np.eye(1), np.eye(1)
+    pitches = Wheel.parse("60-2").pitches
+    last, index, alarms = None, 0, 0
+    for m in messages:
+        data = bytes(m.data)
+        if crccheck.crc.Crc8SaeJ1850.calc(data[1:] + b"\x00\x07") != data[0]:
+            continue
+        values = message.decode(data, decode_choices=False)
+        count = values["FrameCnt"]
+        if last is not None and (count - last) % 256 != 1:
+            alarms += 1
+        last = count
+        for k in range(4):
+            code = values[f"Pt{k}"]
+            period = (code & 0x3FF) << (2 * (code >> 10))
+            kf.predict()
+            kf.update(period / pitches[index])
+            if abs(kf.y[0, 0]) > 500:
+                alarms += 1
+            index = (index + 1) % 58
+    return alarms
+
+
+def replay_path(frames, chunk=100_000):
+    """Frames in chunks through the whole gateway."""
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    gateway.start(0)
+    gateway.feed(frames[:1])
+    begun = time.perf_counter()
+    for k in range(1, len(frames), chunk):
+        gateway.feed(frames[k : k + chunk])
+    seconds = time.perf_counter() - begun
+    assert gateway.engine.counters()["decoded"] == len(frames)
+    assert gateway.engine.readout()["crank"]["teeth"] == 4 * len(frames)
+    assert gateway.engine.readout()["crank"]["missed"] == 0
+    return seconds
+
+
+def live_path(frames, batch):
+    """can_frame datagrams from a socket into batches into the gateway; only the receiver is timed."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+    ours.setblocking(False)
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    receiver = RawReceiver(ours, 0, Statistics())
+    out = empty(batch + 1)
+    datagrams = [pack(frame) for frame in frames]
+    gateway.start(0)
+    seconds = 0.0
+    for k in range(0, len(datagrams), batch):
+        part = datagrams[k : k + batch]
+        for datagram in part:
+            theirs.send(datagram)
+        begun = time.perf_counter()
+        count = receiver.receive(out)
+        gateway.feed(out[:count])
+        seconds += time.perf_counter() - begun
+        assert count == len(part)
+    assert gateway.engine.counters()["decoded"] == len(frames)
+    ours.close()
+    theirs.close()
+    return seconds
+
+
+def engine_path(frames, monitors, *, every_signal):
+    """The jitted loop alone: so many crank monitors on each frame, no fault memory."""
+    database = load_database([shipped("dbc/engine.dbc")])
+    crank = MONITORS["crank_sync"]
+    params = crank.params.model_validate({"wheel": "60-2"})
+    instances = [MonitorInstance(f"m{k}", crank, params) for k in range(monitors)]
+    names = [s.name for s in database.message("CTW_PT4").signals] if every_signal else []
+    engine = build_engine(
+        [(0, database)], instances, [], extra=[SignalRef(0, "CTW_PT4", n) for n in names]
+    )
+    engine.process(frames[:1], lambda events: None)
+    begun = time.perf_counter()
+    for k in range(1, len(frames), 100_000):
+        engine.process(frames[k : k + 100_000], lambda events: None)
+    return time.perf_counter() - begun
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--user-frames", type=int, default=20_000)
+    parser.add_argument("--live-frames", type=int, default=200_000)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+
+    frames = make_log(options.frames)
+    messages = [to_message(frame) for frame in frames[: options.user_frames]]
+    live = frames[: options.live_frames]
+    best = {}
+
+    def measure(name, count, seconds):
+        best[name] = max(best.get(name, 0.0), count / seconds)
+
+    # Rounds in turn, so that a machine that slows down slows all of them.
+    for _ in range(options.rounds):
+        begun = time.perf_counter()
+        user_loop(messages)
+        measure("python-can + cantools + filterpy", len(messages), time.perf_counter() - begun)
+        measure("live, 1 frame a batch", len(live) // 4, live_path(live[: len(live) // 4], 1))
+        measure("live, 8 frames a batch", len(live), live_path(live, 8))
+        measure(f"live, {BATCH} frames a batch", len(live), live_path(live, BATCH))
+        measure("replay, whole gateway", len(frames), replay_path(frames))
+        measure("loop: decode 6 signals", len(frames), engine_path(frames, 0, every_signal=True))
+        measure(
+            "loop: 1 crank monitor (4 teeth a frame)",
+            len(frames),
+            engine_path(frames, 1, every_signal=False),
+        )
+        measure(
+            "loop: 5 crank monitors (20 teeth a frame)",
+            len(frames),
+            engine_path(frames, 5, every_signal=False),
+        )
+    against = "python-can + cantools + filterpy"
+    rows = [
+        {"name": name, "per_second": value, "ratio": value / best[against], "against": against}
+        for name, value in best.items()
+    ]
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    if options.json:
+        print(json.dumps({"rows": rows, "machine": machine}, indent=2))
+        return
+    print(
+        f"{machine}; {len(frames)} frames, user's loop on {len(messages)} of them; best of {options.rounds}"
+    )
+    print(f"{'':46}{'frames/s':>14}{'us/frame':>10}{'ratio':>9}")
+    for row in rows:
+        print(
+            f"{row['name']:46}{row['per_second']:>14,.0f}{1e6 / row['per_second']:>10.3f}"
+            f"{row['ratio']:>8.0f}x"
+        )
+
+
+if __name__ == "__main__":
+    main()
