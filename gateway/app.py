@@ -31,6 +31,7 @@ from gateway.signals.tables import SignalRef
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
 
+_NOTHING = empty(0)
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 
@@ -171,8 +172,10 @@ class Gateway:
             self._uncommitted = False
         changes, self._changes = self._changes, []
         if self._dtc_frame is None:
-            return empty(0)
+            return _NOTHING
         now = self.engine.now_ns
+        if not self._dtc_frame.due(changes, now):
+            return _NOTHING
         return np.concatenate(
             [
                 self._dtc_frame.on_changes(changes, self.memory, now),

@@ -24,8 +24,10 @@ import numpy as np
 import platformdirs
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core import config as _config
 from numba.extending import intrinsic
+from numba.np import arrayobj
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -95,8 +97,13 @@ def prune_cache(keep: int = 3) -> None:
 
 
 def kernel(function: F) -> F:
-    """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy, cached."""
-    compiled = numba.njit(cache=True, nogil=True, boundscheck=False, error_model="numpy")(function)
+    """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy, cached.
+
+    Kernels are inlined into their callers, so that tables handed down in a tuple cost nothing.
+    """
+    compiled = numba.njit(
+        cache=True, nogil=True, boundscheck=False, error_model="numpy", forceinline=True
+    )(function)
     return cast(F, compiled)
 
 
@@ -156,6 +163,30 @@ def _jump(_typing: Any, address: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
         return context.get_dummy_value()
 
     return signature, generate
+
+
+@intrinsic
+def _borrow(_typing: Any, array: Any) -> Any:
+    """Return an array without its reference count."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        make: Any = arrayobj.make_array
+        null: Any = cgutils.get_null_value
+        view = make(signature.return_type)(context, builder, value=arguments[0])
+        view.meminfo = null(view.meminfo.type)
+        view.parent = null(view.parent.type)
+        return view._getvalue()
+
+    return array(array), generate
+
+
+def _same(array: Any) -> Any:
+    return array
+
+
+#: Returns an array that is not reference-counted, for the length of a kernel's run: counting costs two
+#: atomic operations at each use of an array that lies in a tuple.
+borrow: Callable[[Any], Any] = cast(Any, _borrow) if COMPILED else _same
 
 
 def _call_python(address: int, a: int, b: int, c: int, d: int) -> None:

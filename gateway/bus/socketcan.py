@@ -30,6 +30,7 @@ from gateway.bus.frames import (
     payload,
 )
 from gateway.errors import BusError
+from gateway.jit import kernel
 
 # From linux/can.h, linux/can/raw.h, asm-generic/socket.h; not all are in the socket module.
 _CAN_MTU, _CANFD_MTU = 16, 72
@@ -45,8 +46,42 @@ _HEADER = struct.Struct("=IBBBB")
 #: Most kernel filters worth setting; with more identifiers everything is taken.
 MOST_FILTERS = 512
 
-#: Row n keeps n bytes of a payload.
-_KEEP = np.tril(np.full((65, 64), 0xFF, np.uint8), -1)
+#: Longest batch that is filled at one call.
+MOST_FRAMES = 1024
+
+
+@kernel
+def settle(out: Any, stamps: Any, sizes: Any, own: Any, count: int, bus: int) -> None:
+    """Turn the structs' length and flags, where they lie now, into ours.
+
+    Args:
+        out: batch whose records were received at byte 8.
+        stamps: int64, time stamps [ns].
+        sizes: int64, sizes of the datagrams [byte].
+        own: uint8, 1 for frames of this process.
+        count: how many frames.
+        bus: index of the bus.
+    """
+    for k in range(count):
+        f = out[k]
+        fd = sizes[k] == _CANFD_MTU
+        length = min(np.int64(f["bus"]), 64 if fd else 8)
+        if np.int64(f["can_id"]) & REMOTE:
+            length = 0  # a remote frame has a length but no data
+        raw = np.int64(f["flags"])
+        flags = OWN if own[k] else 0
+        if fd:
+            flags |= FD
+            flags |= BRS if raw & _CANFD_BRS else 0
+            flags |= ESI if raw & _CANFD_ESI else 0
+        f["t_ns"] = stamps[k]
+        f["bus"] = bus
+        f["flags"] = flags
+        f["length"] = length
+        f["reserved"] = 0
+        data = f["data"]
+        for j in range(length, 64 if fd else 8):
+            data[j] = 0
 
 
 class RawReceiver:
@@ -63,6 +98,9 @@ class RawReceiver:
         self._index = index
         self._statistics = statistics
         self._lost = 0
+        self._stamps = np.zeros(MOST_FRAMES, np.int64)
+        self._sizes = np.zeros(MOST_FRAMES, np.int64)
+        self._own = np.zeros(MOST_FRAMES, np.uint8)
         for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
             try:
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
@@ -78,31 +116,30 @@ class RawReceiver:
         Raises:
             OSError: as the socket says.
         """
-        rows = out.view(np.uint8).reshape(len(out), FRAME.itemsize)
+        most = min(len(out), MOST_FRAMES)
+        rows = out[:most].view(np.uint8).reshape(most, FRAME.itemsize)
         rows[:, 16:] = 0
         raw = memoryview(cast(Any, rows)).cast("B")
-        stamps: list[int] = []
-        sizes: list[int] = []
-        own: list[int] = []
-        size = FRAME.itemsize
-        while len(stamps) < len(out):
-            at = len(stamps) * size + 8
+        receive = self._sock.recvmsg_into
+        count, at = 0, 8
+        while count < most:
             try:
-                got, ancillary, flags, _ = self._sock.recvmsg_into([raw[at : at + 72]], _ANCILLARY)
+                got, ancillary, flags, _ = receive([raw[at : at + _CANFD_MTU]], _ANCILLARY)
             except (BlockingIOError, InterruptedError):
                 break
             if got not in (_CAN_MTU, _CANFD_MTU):
                 if got == 0:  # the peer of a socket pair is gone
                     break
                 self._statistics.rejected += 1
-                rows[len(stamps), 8:] = 0
+                rows[count, 8:] = 0
                 continue
-            stamps.append(self._stamp(ancillary))
-            sizes.append(got)
-            own.append(OWN if flags & _MSG_CONFIRM else 0)
-        count = len(stamps)
+            self._stamps[count] = self._stamp(ancillary)
+            self._sizes[count] = got
+            self._own[count] = flags & _MSG_CONFIRM != 0
+            count += 1
+            at += FRAME.itemsize
         if count:
-            self._finish(out[:count], stamps, sizes, own)
+            settle(out, self._stamps, self._sizes, self._own, count, self._index)
         self._statistics.received += count
         return count
 
@@ -119,23 +156,6 @@ class RawReceiver:
                 self._statistics.overflow += (lost - self._lost) & 0xFFFFFFFF
                 self._lost = lost
         return stamp or time.time_ns()
-
-    def _finish(self, out: Frames, stamps: list[int], sizes: list[int], own: list[int]) -> None:
-        """Turn the structs' length and flags, where they lie now, into ours."""
-        fd = np.asarray(sizes) == _CANFD_MTU
-        length = np.minimum(out["bus"], np.where(fd, 64, 8)).astype(np.uint8)
-        raw = out["flags"].copy()
-        flags = np.where(fd, FD, 0) | np.asarray(own)
-        flags |= np.where(fd & ((raw & _CANFD_BRS) != 0), BRS, 0)
-        flags |= np.where(fd & ((raw & _CANFD_ESI) != 0), ESI, 0)
-        # A remote frame has a length but no data.
-        length[(out["can_id"] & REMOTE) != 0] = 0
-        out["t_ns"] = stamps
-        out["length"] = length
-        out["flags"] = flags
-        out["bus"] = self._index
-        out["reserved"] = 0
-        out["data"] &= _KEEP[length]
 
 
 def pack(frame: np.void) -> bytes:

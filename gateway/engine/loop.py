@@ -14,8 +14,8 @@ from typing import Any
 
 from gateway.engine.debounce import count, fault_detection_counter
 from gateway.engine.events import RESULT_CHANGED
-from gateway.engine.tables import NEVER, Tables
-from gateway.jit import call_entry, kernel
+from gateway.engine.tables import NEVER, Tables, borrowed
+from gateway.jit import borrow, call_entry, kernel
 from gateway.monitors.communication import (
     ACCEPT,
     COUNTER,
@@ -289,15 +289,17 @@ def advance(T: Tables, t_ns: int) -> None:
 
 
 @kernel
-def run(T: Tables, frames: Any, words: Any, start: int) -> int:
+def run(tables: Tables, frames: Any, words: Any, start: int) -> int:
     """Walk a batch from frame ``start``; returns the first frame not handled yet.
 
     Args:
-        T: the tables.
+        tables: the tables.
         frames: batch, shape (n,) of FRAME.
         words: the payloads of the same batch, uint64 of shape (n, 8).
         start: where to begin.
     """
+    T = borrowed(tables)
+    frames, words = borrow(frames), borrow(words)
     clock = T.clock[0]
     clock.stop = 0
     room = T.ring.shape[0] // 2

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import COMPILED, i4, i8, record, u1
+from gateway.jit import COMPILED, borrow, i4, i8, kernel, record, u1
 
 #: One row of the vector table, for each message of the decode plan: the monitors it triggers
 #: (``handlers[first:first + count]``, by priority), its communication check (-1: none), and when
@@ -92,6 +92,35 @@ class Tables(NamedTuple):
     out_address: NDArray[np.int64]
     ring: NDArray[np.void]
     clock: NDArray[np.void]
+
+
+@kernel
+def borrowed(T: Tables) -> Tables:
+    """Return the same tables without reference counts (see :func:`gateway.jit.borrow`)."""
+    return Tables(
+        borrow(T.keys),
+        borrow(T.rows),
+        borrow(T.messages),
+        borrow(T.signals),
+        borrow(T.mux_ids),
+        borrow(T.values),
+        borrow(T.present),
+        borrow(T.mailbox),
+        borrow(T.vectors),
+        borrow(T.triggers),
+        borrow(T.handlers),
+        borrow(T.slots),
+        borrow(T.sources),
+        borrow(T.pool),
+        borrow(T.pool_ns),
+        borrow(T.checks),
+        borrow(T.crc_tables),
+        borrow(T.debounces),
+        borrow(T.out),
+        borrow(T.out_address),
+        borrow(T.ring),
+        borrow(T.clock),
+    )
 
 
 def table(count: int, dtype: np.dtype[np.void]) -> Any:
