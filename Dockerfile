@@ -22,7 +22,7 @@ ENV PATH=/opt/gateway/venv/bin:$PATH \
     GATEWAY_CACHE_DIR=/opt/gateway/cache \
     GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite \
     PYTHONUNBUFFERED=1
-USER gateway
+USER 10001
 WORKDIR /var/lib/gateway
 VOLUME /var/lib/gateway
 STOPSIGNAL SIGTERM

@@ -53,9 +53,10 @@ def as_words(frames: Frames) -> NDArray[np.uint64]:
 
 @kernel
 def hashed(key: Any, mask: int) -> int:
-    """Return where a key's search in the table begins (Fibonacci hashing)."""
-    mixed = (key ^ (key >> np.uint64(29))) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64((mixed >> np.uint64(32)) & np.uint64(mask))  # type: ignore[return-value]
+    """Return where a key's search in the table begins (Fibonacci hashing of 32 bits)."""
+    folded = (key ^ (key >> np.uint64(29)) ^ (key >> np.uint64(35))) & np.uint64(0xFFFFFFFF)
+    mixed = folded * np.uint64(0x9E3779B1)
+    return np.int64((mixed >> np.uint64(13)) & np.uint64(mask))  # type: ignore[return-value]
 
 
 @kernel

@@ -46,7 +46,7 @@ class Params(MonitorParams):
     tag: float = 0.0
 
 
-STATE = record(steps=i8, last_ns=i8, sum=f8)
+STATE = record(steps=i8, last_ns=i8, total=f8)
 CONST = record(limit=f8, wake_ns=i8, tag=f8)
 INPUTS = inputs(a=f8, b=f8)
 
@@ -61,11 +61,11 @@ def step(s, c, u, out):
     if c.wake_ns > 0:
         out.wake_ns = u.t_ns + c.wake_ns
         report(out, 1, False, 0.0, 0.0)
-    s.sum += u.a
+    s.total += u.a
     at = report(out, 0, u.a > c.limit, u.a, c.limit)
     if at >= 0:
         out.results[at].evidence[0] = c.tag
-        out.results[at].evidence[1] = s.sum
+        out.results[at].evidence[1] = s.total
 
 
 def _prepare(p, s, c):
@@ -87,7 +87,7 @@ SCRIPTED = Monitor(
     ),
     lambda p: Wiring(p.messages, p.signals),
     _prepare,
-    readout=("steps", "last_ns", "sum"),
+    readout=("steps", "last_ns", "total"),
 )
 
 

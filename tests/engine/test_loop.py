@@ -133,7 +133,7 @@ def test_a_monitor_with_a_missing_or_stale_input_reports_not_tested(build, tools
     )
     seen = tools.Collector()
     engine.process(tools.batch(tools.alpha(0, 99)), seen)
-    assert engine.readout()["m"] == {"steps": 0, "last_ns": 0, "sum": 0.0, "not_tested": 1}
+    assert engine.readout()["m"] == {"steps": 0, "last_ns": 0, "total": 0.0, "not_tested": 1}
     engine.process(tools.batch(tools.beta(1, 3), tools.alpha(2, 99)), seen)
     assert engine.readout()["m"]["steps"] == 1
     counter = engine.fault_detection_counter(0)
