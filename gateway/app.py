@@ -87,6 +87,7 @@ class Gateway:
             raise error.within(file) from error
         except InputErrors as errors:
             raise InputErrors([error.within(file) for error in errors.errors]) from errors
+        self.engine.warm()
         self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self.store = Store(memory_path)
         self.memory = FaultMemory(self.catalogue, self.store)

@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from gateway.bus.frames import Frames
+from gateway.bus.frames import FRAME, Frames, empty
 from gateway.engine import loop
 from gateway.engine.debounce import fault_detection_counter, reset
 from gateway.engine.events import Events
-from gateway.engine.tables import Tables
+from gateway.engine.tables import NEVER, Tables
 from gateway.monitors.shape import Fault
-from gateway.signals.decode import as_words
 from gateway.signals.tables import DecodePlan, SignalRef
+
+_CELLS = FRAME.itemsize // 8
+_NO_FRAMES = empty(0)
+_NO_CELLS = np.zeros((0, _CELLS), np.uint64)
 
 #: Takes the events of one pass, in order. The array is only valid during the call.
 Sink = Callable[[Events], None]
@@ -52,6 +55,10 @@ class Engine:
         self._states = states
         self._consts = consts  # the handlers hold its address
 
+    def warm(self) -> None:
+        """Compile the loop now, or load it from the cache, rather than at the first frame."""
+        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, NEVER)
+
     @property
     def now_ns(self) -> int:
         """Time of the latest frame or :meth:`advance` [ns]."""
@@ -64,10 +71,12 @@ class Engine:
             frames: shape (n,) of FRAME.
             sink: called with the events, each time before any later frame is handled.
         """
-        words = as_words(frames)
+        if not (frames.flags.c_contiguous and frames.flags.writeable):
+            frames = frames.copy()  # the loop is compiled for one kind of array
+        cells = frames.view("<u8").reshape(len(frames), _CELLS)
         start, count = 0, len(frames)
         while start < count:
-            start = loop.run(self.tables, frames, words, start)
+            start = loop.run(self.tables, frames, cells, start, NEVER)
             self._drain(sink)
 
     def advance(self, t_ns: int, sink: Sink) -> None:
@@ -77,7 +86,7 @@ class Engine:
             t_ns: the new time; frames that arrive later with an earlier stamp count as late.
             sink: called with the events.
         """
-        loop.advance(self.tables, t_ns)
+        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, t_ns)
         self._drain(sink)
 
     def _drain(self, sink: Sink) -> None:

@@ -271,8 +271,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
 
 
 @kernel
-def advance(T: Tables, t_ns: int) -> None:
-    """Move the clock to ``t_ns`` without a frame; starts it at the first call."""
+def advance(T: Any, t_ns: int) -> None:
+    """Move the clock to ``t_ns``, running the timers on the way; starts it at the first call."""
     clock = T.clock[0]
     if clock.started == 0:
         clock.started = 1
@@ -289,17 +289,18 @@ def advance(T: Tables, t_ns: int) -> None:
 
 
 @kernel
-def run(tables: Tables, frames: Any, words: Any, start: int) -> int:
+def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     """Walk a batch from frame ``start``; returns the first frame not handled yet.
 
     Args:
         tables: the tables.
         frames: batch, shape (n,) of FRAME.
-        words: the payloads of the same batch, uint64 of shape (n, 8).
+        cells: the same batch as uint64, shape (n, 10): two of header, eight of payload.
         start: where to begin.
+        until_ns: let time pass to here after the frames; NEVER: it ends with the last frame.
     """
     T = borrowed(tables)
-    frames, words = borrow(frames), borrow(words)
+    frames, cells = borrow(frames), borrow(cells)
     clock = T.clock[0]
     clock.stop = 0
     room = T.ring.shape[0] // 2
@@ -312,7 +313,9 @@ def run(tables: Tables, frames: Any, words: Any, start: int) -> int:
             if clock.stop == 1:
                 return i
         clock.frames += 1
-        dispatch(T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], words[i])
+        dispatch(T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], cells[i, 2:])
         if clock.stop == 1 or clock.events >= room:
             return i + 1
+    if until_ns != NEVER:
+        advance(T, until_ns)
     return int(frames.shape[0])

@@ -59,7 +59,7 @@ CLOCK = record(
 )
 
 #: A deadline that never comes.
-NEVER = np.iinfo(np.int64).max
+NEVER = int(np.iinfo(np.int64).max)
 
 
 class Tables(NamedTuple):
