@@ -27,6 +27,7 @@ from gateway.bus.frames import (
     OWN,
     REMOTE,
     Frames,
+    empty,
     payload,
 )
 from gateway.errors import BusError
@@ -101,6 +102,7 @@ class RawReceiver:
         self._stamps = np.zeros(MOST_FRAMES, np.int64)
         self._sizes = np.zeros(MOST_FRAMES, np.int64)
         self._own = np.zeros(MOST_FRAMES, np.uint8)
+        settle(empty(0), self._stamps, self._sizes, self._own, 0, index)  # compiled before traffic
         for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
             try:
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from gateway.bus.hub import Hub
 from gateway.bus.uri import loopback_address
 from gateway.cli.present import say
-from gateway.cli.run import until_signal
+from gateway.cli.run import Ending
 
 
 def bus(address: str, *, duration: float | None) -> int:
     """Serve until told to stop; returns the exit code."""
     host, port = loopback_address(address)
-    stop = until_signal(duration)
+    ending = Ending().after(duration)
     hub = Hub(host, port)
     try:
         host, port = hub.address
         say(f"bus: serving loopback:{host}:{port} (socketcand protocol)")
-        hub.serve_forever(stop)
+        hub.serve_forever(ending)
     finally:
         hub.close()
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -42,7 +43,9 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
             _time(entry["last_ns"]),
             str(len(entry["freeze_frames"])),
         )
-    Console().print(table if entries else "no DTCs")
+    # Off a terminal nothing is cut to 80 columns.
+    console = Console() if sys.stdout.isatty() else Console(width=160)
+    console.print(table if entries else "no DTCs")
     return 0
 
 

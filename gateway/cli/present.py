@@ -91,6 +91,10 @@ class EventPrinter:
             print_json(event, indent=None)
         elif event["event"] == "dtc":
             self._dtc(event)
+        elif event["event"] == "bus" and event["overflow"]:
+            self._console.print(
+                f"{event['bus']}: {event['overflow']} frames lost before they were read"
+            )
         elif event["event"] == "summary":
             self._summary(event)
 

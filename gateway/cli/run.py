@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-
-import structlog
+from typing import Any, Self
 
 from gateway.app import Gateway
+from gateway.bus.base import Bus
 from gateway.bus.logs import open_writer
 from gateway.bus.uri import open_bus
 from gateway.cli.present import EventPrinter, find_config, say, say_if_cold
@@ -18,21 +18,27 @@ from gateway.config import load_config
 from gateway.errors import InputError
 from gateway.live import GRACE_NS, run_live
 
-log = structlog.get_logger(__name__)
 
+class Ending:
+    """Tells when to end: SIGINT or SIGTERM came, or a time is over. Install one in a process."""
 
-def until_signal(duration: float | None) -> Callable[[], bool]:
-    """Return a test for the end: SIGINT or SIGTERM came, or the duration [s] is over."""
-    ended = False
+    def __init__(self) -> None:
+        self._signalled = False
+        self._limit = math.inf
+        signal.signal(signal.SIGINT, self._on_signal)
+        signal.signal(signal.SIGTERM, self._on_signal)
 
-    def end(*_: object) -> None:
-        nonlocal ended
-        ended = True
+    def _on_signal(self, *_: object) -> None:
+        self._signalled = True
 
-    signal.signal(signal.SIGINT, end)
-    signal.signal(signal.SIGTERM, end)
-    limit = None if duration is None else time.monotonic() + duration
-    return lambda: ended or (limit is not None and time.monotonic() >= limit)
+    def after(self, seconds: float | None) -> Self:
+        """End so many seconds from now; None: only at a signal."""
+        self._limit = math.inf if seconds is None else time.monotonic() + seconds
+        return self
+
+    def __call__(self) -> bool:
+        """Tell whether to end."""
+        return self._signalled or time.monotonic() >= self._limit
 
 
 def run(
@@ -46,7 +52,7 @@ def run(
     fail_on_dtc: bool,
 ) -> int:
     """Monitor until told to stop; returns the exit code."""
-    stop = until_signal(None)
+    ending = Ending()
     path = find_config(config_path)
     config = load_config(path)
     uris = [entry.uri for entry in config.bus]
@@ -67,13 +73,25 @@ def run(
                 opened.set_filters(ids)
         writer = None if record is None else stack.enter_context(open_writer(record))
         gateway.start(time.time_ns())
+        for entry, opened in zip(config.bus, buses, strict=True):
+            printer(_bus_event(entry.name, opened, "open", time.time_ns()))
         say(f"{config.name}: monitoring {', '.join(uris)}")
         begun = time.monotonic()
-        limit = until_signal(duration) if duration is not None else stop
-        run_live(gateway, buses, limit, record=writer)
+        run_live(gateway, buses, ending.after(duration), record=writer)
         gateway.advance(time.time_ns() - GRACE_NS)
         gateway.stop(gateway.engine.now_ns)
-        for opened in buses:
-            log.info("bus closed", uri=opened.uri, **vars(opened.statistics))
+        for entry, opened in zip(config.bus, buses, strict=True):
+            printer(_bus_event(entry.name, opened, "closed", gateway.engine.now_ns))
         printer(gateway.summary(time.monotonic() - begun))
     return 1 if fail_on_dtc and printer.failures else 0
+
+
+def _bus_event(name: str, bus: Bus, state: str, t_ns: int) -> dict[str, Any]:
+    return {
+        "event": "bus",
+        "t_ns": t_ns,
+        "bus": name,
+        "uri": bus.uri,
+        "state": state,
+        **vars(bus.statistics),
+    }

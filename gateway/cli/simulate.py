@@ -23,7 +23,7 @@ from gateway.cli.present import (
     say_if_cold,
     status_text,
 )
-from gateway.cli.run import until_signal
+from gateway.cli.run import Ending
 from gateway.config import Config, load_config
 from gateway.drive import drive
 from gateway.errors import GatewayError, InputError
@@ -123,7 +123,7 @@ def simulate(
     json: bool,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
-    stop = until_signal(None)
+    stop = Ending()
     scenario, config, player = _open(scenario_name, seed)
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
     with ExitStack() as stack:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import socket
 import time
 
 from gateway.app import Gateway
-from gateway.bus.frames import empty
+from gateway.bus.base import Statistics
+from gateway.bus.socketcan import RawReceiver
 from gateway.cli.present import print_json
 from gateway.config import load_config
+from gateway.drive import drive
 from gateway.jit import CACHE, prune_cache
 from gateway.monitors.registry import MONITORS
 from gateway.resources import shipped
+from gateway.vecu.player import Player
+from gateway.vecu.scenario import load_scenario
 
 
 def warmup(*, json: bool) -> int:
@@ -18,14 +23,14 @@ def warmup(*, json: bool) -> int:
     begun = time.monotonic()
     for monitor in MONITORS.values():
         _ = monitor.entry
-    gateway = Gateway(load_config(shipped("gateway.toml")))
-    frames = empty(2)
-    frames[1]["t_ns"] = 10**9
-    gateway.start(0)
-    gateway.feed(frames)
-    gateway.advance(2 * 10**9)
-    gateway.stop(2 * 10**9)
+    scenario = load_scenario(shipped("scenarios/crank_healthy.toml"))
+    short = scenario.model_copy(update={"duration_s": 0.5})
+    gateway = Gateway(load_config(short.config))
+    drive(gateway, Player(short, {bus.name: k for k, bus in enumerate(gateway.config.bus)}))
     gateway.close()
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        RawReceiver(ours, 0, Statistics())
     prune_cache()
     seconds = time.monotonic() - begun
     if json:
