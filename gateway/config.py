@@ -19,14 +19,10 @@ from gateway.monitors import communication
 from gateway.monitors.registry import MONITORS
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameParams
-from gateway.tomlfile import input_errors, read_toml, validate
+from gateway.tomlfile import StrictModel, input_errors, read_toml, validate
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class BusConfig(_Strict):
+class BusConfig(StrictModel):
     """One CAN bus: where it is, how its frames are read, which messages are watched."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how other parts refer to it")
@@ -54,7 +50,7 @@ class MonitorConfig(BaseModel):
     )
 
 
-class MemoryConfig(_Strict):
+class MemoryConfig(StrictModel):
     """The fault memory."""
 
     path: Path = Field(
@@ -62,7 +58,7 @@ class MemoryConfig(_Strict):
     )
 
 
-class OutputConfig(_Strict):
+class OutputConfig(StrictModel):
     """How faults leave the gateway."""
 
     dtc_frame: DtcFrameParams | None = Field(None, description="DTC message on a bus")

@@ -6,26 +6,29 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from gateway.errors import InputError, InputErrors
 from gateway.faults.dtc import Dtc
 from gateway.monitors.shape import Debounce, Fault
+from gateway.tomlfile import StrictModel
 
 Severity = Literal["no_class", "maintenance_only", "check_at_next_halt", "check_immediately"]
 
 
-def _is_dtc(text: str) -> str:
+def _dtc_text(text: str) -> str:
     try:
         return str(Dtc.parse(text))
     except InputError as error:
         raise ValueError(error.message) from error
 
 
-class DebounceOverride(BaseModel):
-    """Counter debounce: how many results in a row qualify a verdict."""
+#: A DTC in TOML: checked, and brought into its usual form.
+DtcText = Annotated[str, AfterValidator(_dtc_text)]
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class DebounceOverride(StrictModel):
+    """Counter debounce: how many results in a row qualify a verdict."""
 
     failed_after: int | None = Field(None, ge=1, le=32767, description="failed results")
     passed_after: int | None = Field(None, ge=1, le=32767, description="passed results")
@@ -35,12 +38,10 @@ class DebounceOverride(BaseModel):
     )
 
 
-class FaultOverride(BaseModel):
+class FaultOverride(StrictModel):
     """Settings of one fault that differ from its monitor's."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    dtc: Annotated[str, AfterValidator(_is_dtc)] | None = Field(None, description='e.g. "P0336-29"')
+    dtc: DtcText | None = Field(None, description='e.g. "P0336-29"')
     debounce: DebounceOverride = DebounceOverride()
     confirm_cycles: int = Field(
         1, ge=1, le=255, description="operation cycles with a failure that confirm the DTC"

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import PlainSerializer, PlainValidator
 
 _SHORT = re.compile(r"(\d+)((?:-\d+){1,2})")
 _ADDED = re.compile(r"(\d+)\+1")
@@ -83,6 +86,16 @@ class Wheel:
         largest = max(range(len(pitches)), key=lambda k: pitches[k])
         turned = pitches[largest + 1 :] + pitches[: largest + 1]
         return cls(text, tuple(turned))
+
+
+def _wheel(value: Any) -> Wheel:
+    return value if isinstance(value, Wheel) else Wheel.parse(str(value))
+
+
+#: A wheel in TOML, written as :meth:`Wheel.parse` reads it.
+WheelText = Annotated[
+    Wheel, PlainValidator(_wheel, json_schema_input_type=str), PlainSerializer(str)
+]
 
 
 def _with_gaps(text: str, teeth: int, missing: list[int]) -> list[float]:

@@ -14,11 +14,12 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.jit import i4, i8, kernel, record, u1
 from gateway.monitors.shape import Debounce, Fault, MonitorParams
 from gateway.signals.crc import crc8
+from gateway.tomlfile import StrictModel
 
 TYPE = "communication"
 
@@ -61,18 +62,14 @@ FAULTS = (
 )
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class CounterCheck(_Strict):
+class CounterCheck(StrictModel):
     """Alive counter: a signal that every transmission raises by one, modulo its range."""
 
     signal: str = Field(description="name of the counter signal")
     max_step: int = Field(1, ge=1, description="largest step that is not a failure")
 
 
-class CrcCheck(_Strict):
+class CrcCheck(StrictModel):
     """CRC over the payload without the CRC byte, then the data id (low byte first)."""
 
     signal: str = Field(description="name of the CRC signal: 8 bits on a byte boundary")

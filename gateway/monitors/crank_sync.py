@@ -31,12 +31,12 @@ shortened run of zeros), so that synchronisation is kept.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, PlainSerializer, PlainValidator
+from pydantic import Field
 
-from gateway.fdi.wheel import Wheel
+from gateway.fdi.wheel import WheelText
 from gateway.jit import f8, i4, i8, kernel, record, u1
 from gateway.monitors.shape import (
     TIMER,
@@ -89,16 +89,10 @@ MOST_TEETH = 128
 SEARCH, LEARN, TRACK = range(3)
 
 
-def _wheel(value: Any) -> Wheel:
-    return value if isinstance(value, Wheel) else Wheel.parse(str(value))
-
-
 class Params(MonitorParams):
     """Parameters of the crankshaft monitor."""
 
-    wheel: Annotated[Wheel, PlainValidator(_wheel), PlainSerializer(str)] = Field(
-        description='trigger wheel, e.g. "60-2"'
-    )
+    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
     method: Literal["paper"] = Field("paper", description="paper: constant speed, equation (6)")
     frame: Literal["classic", "fd"] = Field(
         "classic", description="classic: CTW_PT4, 4 intervals a frame; fd: CTW_FD27"

@@ -15,9 +15,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from gateway.jit import entry_point, f8, i4, i8, kernel, record
+from gateway.tomlfile import StrictModel
 
 #: Values of evidence that one test result can carry.
 EVIDENCE = 8
@@ -65,10 +65,8 @@ def report(out: Any, fault: int, failed: bool, value: float, threshold: float) -
     return int(place)
 
 
-class MonitorParams(BaseModel):
+class MonitorParams(StrictModel):
     """Base of the parameters of a monitor; units stand in the field descriptions."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 ParamsClass = type[MonitorParams]

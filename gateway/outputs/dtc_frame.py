@@ -10,20 +10,19 @@ from typing import Any, cast
 
 import numpy as np
 from cantools.database.can import Message
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gateway.bus.frames import Frames, empty, payload, put
 from gateway.faults.dtc import Dtc
 from gateway.faults.memory import DtcChange, FaultMemory
 from gateway.signals.database import load_database
+from gateway.tomlfile import StrictModel
 
 MESSAGE = "GW_DTC"
 
 
-class DtcFrameParams(BaseModel):
+class DtcFrameParams(StrictModel):
     """Settings of the DTC frame."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     bus: str | None = Field(None, description="name of the bus it is sent on")
     cycle_ms: float = Field(1000.0, ge=10, description="time between two cyclic lists [ms]")

@@ -4,40 +4,19 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
-    PlainSerializer,
-    PlainValidator,
     model_validator,
 )
 
-from gateway.errors import InputError
-from gateway.faults.dtc import Dtc
-from gateway.fdi.wheel import Wheel
-from gateway.tomlfile import load
+from gateway.faults.catalogue import DtcText
+from gateway.fdi.wheel import WheelText
+from gateway.tomlfile import StrictModel, load
 
 
-def _wheel(value: Any) -> Wheel:
-    return value if isinstance(value, Wheel) else Wheel.parse(str(value))
-
-
-def _dtc(text: str) -> str:
-    try:
-        return str(Dtc.parse(text))
-    except InputError as error:
-        raise ValueError(error.message) from error
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class RippleParams(_Strict):
+class RippleParams(StrictModel):
     """One order of torsional ripple."""
 
     order: float = Field(gt=0, description="per revolution of the crank")
@@ -45,15 +24,13 @@ class RippleParams(_Strict):
     phase: float = Field(0.0, description="[rad]")
 
 
-class EngineParams(_Strict):
+class EngineParams(StrictModel):
     """An engine ECU that sends the tooth times of its crankshaft sensor."""
 
     type: Literal["engine"] = "engine"
     name: str = "engine"
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
-    wheel: Annotated[Wheel, PlainValidator(_wheel), PlainSerializer(str)] = Field(
-        description='trigger wheel, e.g. "60-2"'
-    )
+    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
     format: Literal["classic", "fd"] = Field("classic", description="CTW_PT4 or CTW_FD27 frames")
     speed: tuple[tuple[float, float], ...] = Field(
         min_length=1, description="breakpoints [time s, speed rpm], linear in between"
@@ -72,7 +49,7 @@ class EngineParams(_Strict):
         return self
 
 
-class PulseFault(_Strict):
+class PulseFault(StrictModel):
     """A fault of the crankshaft sensor."""
 
     kind: Literal["missed_pulses", "added_pulses"]
@@ -82,7 +59,7 @@ class PulseFault(_Strict):
     tooth: int | None = Field(None, ge=0, description="first tooth; default: the next one")
 
 
-class WireFault(_Strict):
+class WireFault(StrictModel):
     """A fault between an ECU and the gateway."""
 
     kind: Literal["lost", "corrupted", "late", "duplicated", "short", "silent"]
@@ -108,17 +85,17 @@ class WireFault(_Strict):
         return self
 
 
-class Expectation(_Strict):
+class Expectation(StrictModel):
     """A DTC that the drive must cause, or must not."""
 
-    dtc: Annotated[str, AfterValidator(_dtc)]
+    dtc: DtcText
     after_s: float = Field(0.0, ge=0, description="not set before [s]")
     by_s: float | None = Field(None, gt=0, description="set not later than [s]; default: the end")
     healed_by_s: float | None = Field(None, gt=0, description="testFailed gone again by [s]")
     absent: bool = Field(False, description="must never be set")
 
 
-class Scenario(_Strict):
+class Scenario(StrictModel):
     """A test drive."""
 
     name: str
