@@ -81,24 +81,15 @@ def build_engine(
     """
     by_bus = dict(databases)
     monitors = sorted(monitors, key=lambda m: m.priority)
-    wirings = []
+    wirings = [_wire(m, by_bus[m.bus]) for m in monitors]
     wanted: set[SignalRef] = set(extra)
     watched: set[tuple[int, str]] = set()
-    for m in monitors:
-        wiring = m.monitor.wire(m.params)
-        references = [_split(m.signals.get(name, name)) for name in wiring.signals]
-        renamed = {
-            _split(name)[0]: message
-            for name, (message, _) in zip(wiring.signals, references, strict=True)
-        }
-        triggers = [renamed.get(name, name) for name in wiring.triggers]
-        wirings.append((triggers, references))
+    for m, (triggers, references) in zip(monitors, wirings, strict=True):
         wanted.update(SignalRef(m.bus, *reference) for reference in references)
         watched.update((m.bus, name) for name in triggers)
     for check in checks:
         watched.add((check.bus, check.params.message))
-        if check.params.counter is not None:
-            wanted.add(SignalRef(check.bus, check.params.message, check.params.counter.signal))
+        wanted.update(_check_signals(check, by_bus[check.bus]))
     plan = compile_plan(databases, wanted, messages=watched, pgn=pgn)
 
     faults: list[FaultSlot] = []
@@ -134,13 +125,7 @@ def build_engine(
     for k in range(len(monitors)):
         handlers[k]["inputs_address"] = pool.ctypes.data + 8 * int(handlers[k]["inputs"])
 
-    vectors = table(len(plan.messages), VECTOR)
-    flat: list[int] = []
-    for row in range(len(plan.messages)):
-        mine = triggered.get(row, [])
-        vectors[row]["first"], vectors[row]["count"] = len(flat), len(mine)
-        vectors[row]["check"], vectors[row]["arrived_ns"] = -1, -1
-        flat += mine
+    vectors, flat = _vector_table(len(plan.messages), triggered)
     check_rows = table(len(checks), CHECK)
     for k, check in enumerate(checks):
         row = plan.message(check.bus, check.params.message)
@@ -180,6 +165,50 @@ def build_engine(
         clock,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
+
+
+def _wire(m: MonitorInstance, database: Database) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the triggers and the (message, signal) inputs of a monitor, as the user names them."""
+    wiring = m.monitor.wire(m.params)
+    references = [_split(m.signals.get(name, name)) for name in wiring.signals]
+    renamed = {
+        _split(name)[0]: message
+        for name, (message, _) in zip(wiring.signals, references, strict=True)
+    }
+    triggers = [renamed.get(name, name) for name in wiring.triggers]
+    try:
+        for name in triggers:
+            database.message(name)
+        for reference in references:
+            database.signal(*reference)
+    except InputError as error:
+        raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
+    return triggers, references
+
+
+def _check_signals(check: CheckInstance, database: Database) -> list[SignalRef]:
+    """Return the signals that a check needs decoded."""
+    p = check.params
+    try:
+        database.message(p.message)
+        if p.counter is None:
+            return []
+        database.signal(p.message, p.counter.signal)
+    except InputError as error:
+        raise InputError(error.message, key=f'check of "{p.message}"', value=error.value) from error
+    return [SignalRef(check.bus, p.message, p.counter.signal)]
+
+
+def _vector_table(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any, list[int]]:
+    """Return the vector table, and the handlers of all messages one after the other."""
+    vectors = table(messages, VECTOR)
+    flat: list[int] = []
+    for row in range(messages):
+        mine = triggered.get(row, [])
+        vectors[row]["first"], vectors[row]["count"] = len(flat), len(mine)
+        vectors[row]["check"], vectors[row]["arrived_ns"] = -1, -1
+        flat += mine
+    return vectors, flat
 
 
 def _prepare_check(
