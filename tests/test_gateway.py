@@ -264,6 +264,23 @@ def test_the_schema_describes_monitors():
     assert "observer gain D" in text
 
 
+def test_a_stalled_engine_is_neither_a_dead_ecu_nor_a_sensor_fault():
+    scenario, config, _ = build("crank_healthy")
+    (ecu,) = scenario.ecu
+    # Runs, is switched off within one turn, stands, runs again.
+    profile = ((0, 0), (1, 0), (1.001, 1500), (3, 1500), (3.001, 0), (5, 0), (5.001, 1500))
+    stalled = scenario.model_copy(update={"ecu": (ecu.model_copy(update={"speed": profile}),)})
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    replay(gateway, [Player(stalled, {"powertrain": 0}).frames])
+    crank = gateway.engine.readout()["crank"]
+    assert [e for e in events if e["event"] == "dtc"] == []
+    assert crank["revolutions"] > 100
+    assert crank["speed_rpm"] == pytest.approx(1500, rel=0.01)
+    gateway.close()
+
+
 def test_an_empty_log_is_no_cycle():
     gateway = Gateway(load_config(shipped("gateway.toml")))
     assert replay(gateway, [empty(0)]) == 0

@@ -108,7 +108,7 @@ class Params(MonitorParams):
     stall_ms: float = Field(
         500.0,
         gt=0,
-        description="no frame for so long: the engine stands, synchronisation ends [ms]",
+        description="no tooth for so long: the engine stands, synchronisation ends [ms]",
     )
 
 
@@ -153,6 +153,7 @@ STATE = record(
     residuals=(f8, WINDOW),
     intervals=(f8, WINDOW),
     counter=i8,
+    stalls_ns=i8,
 )
 
 INPUTS = inputs(counter=f8, pulses=f8, valid=f8, shift=f8, intervals=(f8, MOST_INTERVALS))
@@ -373,10 +374,8 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
 def step(s: Any, c: Any, u: Any, out: Any) -> None:
     """Take one frame of intervals, or the timer of a standing engine."""
     if u.trigger == TIMER:
-        s.linked = 0
         _search(s)
         return
-    out.wake_ns = u.t_ns + c.stall_ns
     count = c.per_frame
     number = int(u.pulses) if c.fd == 1 else int(u.counter)
     if s.linked == 1:
@@ -412,7 +411,10 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
                 _search(s)
                 continue
             y = period_us(code)
+        s.stalls_ns = u.t_ns + c.stall_ns
         tooth(s, c, y, out)
+    if s.stalls_ns > u.t_ns:
+        out.wake_ns = s.stalls_ns
 
 
 MONITOR = Monitor(

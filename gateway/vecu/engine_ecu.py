@@ -53,4 +53,5 @@ def engine_frames(
             extra.append(added)
         truth += injected
     times = np.unique(np.concatenate([healthy[~gone], *extra]))
-    return tooth_frames(times, params.format, bus=bus), truth
+    on_off = 0, round(duration_s * 1e9)
+    return tooth_frames(times, params.format, bus=bus, span_ns=on_off), truth

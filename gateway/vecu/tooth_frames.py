@@ -20,6 +20,9 @@ Format = Literal["classic", "fd"]
 
 #: A frame that is not full leaves so long after its first interval began [ns].
 FLUSH_NS = 20_000_000
+#: At the latest so long after the last frame another one leaves, empty if need be [ns]: an engine that stands
+#: must not look like an ECU that is dead.
+ALIVE_NS = 100_000_000
 #: Time on the wire: 8 bytes at 500 kbit/s with typical stuffing; 64 bytes FD at 500 kbit/s / 2 Mbit/s.
 WIRE_NS = {"classic": 242_000, "fd": 354_000}
 #: Pulses between two CTW_BASE frames.
@@ -76,8 +79,27 @@ def _groups(times_ns: NDArray[np.int64], most: int) -> list[_Group]:
     return groups
 
 
+def _with_alive(groups: list[_Group], span_ns: tuple[int, int]) -> list[_Group]:
+    """Fill silences with empty groups."""
+    filled: list[_Group] = []
+    last_ns, place = span_ns[0], 0
+    for group in [*groups, _Group(-1, -1, span_ns[1])]:
+        while group.t_ns - last_ns > ALIVE_NS:
+            last_ns += ALIVE_NS
+            filled.append(_Group(place, place, last_ns))
+        if group.first >= 0:
+            filled.append(group)
+            last_ns, place = group.t_ns, group.last
+    return filled
+
+
 def tooth_frames(
-    times_ns: NDArray[np.int64], form: Format, *, bus: int = 0, wire_ns: int | None = None
+    times_ns: NDArray[np.int64],
+    form: Format,
+    *,
+    bus: int = 0,
+    span_ns: tuple[int, int] | None = None,
+    wire_ns: int | None = None,
 ) -> Frames:
     """Return the frames that carry a pulse train.
 
@@ -85,23 +107,29 @@ def tooth_frames(
         times_ns: shape (n,), pulse times, rising [ns].
         form: classic (CTW_PT4 and CTW_BASE) or fd (CTW_FD27).
         bus: index of the bus.
+        span_ns: when the sender was switched on and off [ns]; default: first to last pulse.
         wire_ns: from the last pulse to the frame's time stamp [ns].
     """
-    if len(times_ns) < 2:
-        return empty(0)
+    if span_ns is None:
+        if len(times_ns) < 2:
+            return empty(0)
+        span_ns = int(times_ns[0]), int(times_ns[-1])
     delay = WIRE_NS[form] if wire_ns is None else wire_ns
+    most = 4 if form == "classic" else 27
+    groups = _with_alive(_groups(times_ns, most), span_ns)
     if form == "classic":
-        return _classic(times_ns, bus, delay)
-    return _fd(times_ns, bus, delay)
+        return _classic(times_ns, groups, bus, delay)
+    return _fd(times_ns, groups, bus, delay)
 
 
-def _classic(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
-    codes = np.zeros(len(times_ns) - 1, np.int64)
-    encode_intervals(times_ns / 1e3, codes)
+def _classic(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int) -> Frames:
+    codes = np.zeros(max(len(times_ns) - 1, 0), np.int64)
+    if len(codes):
+        encode_intervals(times_ns / 1e3, codes)
     teeth, base = _message("CTW_PT4"), _message("CTW_BASE")
     rows: list[tuple[int, int, bytes]] = []
     bases = 0
-    for number, group in enumerate(_groups(times_ns, 4)):
+    for number, group in enumerate(groups):
         inside = list(map(int, codes[group.first : group.last]))
         values = {f"Pt{k}": code for k, code in enumerate(inside + [0] * (4 - len(inside)))}
         stamp = group.t_ns + delay
@@ -120,14 +148,13 @@ def _classic(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
     return frames[np.argsort(frames["t_ns"], kind="stable")]
 
 
-def _fd(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
+def _fd(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int) -> Frames:
     message = _message("CTW_FD27")
-    groups = _groups(times_ns, 27)
     frames = empty(len(groups))
     half_us = times_ns // 500
     for number, group in enumerate(groups):
         span = np.diff(half_us[group.first : group.last + 1])
-        longest = min(int(span.max()), LONGEST_US * 2)
+        longest = min(int(span.max(initial=0)), LONGEST_US * 2)
         shift = max(0, longest.bit_length() - 16)
         # Differences to what the receiver decodes, so that rounding does not add up.
         ends = np.rint(np.cumsum(span) / (1 << shift)).astype(np.int64)
@@ -137,7 +164,7 @@ def _fd(times_ns: NDArray[np.int64], bus: int, delay: int) -> Frames:
         values |= {
             "FrameCnt": number % 256,
             "PulseCnt": group.first % 65536,
-            "BaseTime": int(half_us[group.first]) % 2**32 * 0.5,
+            "BaseTime": int(half_us[group.first]) % 2**32 * 0.5 if len(half_us) else 0.0,
             "NValid": len(codes),
             "Shift": shift,
         }

@@ -145,6 +145,23 @@ def test_slow_teeth_leave_before_the_frame_is_full():
     assert len(frames) > 4
 
 
+@pytest.mark.parametrize("form", ["classic", "fd"])
+def test_an_engine_that_stands_is_not_a_dead_ecu(form):
+    """Frames at least every 100 ms, before the first tooth, in a stall, and after the last."""
+    times = np.concatenate(
+        [np.arange(100) * 1_000_000 + 10**9, np.arange(50) * 1_000_000 + 2 * 10**9]
+    )
+    frames = tooth_frames(times, form, span_ns=(0, 3 * 10**9))
+    frames = frames[frames["can_id"] != 0x701]
+    stamps = np.concatenate([[0], frames["t_ns"], [3 * 10**9]])
+    assert np.diff(stamps).max() <= 101_000_000
+    _got, counters, crcs = receive(frames)
+    assert all(crcs)
+    assert counters == [k % 256 for k in range(len(counters))]
+    resting = tooth_frames(np.zeros(0, np.int64), form, span_ns=(0, 10**9))
+    assert len(resting) == 9
+
+
 def test_the_bus_load_is_that_of_the_layout():
     times = tooth_times(W, [(0, 6000)], 1.0, rng=RNG(3))
     assert len(tooth_frames(times, "classic")) == pytest.approx(5800 / 4 + 100, abs=3)
