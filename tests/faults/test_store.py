@@ -240,3 +240,11 @@ def test_two_faults_with_one_dtc_are_refused():
     same = [FaultDefinition(f"a.{k}", Dtc.parse("P0300-00"), "") for k in range(2)]
     with pytest.raises(GatewayError, match=r"a\.0 has this DTC"):
         Catalogue(same)
+
+
+def test_a_commit_reaches_the_disk(tmp_path):
+    """Power loss cannot be tested here; the setting that guards against it can."""
+    store = Store(tmp_path / "f.sqlite")
+    assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert store._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    store.close()

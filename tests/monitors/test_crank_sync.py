@@ -5,12 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.engine.build import MonitorInstance, build_engine
 from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED
 from gateway.monitors.crank_sync import (
     ADDED,
     CONST,
     MISSED,
+    MONITOR,
     STATE,
     SYNC_LOST,
     TRACK,
@@ -19,6 +21,10 @@ from gateway.monitors.crank_sync import (
     tooth,
 )
 from gateway.monitors.shape import FAILED, RESULTS
+from gateway.resources import shipped
+from gateway.signals.database import load_database
+from gateway.vecu.crank import tooth_times
+from gateway.vecu.tooth_frames import tooth_frames
 
 
 def table(dtype):
@@ -163,3 +169,31 @@ def test_the_papers_threshold_alarms_about_once_a_revolution_on_a_healthy_wheel(
 def test_a_wrong_wheel_in_the_configuration_says_the_rule():
     with pytest.raises(ValueError, match="is not a wheel"):
         Params(wheel="sixty")
+
+
+@pytest.mark.parametrize("form", ["classic", "fd"])
+def test_frames_lost_on_the_bus_do_not_shift_the_labels(form):
+    """A lost frame is known by its counter; its pulses were there."""
+    w = Wheel.parse("60-2")
+    times = tooth_times(w, [(0, 1500)], 6.0, rng=np.random.default_rng(4))
+    frames = tooth_frames(times, form)
+    frames = frames[np.isin(frames["can_id"], [0x700, 0x703])]
+    lost = np.random.default_rng(6).random(len(frames)) < 0.05
+    lost[: len(frames) // 5] = lost[-1] = False
+    database = load_database([shipped("dbc/engine.dbc")])
+    engine = build_engine(
+        [(0, database)],
+        [MonitorInstance("crank", MONITOR, Params(wheel="60-2", frame=form))],
+        [],
+    )
+    failed = []
+    for frame in frames[~lost]:
+        engine.process(frame.reshape(1), lambda events: failed.extend(events["result"] == FAILED))
+    state = engine._states[0][0]
+    assert lost.sum() > 5
+    assert not any(failed)
+    # Interval k of the train is interval k % 58 of the wheel, lost frames or not.
+    sent = len(times) - 1
+    assert state["index"] == sent % w.pulses
+    assert state["unexplained"] == 0
+    assert state["revolutions"] == sent // w.pulses - 1
