@@ -38,7 +38,7 @@ carray = cast(Any, numba).carray
 COMPILED: bool = not config.DISABLE_JIT
 
 f8, i8, i4, i2, i1 = "<f8", "<i8", "<i4", "<i2", "i1"
-u8, u4, u2, u1 = "<u8", "<u4", "<u2", "u1"
+u4, u1 = "<u4", "u1"
 
 
 def record(**fields: Any) -> np.dtype[np.void]:

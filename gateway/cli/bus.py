@@ -19,4 +19,6 @@ def bus(address: str, *, duration: float | None) -> int:
         hub.serve_forever(ending)
     finally:
         hub.close()
+    facts = "  ".join(f"{name} {count}" for name, count in vars(hub.statistics).items())
+    say(f"bus: {facts}")
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
@@ -12,8 +12,6 @@ from gateway.errors import InputError, InputErrors
 from gateway.faults.dtc import Dtc
 from gateway.monitors.shape import Debounce, Fault
 from gateway.tomlfile import StrictModel
-
-Severity = Literal["no_class", "maintenance_only", "check_at_next_halt", "check_immediately"]
 
 
 def _dtc_text(text: str) -> str:
@@ -46,8 +44,6 @@ class FaultOverride(StrictModel):
     confirm_cycles: int = Field(
         1, ge=1, le=255, description="operation cycles with a failure that confirm the DTC"
     )
-    severity: Severity = Field("no_class", description="ISO 14229-1 D.3")
-    priority: int = Field(128, ge=1, le=255, description="1 is the most important")
     indicator: bool = Field(False, description="a confirmed DTC asks for the warning indicator")
     freeze_frame: tuple[str, ...] = Field(
         (), description='signals stored at a failure: "Message.Signal" or "bus.Message.Signal"'
@@ -65,8 +61,6 @@ class FaultDefinition:
         evidence: names of the evidence values of its test results.
         debounce: how its test results are counted.
         confirm_cycles: operation cycles with a failure that confirm it.
-        severity: ISO 14229-1 D.3.
-        priority: 1 is the most important.
         indicator: whether it asks for the warning indicator.
         freeze_frame: names of the signals stored at a failure.
     """
@@ -77,8 +71,6 @@ class FaultDefinition:
     evidence: tuple[str, ...] = ()
     debounce: Debounce = field(default_factory=Debounce)
     confirm_cycles: int = 1
-    severity: Severity = "no_class"
-    priority: int = 128
     indicator: bool = False
     freeze_frame: tuple[str, ...] = ()
 
@@ -110,8 +102,6 @@ def define(fault_id: str, fault: Fault, override: FaultOverride | None = None) -
         fault.evidence,
         debounce_of(fault, override),
         settings.confirm_cycles,
-        settings.severity,
-        settings.priority,
         settings.indicator,
         settings.freeze_frame,
     )
@@ -126,11 +116,10 @@ class Catalogue:
 
     def __init__(self, definitions: Iterable[FaultDefinition]) -> None:
         self._all = tuple(definitions)
-        self._by_id = {definition.id: definition for definition in self._all}
-        self._by_dtc: dict[Dtc, FaultDefinition] = {}
+        by_dtc: dict[Dtc, FaultDefinition] = {}
         wrong = []
         for definition in self._all:
-            other = self._by_dtc.setdefault(definition.dtc, definition)
+            other = by_dtc.setdefault(definition.dtc, definition)
             if other is not definition:
                 wrong.append(
                     InputError(
@@ -139,7 +128,7 @@ class Catalogue:
                         value=str(definition.dtc),
                     )
                 )
-        if len(self._by_id) != len(self._all):
+        if len({definition.id for definition in self._all}) != len(self._all):
             wrong.append(InputError("two faults have one id"))
         if wrong:
             raise InputErrors(wrong)
@@ -152,11 +141,3 @@ class Catalogue:
 
     def __getitem__(self, index: int) -> FaultDefinition:
         return self._all[index]
-
-    def by_id(self, fault_id: str) -> FaultDefinition | None:
-        """Return a fault by its id."""
-        return self._by_id.get(fault_id)
-
-    def by_dtc(self, dtc: Dtc) -> FaultDefinition | None:
-        """Return a fault by its DTC."""
-        return self._by_dtc.get(dtc)

@@ -21,8 +21,6 @@ from gateway.monitors.shape import Debounce, Fault, MonitorParams
 from gateway.signals.crc import crc8
 from gateway.tomlfile import StrictModel
 
-TYPE = "communication"
-
 TIMEOUT, COUNTER, CRC, LENGTH = range(4)
 
 #: Verdict on a frame: its data may be used.

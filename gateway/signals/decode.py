@@ -11,9 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames
 from gateway.jit import f8, i2, i4, kernel, record, u1, u4
 
 OK, TOO_SHORT, UNKNOWN_MUX = 0, 1, 2
@@ -44,11 +42,6 @@ SIGNAL = record(
 MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, bus=u1)
 
 _PGN = np.uint64(1 << 40)  # marks keys that match by PGN
-
-
-def as_words(frames: Frames) -> NDArray[np.uint64]:
-    """Return the payloads of a batch as little-endian 64-bit words: a view, shape (n, 8)."""
-    return frames["data"].view("<u8")
 
 
 @kernel

@@ -17,7 +17,7 @@ from cantools.database.errors import DecodeError
 from gateway.bus.frames import empty, put
 from gateway.errors import InputError
 from gateway.signals.database import load_database
-from gateway.signals.decode import OK, as_words, decode
+from gateway.signals.decode import OK, decode
 from gateway.signals.tables import SignalRef, compile_plan
 
 SEED = 20260
@@ -126,7 +126,7 @@ def compare(database, message, rng):
         body = rng.randbytes(min(size, 64))
         put(frames, 0, 0, message.frame_id, body)
         status = decode(
-            as_words(frames)[0],
+            frames["data"].view("<u8")[0],
             len(body),
             0,
             plan.messages,

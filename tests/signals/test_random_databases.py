@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, as_words, commit, decode, lookup
+from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
 from gateway.signals.tables import SignalRef, compile_plan
 
 scales = st.one_of(
@@ -125,7 +125,7 @@ def test_decoding_equals_cantools(message, data):
     assert lookup(plan.keys, plan.rows, 3, can_id ^ EXTENDED) == -1
     values = np.zeros(plan.max_signals + 1)
     present = np.zeros(plan.max_signals + 1, np.uint8)
-    words = as_words(frames)[1]
+    words = frames["data"].view("<u8")[1]
     status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
     try:
         expected = message.decode(body, decode_choices=False)
@@ -164,7 +164,7 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
         present = np.zeros(plan.max_signals + 1, np.uint8)
         mailbox = np.full(plan.n_slots + 1, np.nan)
         status = decode(
-            as_words(frames)[0],
+            frames["data"].view("<u8")[0],
             len(body),
             0,
             plan.messages,
