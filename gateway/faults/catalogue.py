@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from gateway.errors import InputError, InputErrors
-from gateway.faults.dtc import Dtc
+from gateway.faults.dtc import ALL_DTCS, NO_DTC, Dtc
 from gateway.monitors.shape import Debounce, Fault
 from gateway.tomlfile import StrictModel
 
@@ -111,14 +111,28 @@ class Catalogue:
     """The faults of a gateway, in the engine's order.
 
     Raises:
-        InputErrors: two faults with one id or one DTC; names both.
+        InputErrors: two faults with one id or one DTC, or a code that stands for none or all DTCs.
     """
 
     def __init__(self, definitions: Iterable[FaultDefinition]) -> None:
         self._all = tuple(definitions)
         by_dtc: dict[Dtc, FaultDefinition] = {}
+        ids: set[str] = set()
         wrong = []
         for definition in self._all:
+            if definition.id in ids:
+                wrong.append(
+                    InputError("two faults have this id", key="fault", value=definition.id)
+                )
+            ids.add(definition.id)
+            if definition.dtc.value in (NO_DTC, ALL_DTCS):
+                wrong.append(
+                    InputError(
+                        "this code stands for no DTC or for all of them; take another",
+                        key=f'fault."{definition.id}".dtc',
+                        value=str(definition.dtc),
+                    )
+                )
             other = by_dtc.setdefault(definition.dtc, definition)
             if other is not definition:
                 wrong.append(
@@ -128,8 +142,6 @@ class Catalogue:
                         value=str(definition.dtc),
                     )
                 )
-        if len({definition.id for definition in self._all}) != len(self._all):
-            wrong.append(InputError("two faults have one id"))
         if wrong:
             raise InputErrors(wrong)
 

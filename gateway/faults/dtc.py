@@ -10,6 +10,11 @@ from gateway.errors import InputError
 _TEXT = re.compile(r"([PCBU])([0-3])([0-9A-F]{3})(?:-([0-9A-F]{2}))?")
 _LETTERS = "PCBU"
 
+#: Stands for "no DTC" in the all-clear form of the DTC frame.
+NO_DTC = 0x000000
+#: The group of all DTCs (ISO 14229-1, 0x14).
+ALL_DTCS = 0xFFFFFF
+
 
 @dataclass(frozen=True, order=True)
 class Dtc:

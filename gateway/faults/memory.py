@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
-from gateway.faults.dtc import Dtc
+from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.status import CLEARED, NOT_COMPLETED, Status
 from gateway.faults.store import Cycle, FreezeFrame, Record, Store
 
-#: The group of all DTCs (ISO 14229-1, 0x14).
-ALL_DTCS = 0xFFFFFF
 #: The occurrence counter stops here.
 MOST_OCCURRENCES = 255
 FIRST_FAILURE, LATEST_FAILURE = 1, 2
@@ -193,16 +191,26 @@ class FaultMemory:
         record.freeze_frames[number] = FreezeFrame(number, t_ns, content)
 
     def commit(self) -> None:
-        """Make all changes durable; returns when they are."""
+        """Make all changes durable; returns when they are.
+
+        Raises:
+            GatewayError: they could not be written; a later commit tries them again.
+        """
         if self._dirty or self._cycle_changed or self._answers:
-            self._store.save(
-                [self._records[name] for name in sorted(self._dirty)],
-                self._cycle if self._cycle_changed else None,
-                self._answers,
-            )
-            self._dirty.clear()
-            self._cycle_changed = False
-            self._answers.clear()
+            self._save()
+            self._saved()
+
+    def _save(self) -> None:
+        self._store.save(
+            [self._records[name] for name in sorted(self._dirty)],
+            self._cycle if self._cycle_changed else None,
+            self._answers,
+        )
+
+    def _saved(self) -> None:
+        self._dirty.clear()
+        self._cycle_changed = False
+        self._answers.clear()
 
     def clear(self, group: int = ALL_DTCS) -> list[str]:
         """Clear one DTC, or all (ISO 14229-1, 0x14); durable on return.
@@ -231,20 +239,26 @@ class FaultMemory:
         if not self._asked():
             return []
         cleared: list[str] = []
-        for request, kind, argument in self._store.requests():
-            done = 0
-            if kind == "clear":
-                group = int(argument)
-                done = sum(group in (ALL_DTCS, entry.dtc.value) for entry in self.entries())
-                cleared += self._clear(group)
-            self._answers[request] = done
-        self.commit()
+        with self._store.transaction():  # nobody can withdraw a request that is being done
+            for request, kind, argument in self._store.requests():
+                done = 0
+                if kind == "clear":
+                    group = int(argument)
+                    done = sum(group in (ALL_DTCS, entry.dtc.value) for entry in self.entries())
+                    cleared += self._clear(group)
+                self._answers[request] = done
+            self._save()
+        self._saved()
         return cleared
 
     def entries(self) -> list[Entry]:
         """Return every DTC that has failed since it was cleared, in order of DTC."""
         found = [entry_of(r) for r in self._records.values() if r.occurrence > 0]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
+
+    def entry(self, fault: str) -> Entry:
+        """Return what is known of one fault, also when it has not failed since it was cleared."""
+        return entry_of(self._records[fault])
 
     def by_status_mask(self, mask: int) -> list[Entry]:
         """Return the entries with any of the mask's bits set."""

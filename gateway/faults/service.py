@@ -8,10 +8,11 @@ from typing import Any
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
-from gateway.faults.dtc import Dtc
-from gateway.faults.memory import ALL_DTCS, Entry, FaultMemory, entry_of
+from gateway.faults.dtc import ALL_DTCS, Dtc
+from gateway.faults.lock import InUseError
+from gateway.faults.memory import Entry, FaultMemory, entry_of
 from gateway.faults.status import Status
-from gateway.faults.store import Store, has_writer
+from gateway.faults.store import Store
 
 
 def as_dict(entry: Entry) -> dict[str, Any]:
@@ -72,31 +73,45 @@ def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int
         how many entries were cleared.
 
     Raises:
-        InputError: there is no fault memory, or ``dtc`` is none.
+        InputError: there is no fault memory, or ``dtc`` is not one DTC.
         GatewayError: the daemon did not answer; nothing was cleared.
     """
-    group = ALL_DTCS if dtc is None else Dtc.parse(dtc).value
+    group = ALL_DTCS if dtc is None else _one(dtc)
     if not path.exists():
         raise InputError("there is no fault memory here", file=path)
-    if not has_writer(path):
+    try:
         store = Store(path)
-        try:
-            memory = FaultMemory(Catalogue(()), store)
-            count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
-            memory.clear(group)
-            return count
-        finally:
-            store.close()
+    except InUseError:
+        return _ask_writer(path, group, patience_s)
+    try:
+        memory = FaultMemory(Catalogue(()), store)
+        count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
+        memory.clear(group)
+        return count
+    finally:
+        store.close()
+
+
+def _one(text: str) -> int:
+    """Read the DTC of a clear; by its number the group of all would be taken for one."""
+    value = Dtc.parse(text).value
+    if value == ALL_DTCS:
+        raise InputError("this is the group of all DTCs; name none to clear all", value=text)
+    return value
+
+
+def _ask_writer(path: Path, group: int, patience_s: float) -> int:
     store = Store(path, write=False)
     try:
         request = store.request("clear", str(group))
         limit = time.monotonic() + patience_s
-        while (answer := store.answer(request)) is None:
-            if time.monotonic() > limit:
-                store.withdraw(request)
-                raise GatewayError(f"{path}: the gateway that keeps this memory does not answer")
-            time.sleep(0.02)
-        store.withdraw(request)
-        return answer
+        try:
+            while store.answer(request) is None and time.monotonic() < limit:
+                time.sleep(0.02)
+        finally:  # also at Ctrl-C: what nobody waits for is not done later
+            answer = store.withdraw(request)
     finally:
         store.close()
+    if answer is None:
+        raise GatewayError(f"{path}: the gateway that keeps this memory does not answer")
+    return answer

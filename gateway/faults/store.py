@@ -6,45 +6,19 @@ power loss. Other processes may read at any time; to clear they ask the writer t
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gateway.errors import InputError
+from gateway.errors import GatewayError, InputError
+from gateway.faults.lock import take_lock
+from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 
-#: "GWFM": marks the file as a fault memory.
-_APPLICATION_ID = 0x4757464D
 _MAGIC = b"SQLite format 3\0"
-
-_FIRST = """
-CREATE TABLE fault (
-    id TEXT PRIMARY KEY,
-    dtc INTEGER NOT NULL,
-    status INTEGER NOT NULL,
-    failed_cycles INTEGER NOT NULL,
-    occurrence INTEGER NOT NULL,
-    first_ns INTEGER,
-    last_ns INTEGER,
-    evidence TEXT NOT NULL
-);
-CREATE TABLE freeze_frame (
-    fault TEXT NOT NULL REFERENCES fault (id),
-    number INTEGER NOT NULL,
-    t_ns INTEGER NOT NULL,
-    content TEXT NOT NULL,
-    PRIMARY KEY (fault, number)
-);
-CREATE TABLE cycle (number INTEGER NOT NULL, open INTEGER NOT NULL, t_ns INTEGER NOT NULL);
-INSERT INTO cycle VALUES (0, 0, 0);
-CREATE TABLE request (id INTEGER PRIMARY KEY, kind TEXT NOT NULL, argument TEXT NOT NULL, done INTEGER);
-"""
-
-#: Scripts that bring a file from version k to k + 1.
-_MIGRATIONS = (_FIRST,)
 
 
 @dataclass
@@ -88,8 +62,9 @@ class Store:
         write: False opens an existing file for reading beside its writer.
 
     Raises:
-        InputError: the file is missing (reading), is not a fault memory, is of a later version, or has
-            a writer already.
+        InputError: the file is missing (reading), is not a fault memory or a damaged one, or is of a later
+            version.
+        InUseError: it has a writer already.
     """
 
     def __init__(self, path: Path | None, *, write: bool = True) -> None:
@@ -102,7 +77,7 @@ class Store:
         try:
             if path is not None and write:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._lock = _take_lock(path)
+                self._lock = take_lock(path)
             self._db = sqlite3.connect(
                 ":memory:" if path is None else path, isolation_level=None, timeout=10.0
             )
@@ -125,25 +100,34 @@ class Store:
         version = int(self._db.execute("PRAGMA user_version").fetchone()[0])
         mark = int(self._db.execute("PRAGMA application_id").fetchone()[0])
         tables = int(self._db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0])
-        if tables and mark != _APPLICATION_ID:
+        if tables and mark != APPLICATION_ID:
             raise InputError("this is another program's database", file=self.path)
-        if version > len(_MIGRATIONS):
+        if version > len(MIGRATIONS):
             raise InputError(
-                f"written by a later gateway: version {version}, this one knows {len(_MIGRATIONS)}",
+                f"written by a later gateway: version {version}, this one knows {len(MIGRATIONS)}",
                 file=self.path,
             )
         if not write:
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
             return
+        self._refuse_damaged()
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute("PRAGMA foreign_keys = ON")
-        for k in range(version, len(_MIGRATIONS)):
+        for k in range(version, len(MIGRATIONS)):
             self._db.executescript(
-                f"BEGIN IMMEDIATE; PRAGMA application_id = {_APPLICATION_ID};"
-                f"{_MIGRATIONS[k]} PRAGMA user_version = {k + 1}; COMMIT;"
+                f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
+                f"{MIGRATIONS[k]} PRAGMA user_version = {k + 1}; COMMIT;"
             )
+        # Whoever asked a writer that is gone has been told that nothing was done.
+        self._db.execute("DELETE FROM request")
+
+    def _refuse_damaged(self) -> None:
+        """Refuse now what would otherwise fail at a later commit."""
+        found = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if found != "ok":
+            raise InputError(f"a damaged fault memory: {found}", file=self.path)
 
     def close(self) -> None:
         """Close the file."""
@@ -155,8 +139,44 @@ class Store:
             os.close(self._lock)
             self._lock = None
 
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """One transaction, durable at its end; inside another one, a part of that.
+
+        Raises:
+            GatewayError: it could not be written (disk full, file system gone); nothing of it was.
+        """
+        nested = self._db.in_transaction
+        if nested:
+            yield
+            return
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            yield
+            self._db.execute("COMMIT")
+        except BaseException as error:
+            if self._db.in_transaction:  # SQLite has rolled back already when the disk is full
+                self._db.execute("ROLLBACK")
+            if isinstance(error, sqlite3.Error):
+                raise GatewayError(f"{self.path}: fault memory not written: {error}") from error
+            raise
+
     def load(self) -> list[Record]:
-        """Return all records, in order of their DTCs."""
+        """Return all records, in order of their DTCs, as of one commit of the writer.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        try:
+            self._db.execute("BEGIN")  # else a commit could fall between records and freeze frames
+            try:
+                return self._load()
+            finally:
+                self._db.execute("ROLLBACK")
+        except (sqlite3.Error, ValueError) as error:
+            raise InputError(f"a damaged fault memory: {error}", file=self.path) from error
+
+    def _load(self) -> list[Record]:
         records = {
             row[0]: Record(
                 id=row[0],
@@ -192,8 +212,7 @@ class Store:
         answered: dict[int, int] | None = None,
     ) -> None:
         """Write records, and the cycle and answered requests, in one transaction; durable on return."""
-        self._db.execute("BEGIN IMMEDIATE")
-        try:
+        with self.transaction():
             for r in records:
                 self._db.execute(
                     "INSERT INTO fault VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
@@ -227,10 +246,6 @@ class Store:
                 )
             for request, done in (answered or {}).items():
                 self._db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
-            self._db.execute("COMMIT")
-        except BaseException:
-            self._db.execute("ROLLBACK")
-            raise
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""
@@ -242,9 +257,10 @@ class Store:
 
     def request(self, kind: str, argument: str) -> int:
         """Ask the writer for something; returns the request's id."""
-        cursor = self._db.execute(
-            "INSERT INTO request (kind, argument) VALUES (?, ?)", (kind, argument)
-        )
+        with self.transaction():
+            cursor = self._db.execute(
+                "INSERT INTO request (kind, argument) VALUES (?, ?)", (kind, argument)
+            )
         return int(cursor.lastrowid or 0)
 
     def answer(self, request: int) -> int | None:
@@ -252,9 +268,12 @@ class Store:
         row = self._db.execute("SELECT done FROM request WHERE id = ?", (request,)).fetchone()
         return None if row is None else row[0]
 
-    def withdraw(self, request: int) -> None:
-        """Take a request back, or forget one that was answered."""
-        self._db.execute("DELETE FROM request WHERE id = ?", (request,))
+    def withdraw(self, request: int) -> int | None:
+        """Take a request back; returns the answer if the writer was faster, else it is never done."""
+        with self.transaction():
+            answer = self.answer(request)
+            self._db.execute("DELETE FROM request WHERE id = ?", (request,))
+        return answer
 
     def watch(self) -> Callable[[], bool]:
         """Return a cheap test of whether another process has written since the last call."""
@@ -279,25 +298,3 @@ def _refuse_foreign(path: Path) -> None:
         raise InputError(error.strerror or str(error), file=path) from error
     if head and head != _MAGIC:
         raise InputError("not usable as a fault memory: it is no SQLite file", file=path)
-
-
-def _take_lock(path: Path) -> int:
-    """Become the only writer; the kernel gives the lock up when this process ends, however it ends."""
-    lock = os.open(f"{path}-lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(lock)
-        raise InputError(
-            "another gateway keeps this fault memory; stop it, or give this one its own", file=path
-        ) from error
-    return lock
-
-
-def has_writer(path: Path) -> bool:
-    """Tell whether a process keeps this fault memory."""
-    try:
-        os.close(_take_lock(path))
-    except InputError:
-        return True
-    return False

@@ -25,12 +25,17 @@ class DtcFrameParams(StrictModel):
     """Settings of the DTC frame."""
 
     bus: str | None = Field(None, description="name of the bus it is sent on")
-    cycle_ms: float = Field(1000.0, ge=10, description="time between two cyclic lists [ms]")
+    cycle_ms: float = Field(
+        1000.0, ge=10, allow_inf_nan=False, description="time between two cyclic lists [ms]"
+    )
     status_mask: int = Field(
         0x0D, ge=1, le=0xFF, description="DTCs with any of these status bits are in the list"
     )
     min_interval_ms: float = Field(
-        10.0, ge=0, description="least time between two change frames of one DTC [ms]"
+        10.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="least time between two change frames of one DTC [ms]",
     )
 
 
@@ -117,16 +122,20 @@ class DtcFrameOutput:
             name = change.definition.id
             del self._held[name]
             self._sent_ns[name] = t_ns
+            # A change that had to wait may be outdated by a clear or a new operation cycle.
+            entry = memory.entry(name)
+            current = entry.status == change.new_status
+            fdc = change.fdc if current else self._counter_of(name)
             self._put(
                 frames,
                 k,
                 t_ns,
-                change.dtc.value,
-                int(change.new_status),
-                change.fdc,
+                entry.dtc.value,
+                int(entry.status),
+                fdc,
                 0,
                 count,
-                change.occurrence,
+                entry.occurrence,
             )
         return frames
 

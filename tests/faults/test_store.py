@@ -248,3 +248,68 @@ def test_a_commit_reaches_the_disk(tmp_path):
     assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)
     assert store._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     store.close()
+
+
+def test_codes_that_stand_for_none_or_all_dtcs_are_refused():
+    for text in ("P0000-00", "U3FFF-FF"):
+        with pytest.raises(GatewayError, match="stands for no DTC or for all"):
+            Catalogue([FaultDefinition("a.b", Dtc.parse(text), "")])
+    with pytest.raises(GatewayError, match="two faults have this id"):
+        Catalogue([FaultDefinition("a.b", Dtc.parse(f"P030{k}-00"), "") for k in range(2)])
+
+
+def test_what_a_dead_client_asked_is_not_done_after_a_restart(tmp_path):
+    path = tmp_path / "f.sqlite"
+    store = Store(path)
+    memory = FaultMemory(catalogue(), store)
+    memory.apply(event(0, True), lambda d: {})
+    memory.commit()
+    asking = Store(path, write=False)
+    asking.request("clear", "16777215")
+    asking.close()
+    store.close()
+    again = FaultMemory(catalogue(), Store(path))
+    assert again.serve_requests() == []
+    assert [entry.fault for entry in again.entries()] == ["m.f0"]
+
+
+def test_a_reader_sees_records_and_freeze_frames_of_one_commit(tmp_path):
+    """Record and freeze frame are written together; a reader between its two queries must not mix them."""
+    path = tmp_path / "f.sqlite"
+    store = Store(path)
+    memory = FaultMemory(catalogue(), store)
+    memory.apply(event(0, True, 1), lambda d: {"s": 1.0})
+    memory.commit()
+    reader = Store(path, write=False)
+
+    def fail_in_between(statement):
+        if "freeze_frame" in statement and len(written) == 0:
+            written.append(statement)
+            memory.apply(event(1, True, 2), lambda d: {"s": 2.0})
+            memory.commit()
+
+    written = []
+    reader._db.set_trace_callback(fail_in_between)
+    seen = reader.load()
+    assert written, "the writer committed between the reader's queries"
+    assert [(r.id, len(r.freeze_frames)) for r in seen if r.occurrence] == [("m.f0", 1)]
+    assert [r.id for r in reader.load() if r.occurrence] == ["m.f0", "m.f1"]
+    reader.close()
+    store.close()
+
+
+def test_a_file_damaged_inside_is_one_clear_error(tmp_path):
+    path = tmp_path / "f.sqlite"
+    store = Store(path)
+    memory = FaultMemory(catalogue(), store)
+    memory.apply(event(0, True, 1), lambda d: {"s": 1.0})
+    memory.commit()
+    store.close()
+    content = bytearray(path.read_bytes())
+    for k in range(4096, len(content), 64):
+        content[k : k + 32] = b"\xa5" * 32
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"f\.sqlite"):
+        Store(path)
+    with pytest.raises(InputError, match=r"f\.sqlite"):
+        service.list_entries(path)

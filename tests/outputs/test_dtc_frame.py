@@ -96,3 +96,16 @@ def test_what_we_read_back_is_what_was_sent(memory):
     )
     frames[0]["can_id"] = 0x6F1
     assert read_dtc_frame(frames[0], DBC) is None
+
+
+def test_a_change_that_waited_tells_what_is_true_when_it_is_sent(memory):
+    made = output(min_interval_ms=10.0)
+    for t, failed in ((0, True), (1, False), (2, True)):
+        made.on_changes(memory.apply(event(0, failed, t * MS), lambda d: {}), memory, t * MS)
+    memory.clear()
+    (values,) = decoded(made.on_changes([], memory, 20 * MS))
+    assert (values["Status"], values["Occurrence"], values["FaultDetectionCounter"]) == (
+        int(memory.status("m.f0")),
+        0,
+        -5,
+    )
