@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cantools.database.can import Message
 
-from gateway.bus.frames import Frames, empty
-from gateway.config import Config, monitor_of
+from gateway.bus.frames import Frames
+from gateway.config import Config, MonitorConfig, monitor_of
 from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
 from gateway.engine.core import Engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
@@ -22,7 +23,7 @@ from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, FaultDefinition, debounce_of, define
 from gateway.faults.memory import DtcChange, FaultMemory
 from gateway.faults.store import Store
-from gateway.monitors.shape import FAILED, PASSED
+from gateway.monitors.shape import FAILED, PASSED, Monitor
 from gateway.outputs.dtc_frame import DtcFrameOutput, message_of
 from gateway.resources import shipped
 from gateway.signals.database import Database, load_database
@@ -31,7 +32,6 @@ from gateway.signals.tables import SignalRef
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
 
-_NOTHING = empty(0)
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 
@@ -134,13 +134,11 @@ class Gateway:
 
         What the returned frames say is in the fault memory before they are returned.
         """
-        self.engine.process(frames, self._on_events)
-        return self._outputs()
+        return self._outputs(self.engine.process(frames, self._on_events))
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
-        self.engine.advance(t_ns, self._on_events)
-        return self._outputs()
+        return self._outputs(self.engine.advance(t_ns, self._on_events))
 
     @property
     def dtc_frame_id(self) -> int:
@@ -167,18 +165,20 @@ class Gateway:
             if not told:
                 self._tell(self._monitor_event(event))
 
-    def _outputs(self) -> Frames:
+    def _outputs(self, sent: Frames) -> Frames:
+        """Return the frames to send: the monitors' own, then what the fault memory has to say."""
         if self._uncommitted:
             self.memory.commit()
             self._uncommitted = False
         changes, self._changes = self._changes, []
         if self._dtc_frame is None:
-            return _NOTHING
+            return sent
         now = self.engine.now_ns
         if not self._dtc_frame.due(changes, now):
-            return _NOTHING
+            return sent
         return np.concatenate(
             [
+                sent,
                 self._dtc_frame.on_changes(changes, self.memory, now),
                 self._dtc_frame.on_time(now, self.memory),
             ]
@@ -254,6 +254,22 @@ def _frozen_refs(
     return found
 
 
+def _emission(entry: MonitorConfig, monitor: Monitor, database: Database) -> Message:
+    """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
+
+    Raises:
+        InputError: the monitor has nothing to send, or its message is nowhere.
+    """
+    key = f'monitor "{entry.name}".send'
+    if monitor.emission is None:
+        raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
+    name = monitor.emission.message
+    for known in (database, load_database([shipped("dbc/gateway.dbc")])):
+        if any(message.name == name for message in known):
+            return known.message(name)
+    raise InputError(f"no database has the message {name}", key=key)
+
+
 def events_of(event: np.void) -> Events:
     """Return one event as an array of one."""
     return np.asarray([event], dtype=event.dtype)
@@ -266,14 +282,16 @@ def _assemble(
     monitors = []
     for entry in config.monitor:
         monitor, params = monitor_of(entry)
+        bus = config.bus_index(entry.bus)
         monitors.append(
             MonitorInstance(
                 entry.name,
                 monitor,
                 params,
-                config.bus_index(entry.bus),
+                bus,
                 entry.priority,
                 entry.signals,
+                _emission(entry, monitor, dict(databases)[bus]) if entry.send else None,
             )
         )
     checks = [

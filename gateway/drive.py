@@ -92,7 +92,8 @@ def drive(
                 for index, bus in enumerate(ours):
                     mine = sent[sent["bus"] == index]
                     bus.send(mine)
-                    for frame in collect(testers[index], len(mine)):
+                    dtc = mine["can_id"] == gateway.dtc_frame_id
+                    for frame in collect(testers[index], int(dtc.sum())):
                         report = read_dtc_frame(frame, database)
                         if report is None:
                             continue

@@ -99,7 +99,7 @@ def test_the_json_contract_of_events():
     first = dtcs[0]
     assert (first["fault"], first["dtc"], first["status"]) == ("crank.missed_pulse", "P0336-29", 47)
     assert (first["fdc"], first["bus"], first["occurrence"]) == (127, "powertrain", 1)
-    assert {"value", "threshold", "count", "tooth", "r0"} <= set(first["evidence"])
+    assert {"value", "threshold", "count", "tooth", "residual 5 [pitch]"} <= set(first["evidence"])
     assert [event["status"] for event in dtcs] == [0x2F, 0x2E]
     assert {event["event"] for event in events} == {"dtc", "monitor"}
     assert summary["event"] == "summary"

@@ -76,9 +76,9 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
             f"  status 0x{report.status:02X} = {status_text(report.status)}"
         )
 
-    def on_step(t_ns: int) -> None:
-        nonlocal shown_s
-        while truth and truth[0].t_ns <= t_ns:
+    def on_frames(frames: Frames) -> None:
+        """Tell what was injected before the gateway can have seen it."""
+        while truth and len(frames) and truth[0].t_ns <= frames["t_ns"][-1]:
             fact = truth.pop(0)
             if not json:
                 tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
@@ -86,6 +86,9 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
                     f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]:"
                     f" {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
                 )
+
+    def on_step(t_ns: int) -> None:
+        nonlocal shown_s
         if not json and t_ns // 10**9 > shown_s:
             shown_s = t_ns // 10**9
             for name, values in gateway.engine.readout().items():
@@ -95,7 +98,14 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
             time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
 
     try:
-        drive(gateway, player, judge=judge, on_report=on_report, on_step=on_step)
+        drive(
+            gateway,
+            player,
+            judge=judge,
+            on_frames=on_frames,
+            on_report=on_report,
+            on_step=on_step,
+        )
         printer(gateway.summary(time.monotonic() - begun))
     finally:
         gateway.close()

@@ -7,9 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from cantools.database.can import Message
 
+from gateway.engine import emission
 from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.debounce import DEBOUNCE, configure
+from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT
 from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
 from gateway.errors import InputError
@@ -26,6 +29,7 @@ class MonitorInstance:
     """A configured monitor: its name, type, parameters, bus, and place in the order of priority.
 
     ``signals`` maps a default ``"Message.Signal"`` to the user's own; ``priority`` 0 steps first.
+    ``emission`` is the message its results are sent in; None: they are not sent.
     """
 
     name: str
@@ -34,6 +38,7 @@ class MonitorInstance:
     bus: int = 0
     priority: int = 0
     signals: Mapping[str, str] = field(default_factory=dict)
+    emission: Message | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def build_engine(
     wirings = [_wire(m, by_bus[m.bus]) for m in monitors]
     wanted: set[SignalRef] = set(extra)
     watched: set[tuple[int, str]] = set()
-    for m, (triggers, references) in zip(monitors, wirings, strict=True):
+    for m, (triggers, references, _) in zip(monitors, wirings, strict=True):
         wanted.update(SignalRef(m.bus, *reference) for reference in references)
         watched.update((m.bus, name) for name in triggers)
     for check in checks:
@@ -98,15 +103,17 @@ def build_engine(
     sources: list[int] = []
     triggered: dict[int, list[int]] = {}
     states, consts = [], []
+    emitted: list[Emitted] = []
     cells = 0
-    for k, (m, (triggers, references)) in enumerate(zip(monitors, wirings, strict=True)):
+    for k, (m, (triggers, references, optional)) in enumerate(zip(monitors, wirings, strict=True)):
         h = handlers[k]
         state, const = table(1, m.monitor.state), table(1, m.monitor.const)
         m.monitor.prepare(m.params, state[0], const[0])
         states.append(state)
         consts.append(const)
         own = [plan.slot(m.bus, *reference) for reference in references]
-        rows = sorted({int(plan.slot_message[slot]) for slot in own})
+        waived = {plan.message(m.bus, name) for name in optional}
+        rows = sorted({int(plan.slot_message[slot]) for slot in own} - waived)
         h["entry"] = m.monitor.entry
         h["state"], h["const"] = state.ctypes.data, const.ctypes.data
         h["inputs"] = cells
@@ -115,6 +122,10 @@ def build_engine(
         h["fault"], h["faults"] = len(faults), len(m.monitor.faults)
         h["bus"] = m.bus
         h["wake_ns"] = NEVER
+        h["emit"] = -1
+        if m.emission is not None and m.monitor.emission is not None:
+            h["emit"] = len(emitted)
+            emitted.append(Emitted(m.monitor.emission, m.emission, m.bus))
         slots += own
         sources += rows
         cells += m.monitor.inputs.itemsize // 8
@@ -137,6 +148,11 @@ def build_engine(
         asked = slot.fault.debounce if debounce is None else debounce(slot.id, slot.fault)
         configure(debounces[k], asked)
         debounces[k]["bus"] = slot.bus
+    known = set(plan.message_names)
+    emits, emit_signals = emission.prepare(
+        emitted, [(entry.bus, entry.message.name) in known for entry in emitted]
+    )
+    outbox, outbox_cells = emission.outbox()
     out = table(1, RESULTS)
     clock = table(1, CLOCK)
     clock[0]["deadline_ns"] = NEVER
@@ -161,14 +177,20 @@ def build_engine(
         debounces,
         out,
         np.asarray([out.ctypes.data], np.int64),
+        emits,
+        emit_signals,
+        outbox,
+        outbox_cells,
         table(ring, EVENT),
         clock,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
 
 
-def _wire(m: MonitorInstance, database: Database) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return the triggers and the (message, signal) inputs of a monitor, as the user names them."""
+def _wire(
+    m: MonitorInstance, database: Database
+) -> tuple[list[str], list[tuple[str, str]], list[str]]:
+    """Return a monitor's triggers, (message, signal) inputs and optional messages, as the user names them."""
     wiring = m.monitor.wire(m.params)
     references = [_split(m.signals.get(name, name)) for name in wiring.signals]
     renamed = {
@@ -183,7 +205,7 @@ def _wire(m: MonitorInstance, database: Database) -> tuple[list[str], list[tuple
             database.signal(*reference)
     except InputError as error:
         raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
-    return triggers, references
+    return triggers, references, [renamed.get(name, name) for name in wiring.optional]
 
 
 def _check_signals(check: CheckInstance, database: Database) -> list[SignalRef]:

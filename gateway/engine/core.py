@@ -64,8 +64,8 @@ class Engine:
         """Time of the latest frame or :meth:`advance` [ns]."""
         return int(self.tables.clock[0]["now_ns"])
 
-    def process(self, frames: Frames, sink: Sink) -> None:
-        """Feed a batch of frames, in order.
+    def process(self, frames: Frames, sink: Sink) -> Frames:
+        """Feed a batch of frames, in order; returns what the monitors send.
 
         Args:
             frames: shape (n,) of FRAME.
@@ -75,12 +75,16 @@ class Engine:
             frames = frames.copy()  # the loop is compiled for one kind of array
         cells = frames.view("<u8").reshape(len(frames), _CELLS)
         start, count = 0, len(frames)
+        sent = []
         while start < count:
             start = loop.run(self.tables, frames, cells, start, NEVER)
             self._drain(sink)
+            if self.tables.clock[0]["sent"]:
+                sent.append(self._sent())
+        return np.concatenate(sent) if sent else _NO_FRAMES
 
-    def advance(self, t_ns: int, sink: Sink) -> None:
-        """Let time pass without a frame, so that timers can run.
+    def advance(self, t_ns: int, sink: Sink) -> Frames:
+        """Let time pass without a frame, so that timers can run; returns what the monitors send.
 
         Args:
             t_ns: the new time; frames that arrive later with an earlier stamp count as late.
@@ -88,6 +92,7 @@ class Engine:
         """
         loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, t_ns)
         self._drain(sink)
+        return self._sent()
 
     def _drain(self, sink: Sink) -> None:
         clock = self.tables.clock[0]
@@ -95,6 +100,19 @@ class Engine:
         if count:
             clock["events"] = 0
             sink(self.tables.ring[:count])
+
+    def _sent(self) -> Frames:
+        """Take the frames that monitors have sent since the last call."""
+        clock = self.tables.clock[0]
+        first, last = int(clock["taken"]), int(clock["sent"])
+        if first == last:
+            return _NO_FRAMES
+        frames = np.asarray(self.tables.outbox[first:last]).copy()
+        frames["reserved"] = 0
+        clock["taken"] = last
+        if clock["fed"] == last:  # else the next pass has them to handle still
+            clock["sent"] = clock["fed"] = clock["taken"] = 0
+        return frames
 
     def value(self, slot: int) -> float:
         """Return the last value of a mailbox slot, NaN before the first."""
@@ -117,7 +135,7 @@ class Engine:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
-        hidden = {"now_ns", "deadline_ns", "started", "stop", "events"}
+        hidden = {"now_ns", "deadline_ns", "started", "stop", "events", "sent", "fed", "taken"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def readout(self) -> dict[str, dict[str, float]]:

@@ -6,6 +6,9 @@ table; decode; communication check; mailbox; the kernels that the message trigge
 The loop is left after any frame (and before any frame, for timers) that qualified a verdict, so that
 Python finds the mailbox as it was at that very event; it is entered again at the next frame. Batch
 boundaries therefore never change a result, and live equals replay.
+
+A message that a monitor sends is made here too, and goes to the other monitors like a frame that was
+received at that moment.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.engine.debounce import count, fault_detection_counter
+from gateway.engine.emission import emit
 from gateway.engine.events import RESULT_CHANGED
 from gateway.engine.tables import NEVER, Tables, borrowed
 from gateway.jit import borrow, call_entry, kernel
@@ -113,6 +117,7 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     out.n = 0
     out.overflow = 0
     out.wake_ns = 0
+    out.send = 0
     call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0])
     h.steps += 1
     h.tested = 1
@@ -120,6 +125,8 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     clock = T.clock[0]
     clock.deadline_ns = min(clock.deadline_ns, h.wake_ns)
     clock.results_lost += out.overflow
+    if out.send == 1 and h.emit >= 0:
+        emit(T, t_ns, T.emits[h.emit])
     for k in range(out.n):
         r = out.results[k]
         place = tested(T, t_ns, h.fault + r.fault, r.result == FAILED, r.value, r.threshold)
@@ -304,18 +311,36 @@ def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> i
     clock = T.clock[0]
     clock.stop = 0
     room = T.ring.shape[0] // 2
-    for i in range(start, frames.shape[0]):
-        t_ns = frames[i]["t_ns"]
-        if t_ns < clock.now_ns:
-            clock.late += 1
-        else:
-            advance(T, t_ns)
+    outbox_room = T.outbox.shape[0] // 2
+    i = start
+    count = int(frames.shape[0])
+    while True:
+        if clock.fed < clock.sent:
+            # What a monitor sends reaches the other monitors before anything later does.
+            k = clock.fed
+            clock.fed = k + 1
+            frame, words = T.outbox[k], T.outbox_cells[k, 2:]
+            if frame["reserved"] == 0:
+                continue
+        elif i < count:
+            frame, words = frames[i], cells[i, 2:]
+            if frame["t_ns"] < clock.now_ns:
+                clock.late += 1
+            else:
+                advance(T, frame["t_ns"])
+                if clock.stop == 1:
+                    return i
+                if clock.fed < clock.sent:
+                    continue
+            clock.frames += 1
+            i += 1
+        elif until_ns != NEVER and (clock.started == 0 or clock.now_ns < until_ns):
+            advance(T, until_ns)
             if clock.stop == 1:
-                return i
-        clock.frames += 1
-        dispatch(T, t_ns, frames[i]["bus"], frames[i]["can_id"], frames[i]["length"], cells[i, 2:])
-        if clock.stop == 1 or clock.events >= room:
-            return i + 1
-    if until_ns != NEVER:
-        advance(T, until_ns)
-    return int(frames.shape[0])
+                return count
+            continue
+        else:
+            return count
+        dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
+        if clock.stop == 1 or clock.events >= room or clock.sent >= outbox_room:
+            return i

@@ -16,7 +16,8 @@ VECTOR = record(first=i4, count=i4, check=i4, arrived_ns=i8)
 
 #: One configured monitor: addresses of its kernel and records, its inputs
 #: (``slots[first_slot:+slots]`` to ``pool[inputs:]``, in 8-byte cells), the messages its inputs
-#: come from (``sources[first_source:+sources]``), its faults, and when it wants to be woken.
+#: come from (``sources[first_source:+sources]``), its faults, the message it
+#: sends (-1: none), and when it wants to be woken.
 HANDLER = record(
     entry=i8,
     state=i8,
@@ -29,6 +30,7 @@ HANDLER = record(
     sources=i4,
     fault=i4,
     faults=i4,
+    emit=i4,
     bus=u1,
     tested=u1,
     wake_ns=i8,
@@ -36,7 +38,8 @@ HANDLER = record(
     skipped=i8,
 )
 
-#: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline.
+#: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline. Of the outbox's ``sent``
+#: frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
 CLOCK = record(
     now_ns=i8,
     deadline_ns=i8,
@@ -56,6 +59,10 @@ CLOCK = record(
     repeated=i8,
     timeouts=i8,
     results_lost=i8,
+    sent=i8,
+    fed=i8,
+    taken=i8,
+    sent_lost=i8,
 )
 
 #: A deadline that never comes.
@@ -67,6 +74,7 @@ class Tables(NamedTuple):
 
     Decode plan: ``keys``, ``rows``, ``messages``, ``signals``, ``mux_ids`` (see signals.tables).
     Scratch: ``values`` float64 and ``present`` uint8, shape (most signals of a message,).
+    Outbox: ``emits``, ``emit_signals``, ``outbox`` and the same memory in cells (see engine.emission).
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
 
@@ -90,6 +98,10 @@ class Tables(NamedTuple):
     debounces: NDArray[np.void]
     out: NDArray[np.void]
     out_address: NDArray[np.int64]
+    emits: NDArray[np.void]
+    emit_signals: NDArray[np.void]
+    outbox: NDArray[np.void]
+    outbox_cells: NDArray[np.uint64]
     ring: NDArray[np.void]
     clock: NDArray[np.void]
 
@@ -118,6 +130,10 @@ def borrowed(T: Tables) -> Tables:
         borrow(T.debounces),
         borrow(T.out),
         borrow(T.out_address),
+        borrow(T.emits),
+        borrow(T.emit_signals),
+        borrow(T.outbox),
+        borrow(T.outbox_cells),
         borrow(T.ring),
         borrow(T.clock),
     )

@@ -10,6 +10,8 @@ from pydantic import PlainSerializer, PlainValidator
 
 _SHORT = re.compile(r"(\d+)((?:-\d+){1,2})")
 _ADDED = re.compile(r"(\d+)\+1")
+#: Wheels whose gaps do not lie evenly (Subaru: 13, 16 and 1 teeth between three gaps).
+_KNOWN = {"36-2-2-2": "12*1,3,15*1,3,3"}
 _RUN = re.compile(r"(?:(\d+)\*)?(\d+(?:\.\d+)?)")
 
 #: Teeth that a wheel can have.
@@ -43,6 +45,16 @@ class Wheel:
         return sum(self.pitches)
 
     @property
+    def repeats(self) -> int:
+        """Pulses after which the pattern repeats: fewer than ``pulses`` for a wheel of equal parts."""
+        count = self.pulses
+        return next(
+            k
+            for k in range(1, count + 1)
+            if count % k == 0 and self.pitches == self.pitches[k:] + self.pitches[:k]
+        )
+
+    @property
     def positions(self) -> tuple[float, ...]:
         """Angle of each pulse [pitch], pulse 0 at zero."""
         angles, angle = [], 0.0
@@ -57,6 +69,7 @@ class Wheel:
 
         * ``60-2``: 60 pitches, 2 neighbouring teeth missing.
         * ``36-2-1``: two gaps whose far ends lie half a turn apart (Mitsubishi 4B11 and others).
+        * ``36-2-2-2``: Subaru's, with 13, 16 and 1 teeth between its gaps.
         * ``12+1``: 12 teeth and one more halfway between two of them.
         * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs.
 
@@ -64,6 +77,7 @@ class Wheel:
             ValueError: anything else, or a wheel of fewer than 4 or more than 128 pulses.
         """
         compact = text.replace(" ", "")
+        compact = _KNOWN.get(compact, compact)
         if found := _ADDED.fullmatch(compact):
             teeth = int(found[1])
             pitches = [1.0] * (teeth - 1) + [0.5, 0.5]
@@ -82,6 +96,10 @@ class Wheel:
         if not 4 <= len(pitches) <= MOST_TEETH or min(pitches) <= 0:
             raise ValueError(
                 f"{text!r}: a wheel has 4 to {MOST_TEETH} pulses, all pitches above zero"
+            )
+        if len(set(pitches)) == 1:
+            raise ValueError(
+                f"{text!r}: all pitches are equal, so no place on the wheel can be told"
             )
         largest = max(range(len(pitches)), key=lambda k: pitches[k])
         turned = pitches[largest + 1 :] + pitches[: largest + 1]

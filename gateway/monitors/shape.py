@@ -31,9 +31,20 @@ TIMER = -1
 
 RESULT = record(fault=i4, result=i4, value=f8, threshold=f8, evidence=(f8, EVIDENCE))
 
-#: What a step reports: ``n`` results, the overflow beyond :data:`MAX_RESULTS`, and when the monitor
-#: wants to be woken if nothing comes in between [ns, 0: never].
-RESULTS = record(n=i8, overflow=i8, wake_ns=i8, results=(RESULT, MAX_RESULTS))
+#: Signals that a monitor's own message can have.
+MOST_SIGNALS = 16
+
+#: What a step reports: ``n`` results, the overflow beyond :data:`MAX_RESULTS`, when the monitor wants
+#: to be woken if nothing comes in between [ns, 0: never], and, if ``send`` is 1, the values of the
+#: signals of its own message.
+RESULTS = record(
+    n=i8,
+    overflow=i8,
+    wake_ns=i8,
+    send=i8,
+    values=(f8, MOST_SIGNALS),
+    results=(RESULT, MAX_RESULTS),
+)
 
 
 def inputs(**fields: Any) -> np.dtype[np.void]:
@@ -108,9 +119,23 @@ class Wiring:
     Attributes:
         triggers: names of the messages that step it.
         signals: ``"Message.Signal"`` for each float64 of the inputs record, in its order.
+        optional: messages that need not come: their signals are NaN until they do, and the monitor steps
+            without them.
     """
 
     triggers: tuple[str, ...]
+    signals: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Emission:
+    """A message that a monitor sends: ``values[k]`` of its results goes into ``signals[k]``.
+
+    Signals ``FrameCnt`` and ``Crc`` of the message, where it has them, are filled by the engine.
+    """
+
+    message: str
     signals: tuple[str, ...]
 
 
@@ -129,6 +154,7 @@ class Monitor:
         wire: parameters -> :class:`Wiring`.
         prepare: parameters, state record, constants record: fills both before the first step.
         readout: fields of the state shown to people (summary, live values).
+        emission: the message it sends, if any.
     """
 
     type: str
@@ -141,6 +167,7 @@ class Monitor:
     wire: Callable[[Any], Wiring]
     prepare: Callable[[Any, np.void, np.void], None]
     readout: tuple[str, ...] = ()
+    emission: Emission | None = None
 
     @cached_property
     def entry(self) -> int:

@@ -285,3 +285,26 @@ def compile_plan(
         tuple(by_pgn),
         positions,
     )
+
+
+def encode_rows(message: Message, names: Sequence[str]) -> list[Any]:
+    """Return records of SIGNAL, in the order of ``names``, for the encode kernel.
+
+    Raises:
+        InputError: no such signal, a multiplexed one, one that is no integer or has more than 64 bits.
+    """
+    by_name = {signal.name: signal for signal in message.signals}
+    rows = []
+    for name in names:
+        signal = by_name.get(name)
+        if signal is None:
+            raise InputError(f"the message has no signal {name!r}", key=message.name)
+        if signal.multiplexer_ids or signal.is_float or signal.length > 64:
+            raise InputError(
+                "a signal to be sent is an integer of at most 64 bits that is always there",
+                key=f"{message.name}.{name}",
+            )
+        row = np.zeros(1, SIGNAL)[0]
+        _fill(row, signal)
+        rows.append(row)
+    return rows

@@ -108,5 +108,5 @@ def tooth_times(
     if jitter and len(times) > 2:
         pitch = np.gradient(times, angles[: len(times)] * wheel.turn)
         times = times + rng.normal(0, jitter, len(times)) * pitch
-    micros = np.unique(np.rint(times * 1e6).astype(np.int64))
-    return micros[micros >= 0] * 1000
+    # Pulse 0 stays pulse 0: jitter does not move it before the start.
+    return np.unique(np.maximum(np.rint(times * 1e6).astype(np.int64), 0)) * 1000

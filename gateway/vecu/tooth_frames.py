@@ -137,6 +137,7 @@ def _classic(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay:
         if group.last // BASE_EVERY > bases:
             values = {
                 "FrameCnt": bases % 16,
+                "TeethCnt": number % 16,
                 "PulseCnt": group.last % 65536,
                 "BaseTime": int(times_ns[group.last]) // 1000 % 2**32,
             }

@@ -352,7 +352,7 @@ def test_the_gaps_of_36_2_1_lie_as_on_the_real_wheel():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "60", "60-0", "4-3", "x-1", "1,2", "300*1", "36-2-2-2", "1,1,1,-1"]
+    "text", ["", "60", "60-0", "4-3", "x-1", "1,2", "300*1", "36*1", "36-2-2-2-2", "1,1,1,-1"]
 )
 def test_wrong_wheels_are_refused(text):
     with pytest.raises(ValueError, match="wheel|teeth"):

@@ -1,4 +1,4 @@
-"""Crankshaft trigger wheel: missed and added tooth pulses (paper 000), at constant speed.
+"""The paper's method: missed and added tooth pulses (paper 000), at constant speed.
 
 Source: Kim, Suh, Park, Yun, "A Method of Fault Diagnosis for Engine Synchronization Using Analytical
 Redundancy" (2003). The signal is the pulse time PT, the interval between two pulses::
@@ -31,98 +31,32 @@ shortened run of zeros), so that synchronisation is kept.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from gateway.fdi.wheel import WheelText
+from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import f8, i4, i8, kernel, record, u1
-from gateway.monitors.shape import (
-    TIMER,
-    Debounce,
-    Fault,
-    Monitor,
-    MonitorParams,
-    Wiring,
-    inputs,
-    report,
-)
-from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
-
-MISSED, ADDED, SYNC_LOST = range(3)
-
-_SHAPE = ("count", "tooth", "speed [rpm]", "r0", "r1", "r2", "r3", "r4")
-
-FAULTS = (
-    Fault(
-        "missed_pulse",
-        "P0336-29",
-        "pulses of the crankshaft sensor missed",
-        _SHAPE,
-        Debounce(failed_after=1, passed_after=10),
-    ),
-    Fault(
-        "added_pulse",
-        "P0336-2F",
-        "pulses of the crankshaft sensor that no tooth made",
-        _SHAPE,
-        Debounce(failed_after=1, passed_after=10),
-    ),
-    Fault(
-        "sync_lost",
-        "P0335-31",
-        "teeth arrive, but the wheel's gap is not found",
-        ("teeth",),
-        Debounce(failed_after=1, passed_after=3),
-    ),
-)
+from gateway.monitors.crank_sync.faults import ADDED, MISSED, SYNC_LOST
+from gateway.monitors.shape import report
 
 #: Residuals looked at from the first exceedance on.
 WINDOW = 6
 #: Largest count that (4), (5) are read for.
 LARGEST_COUNT = 3
-#: Intervals that one frame can carry (CTW_FD27).
-MOST_INTERVALS = 27
-MOST_TEETH = 128
-
+#: Share of the threshold below which the observer is believed.
+QUIET = 0.25
 SEARCH, LEARN, TRACK = range(3)
-
-
-class Params(MonitorParams):
-    """Parameters of the crankshaft monitor."""
-
-    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
-    method: Literal["paper"] = Field("paper", description="paper: constant speed, equation (6)")
-    frame: Literal["classic", "fd"] = Field(
-        "classic", description="classic: CTW_PT4, 4 intervals a frame; fd: CTW_FD27"
-    )
-    gain: float = Field(0.6, gt=0, lt=2, description="observer gain D, (9)")
-    threshold: float | None = Field(
-        None, gt=0, description="of the residual [pitch]; default half the smallest gap's step"
-    )
-    follow_speed: bool = Field(
-        True,
-        description="learn the pitch time anew after every clean revolution; false: as printed",
-    )
-    stall_ms: float = Field(
-        500.0,
-        gt=0,
-        description="no tooth for so long: the engine stands, synchronisation ends [ms]",
-    )
 
 
 CONST = record(
     pulses=i4,
-    per_frame=i4,
-    fd=u1,
     follow_speed=u1,
     turn=f8,
     gap=f8,
     gain=f8,
     threshold=f8,
     step=f8,
-    stall_ns=i8,
     pitches=(f8, MOST_TEETH),
 )
 
@@ -144,7 +78,6 @@ STATE = record(
     turn_us=f8,
     clean=u1,
     hole=u1,
-    linked=u1,
     searched=i8,
     recent=i8,
     filled=i4,
@@ -152,44 +85,36 @@ STATE = record(
     scale=f8,
     residuals=(f8, WINDOW),
     intervals=(f8, WINDOW),
-    counter=i8,
-    stalls_ns=i8,
 )
 
-INPUTS = inputs(counter=f8, pulses=f8, valid=f8, shift=f8, intervals=(f8, MOST_INTERVALS))
 
+def prepare(
+    s: Any, c: Any, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool
+) -> None:
+    """Fill state and constants.
 
-def _wire(p: Params) -> Wiring:
-    if p.frame == "fd":
-        message, count = "CTW_FD27", 27
-        header = ["FrameCnt", "PulseCnt", "NValid", "Shift"]
-    else:
-        # A classic frame has neither pulse count nor shift; the kernel does not look at them.
-        message, count = "CTW_PT4", 4
-        header = ["FrameCnt", "FrameCnt", "FrameCnt", "FrameCnt"]
-    signals = header + [f"Pt{k}" for k in range(count)]
-    return Wiring((message,), tuple(f"{message}.{name}" for name in signals))
-
-
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
-    pitches = np.asarray(p.wheel.pitches, float)
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        wheel: the wheel.
+        gain: observer gain D.
+        threshold: of the residual [pitch]; None: half the smallest gap's step.
+        follow_speed: learn the pitch time anew after every clean revolution.
+    """
+    pitches = np.asarray(wheel.pitches, float)
     gaps = pitches[pitches > pitches.min() * 1.5]
     c["pulses"] = len(pitches)
-    c["per_frame"] = 27 if p.frame == "fd" else 4
-    c["fd"] = p.frame == "fd"
-    c["follow_speed"] = p.follow_speed
+    c["follow_speed"] = follow_speed
     c["turn"] = pitches.sum()
     c["gap"] = pitches.max()
-    c["gain"] = p.gain
+    c["gain"] = gain
     c["step"] = pitches.max() - 1.0
-    c["threshold"] = p.threshold if p.threshold is not None else (gaps.min() - 1.0) / 2
-    c["stall_ns"] = int(p.stall_ms * 1e6)
+    c["threshold"] = threshold if threshold is not None else (gaps.min() - 1.0) / 2
     c["pitches"][: len(pitches)] = pitches
-    s["counter"] = -1
 
 
 @kernel
-def _search(s: Any) -> None:
+def search(s: Any) -> None:
     """Forget synchronisation and look for the gap again."""
     s.phase = SEARCH
     s.searched = 0
@@ -287,7 +212,7 @@ def _judge(s: Any, c: Any, out: Any) -> None:
     if abs(number) > LARGEST_COUNT or s.recent > 2:
         if report(out, SYNC_LOST, True, s.recent, 2.0) >= 0:
             out.results[out.n - 1].evidence[0] = s.teeth
-        _search(s)
+        search(s)
     elif number > 0:
         s.missed += number
         _fail(s, c, out, MISSED, number)
@@ -344,7 +269,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
 
     if s.phase == LEARN and found != (s.index == 0):
         # The first revolution must show the gap once, in its place.
-        _search(s)
+        search(s)
         return
 
     r = y - s.x
@@ -352,11 +277,13 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
         if s.filled == 0:
             s.clean = 0
             s.at = s.index
-            s.scale = s.x / c.pitches[s.index]
         s.residuals[s.filled] = r / s.alpha
         s.intervals[s.filled] = y
         s.filled += 1
 
+    if s.filled == 0 and (s.phase != TRACK or abs(r) < QUIET * c.threshold * s.alpha):
+        # What a fault has pulled the observer to is not the pitch time.
+        s.scale = s.x / c.pitches[s.index]
     s.turn_us += y
     following = s.index + 1
     if following == c.pulses:
@@ -371,70 +298,23 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
-    """Take one frame of intervals, or the timer of a standing engine."""
-    if u.trigger == TIMER:
-        _search(s)
-        return
-    count = c.per_frame
-    number = int(u.pulses) if c.fd == 1 else int(u.counter)
-    if s.linked == 1:
-        # A frame lost on the bus is known by the counter: its pulses were there, unseen.
-        lost = (number - s.counter - 1) % 256 * count
-        if c.fd == 1:
-            lost = (number - s.counter) % 65536
-        if lost > 0 and s.phase != SEARCH:
-            if s.phase == LEARN:
-                _search(s)
-            else:
-                _shift(s, c, lost)
-                s.filled = 0
-                s.clean = 0
-                s.hole = 1
-        if lost > 0:
-            s.y1 = 0.0
-            s.y2 = 0.0
-    if c.fd == 1:
-        count = int(u.valid)
-        s.counter = (number + count) % 65536
-    else:
-        s.counter = number
-    s.linked = 1
-    for k in range(count):
-        if c.fd == 1:
-            y = u.intervals[k] * (1 << int(u.shift))
-        else:
-            code = int(u.intervals[k])
-            if code == PADDING_CODE:
-                continue
-            if code == OVERFLOW_CODE:
-                _search(s)
-                continue
-            y = period_us(code)
-        s.stalls_ns = u.t_ns + c.stall_ns
-        tooth(s, c, y, out)
-    if s.stalls_ns > u.t_ns:
-        out.wake_ns = s.stalls_ns
+def lost(s: Any, c: Any, number: int) -> None:
+    """Pass over pulses whose times were lost on the bus: they were there, unseen."""
+    if s.phase == TRACK:
+        _shift(s, c, number)
+        s.filled = 0
+        s.clean = 0
+        s.hole = 1
+    elif s.phase == LEARN:
+        search(s)
+    s.y1 = 0.0
+    s.y2 = 0.0
 
 
-MONITOR = Monitor(
-    type="crank_sync",
-    params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=INPUTS,
-    step=step,
-    faults=FAULTS,
-    wire=_wire,
-    prepare=_prepare,
-    readout=(
-        "revolutions",
-        "speed_rpm",
-        "slowest_rpm",
-        "fastest_rpm",
-        "teeth",
-        "missed",
-        "added",
-        "unexplained",
-    ),
-)
+@kernel
+def angle(s: Any, c: Any) -> float:
+    """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
+    total = 0.0
+    for i in range(s.index):
+        total += c.pitches[i]
+    return float(total / c.turn)

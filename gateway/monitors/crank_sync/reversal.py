@@ -1,0 +1,61 @@
+"""Kick-back: an engine that nearly stood may have turned back.
+
+A sensor without direction shows the same teeth again. From the slowest interval on, behind tooth
+``i``, a wheel that turns on shows its gap after ``P - i`` pulses, one that turned back after ``i + 2``,
+the gap recognised by the interval after it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.jit import f8, i4, kernel, record
+from gateway.monitors.crank_sync.faults import REVERSED
+from gateway.monitors.shape import report
+
+#: ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since.
+REVERSAL = record(index=i4, count=i4, widest=f8)
+
+#: Pulses that the two counts must differ by, and that a count may be off.
+CLEAR, OFF = 4, 2
+
+
+@kernel
+def begin(re: Any, index: int) -> None:
+    """Note that the engine nearly stood behind a tooth."""
+    re.index = index
+    re.count = -1
+
+
+@kernel
+def seen(re: Any, c: Any, y2: float, y1: float, y: float) -> bool:
+    """Take an interval; returns whether the gap came where only a wheel that turned back shows it.
+
+    Args:
+        re: record of REVERSAL.
+        c: constants of the adaptive method.
+        y2: the last interval but two [us].
+        y1: the last but one [us].
+        y: the last one [us].
+    """
+    re.count += 1
+    if re.count > c.pulses + OFF:
+        re.index = -1
+        return False
+    if re.count < 3 or y1 < 0.72 * c.gap * (y * y2) ** 0.5:
+        return False
+    back, on = re.index + 2, c.pulses - re.index
+    turned_back = abs(re.count - back) <= OFF and abs(on - back) > CLEAR
+    if not turned_back:
+        re.index = -1
+    return bool(turned_back)
+
+
+@kernel
+def tell(re: Any, out: Any) -> None:
+    """Report it."""
+    place = report(out, REVERSED, True, re.count, 0.0)
+    if place >= 0:
+        out.results[place].evidence[0] = re.index
+        out.results[place].evidence[1] = re.count
+    re.index = -1

@@ -1,0 +1,47 @@
+"""Encode kernel: physical values into a payload, the reverse of :mod:`gateway.signals.decode`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.jit import kernel
+from gateway.signals.decode import SIGNED, swapped
+
+
+@kernel
+def insert(words: Any, s: Any, value: float) -> None:
+    """Put the value of one integer signal into a payload; its bits must be zero before.
+
+    A value outside what the signal can carry becomes the nearest that it can; NaN becomes raw 0.
+
+    Args:
+        words: payload, 8 little-endian uint64.
+        s: record of SIGNAL.
+        value: physical value.
+    """
+    low, high = 0.0, 2.0**s.length - 1.0
+    if s.kind == SIGNED:
+        low, high = -(2.0 ** (s.length - 1)), 2.0 ** (s.length - 1) - 1.0
+    raw = np.rint((value - s.offset) / s.scale)
+    if np.isnan(raw):
+        raw = 0.0
+    raw = min(max(raw, low), high)
+    if raw < 0.0:
+        bits = np.uint64(np.int64(raw))
+    else:
+        # 2^64 - 1 is not a float64: what rounds up to 2^64 is the largest value.
+        bits = np.uint64(raw) if raw < 2.0**64 else np.uint64(0xFFFFFFFFFFFFFFFF)
+    unused = np.uint64(64 - s.length)
+    bits = (bits << unused) >> unused
+    shift = np.uint64(s.shift)
+    if s.big == 1:
+        words[s.word] = swapped(swapped(words[s.word]) | (bits << shift))
+        if s.spill == 1:
+            rest = bits >> (np.uint64(64) - shift)
+            words[s.word - 1] = swapped(swapped(words[s.word - 1]) | rest)
+    else:
+        words[s.word] |= bits << shift
+        if s.spill == 1:
+            words[s.word + 1] |= bits >> (np.uint64(64) - shift)
