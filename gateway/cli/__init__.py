@@ -24,7 +24,12 @@ app = typer.Typer(
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True)
 convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True)
+evaluate_app = typer.Typer(
+    help="How good the methods are: the papers' figures and tables, from our own data.",
+    no_args_is_help=True,
+)
 app.add_typer(faults_app, name="faults")
+app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(convert_app, name="convert")
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON (Lines) instead of text.")]
@@ -131,6 +136,26 @@ def simulate(
     raise typer.Exit(
         work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json)
     )
+
+
+@evaluate_app.command("crank")
+def evaluate_crank(
+    seeds: Annotated[
+        int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")
+    ] = 20,
+    pulses: Annotated[
+        int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")
+    ] = 200_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")
+    ] = None,
+) -> None:
+    """Missed and added pulses of a crankshaft sensor: our two methods beside open controllers'."""
+    from gateway.cli.evaluate import crank as work
+
+    raise typer.Exit(work(runs=seeds, pulses=pulses, seed=seed, json=json, plot=plot))
 
 
 @app.command()

@@ -71,6 +71,7 @@ STATE = record(
     missed=i8,
     added=i8,
     unexplained=i8,
+    alarms=i8,
     x=f8,
     alpha=f8,
     y1=f8,
@@ -168,6 +169,28 @@ def _fail(s: Any, c: Any, out: Any, fault: int, number: int) -> None:
 
 
 @kernel
+def displacement(residuals: Any, step: float) -> int:
+    """Return by how many pulses the gap came early (+) or late (-), 0 if that is not what is seen.
+
+    Args:
+        residuals: from the first exceedance on, at least 5 [pitch].
+        step: the gap's step delta [pitch].
+    """
+    sign = 1.0 if residuals[0] > 0 else -1.0
+    lag = 0
+    peak = 0.0
+    for k in range(1, 5):
+        opposite = -sign * residuals[k]
+        if opposite > peak:
+            peak = opposite
+            lag = k
+    # The opposite peak of a displaced gap is at least 1.096 of the gap's step.
+    if lag == 0 or lag > LARGEST_COUNT or peak < 0.8 * step:
+        return 0
+    return lag if sign > 0 else -lag
+
+
+@kernel
 def _classify(s: Any, c: Any) -> int:
     """Return the signed count of pulses missed (+) or added (-) that a full window shows, 0: none.
 
@@ -181,18 +204,7 @@ def _classify(s: Any, c: Any) -> int:
     direct = int(np.rint(measured / s.scale - expected))
     if direct != 0:
         return direct
-    sign = 1.0 if s.residuals[0] > 0 else -1.0
-    lag = 0
-    peak = 0.0
-    for k in range(1, 5):
-        opposite = -sign * s.residuals[k]
-        if opposite > peak:
-            peak = opposite
-            lag = k
-    # The opposite peak of a displaced gap is at least 1.096 of the gap's step.
-    if lag == 0 or lag > LARGEST_COUNT or peak < 0.8 * c.step:
-        return 0
-    return lag if sign > 0 else -lag
+    return displacement(s.residuals, c.step)
 
 
 @kernel
@@ -276,6 +288,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
     if s.phase == TRACK and (s.filled > 0 or abs(r) > c.threshold * s.alpha):
         if s.filled == 0:
             s.clean = 0
+            s.alarms += 1
             s.at = s.index
         s.residuals[s.filled] = r / s.alpha
         s.intervals[s.filled] = y

@@ -1,0 +1,1 @@
+"""Evaluation of the crankshaft monitor (paper 000)."""
