@@ -11,12 +11,13 @@ acceleration an engine can have), an outlier of one edge, and pulses missed or a
 
 from __future__ import annotations
 
-from math import log
+from math import exp, log
 from typing import Any
 
 from gateway.fdi.pulse_tracking.motion import (
     HYPOTHESIS,
     LEAST_SQUARE,
+    MOST_GROWTH,
     TORQUE,
     correct,
     spread,
@@ -390,3 +391,21 @@ def shift(tr: Any, pulses: int, number: int) -> None:
     for k in range(tr.count):
         h = tr.banks[first + k]
         h.index = (h.index + number) % pulses
+
+
+@kernel
+def rebase(tr: Any, before: float, after: float) -> None:
+    """Keep the motion right when ripple moves from it into the pitches, or back.
+
+    Args:
+        tr: record of TRACKER.
+        before: what ln(pitch) of the slot before the last tooth lost.
+        after: what that of the slot behind it lost.
+    """
+    first = tr.bank * MOST
+    factor = exp((before + after) / 2)
+    growth = 2.0 * (before - after)
+    for k in range(tr.count):
+        h = tr.banks[first + k]
+        h.period *= factor
+        h.growth = min(max(h.growth + growth, -MOST_GROWTH), MOST_GROWTH)

@@ -41,7 +41,7 @@ WHEEL = record(
 #: ``intervals`` of this revolution [us], ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
 #: ``clean`` this revolution so far, ``turns`` learned from, ``period`` [us] at which it was learned
 #: ``first``
-#: amplitude of the first order, ``slow``, ``fast`` between which the pitches hold, as they are.
+#: amplitude of the first order, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
 PROFILE = record(
     intervals=(f8, MOST_PULSES),
     logs=(f8, MOST_PULSES),
@@ -53,6 +53,7 @@ PROFILE = record(
     slow=f8,
     fast=f8,
     first=f8,
+    share=f8,
     clean=u1,
     turns=i8,
 )
@@ -134,6 +135,7 @@ def _power(re: float, im: float, order: int) -> tuple[float, float]:
 def apply(pr: Any, wh: Any, period: float, pitches: Any) -> None:
     """Compute the pitches for a speed: the ripple's share falls with its square, and is not known below."""
     share = min((period / pr.period) ** 2, 1.0)
+    pr.share = share
     total = 0.0
     for i in range(wh.pulses):
         pitches[i] = wh.nominal[i] * exp(pr.logs[i] + (share - 1.0) * pr.ripple[i])
@@ -142,6 +144,12 @@ def apply(pr: Any, wh: Any, period: float, pitches: Any) -> None:
         pitches[i] *= wh.whole / total
     pr.slow = period * SPEED_STEP
     pr.fast = period / SPEED_STEP
+
+
+@kernel
+def smooth(pr: Any, slot: int) -> float:
+    """Return the ripple that the pitch of a slot contains, as ln(pitch / nominal)."""
+    return float(pr.share * pr.ripple[slot])
 
 
 @kernel

@@ -15,6 +15,7 @@ from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import SEARCH, restart, seek
 from gateway.fdi.pulse_tracking.hypotheses import (
     HOPELESS,
+    MOST_MISSED,
     MOST_PULSES,
     TRACKER,
     agreed,
@@ -22,6 +23,7 @@ from gateway.fdi.pulse_tracking.hypotheses import (
     best,
     jump,
     keep_best,
+    rebase,
     settle,
     shift,
     take,
@@ -29,7 +31,7 @@ from gateway.fdi.pulse_tracking.hypotheses import (
 from gateway.fdi.pulse_tracking.motion import Q3
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, PROFILE, WHEEL
 from gateway.fdi.wheel import Wheel
-from gateway.jit import f8, i4, i8, kernel, record
+from gateway.jit import f8, i4, i8, kernel, record, u1
 from gateway.monitors.crank_sync import reversal
 from gateway.monitors.crank_sync.faults import (
     ADDED,
@@ -49,7 +51,7 @@ SEARCHING, TENTATIVE, CONFIRMED = range(3)
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = 3
 #: Pulses within which missed (or added) ones are one disturbance, its count their sum.
-TOGETHER = 4
+TOGETHER = 8
 #: Revolutions, and pulses beyond, without synchronisation after which the reason is named.
 PATIENCE, PATIENCE_PULSES = 4, 100
 #: Share of the teeth with a second pulse from which on the edges are doubled.
@@ -61,6 +63,8 @@ RIPPLE, GAP_ERROR = 0.05, 0.1
 LEARNED = 3
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
 MOST_STRESS = 8.0
+#: An engine does not slow down by this factor from one tooth to the next.
+ABRUPT = 4.0
 #: Residuals kept as the shape of a fault.
 RESIDUALS = 5
 #: Runout is judged above this speed, where torsional ripple is small [rpm].
@@ -103,6 +107,7 @@ STATE = record(
     recent_missed=i8,
     recent_added=i8,
     doubled=i8,
+    doubling=u1,
     hole=i4,
     decided=i8,
     burst_missed=i4,
@@ -173,6 +178,7 @@ def search(s: Any) -> None:
     s.recent_missed = 0
     s.recent_added = 0
     s.doubled = 0
+    s.doubling = 0
     s.hole = 0
     s.profile.clean = 0
     s.profile.last_us = 0.0
@@ -318,7 +324,19 @@ def _decide(s: Any, c: Any, out: Any) -> None:
         _fail(s, c, out, fault, s.burst_missed)
     if added > 0:
         s.doubled += added
-        _fail(s, c, out, ADDED, s.burst_added)
+        if s.doubling == 0:
+            _fail(s, c, out, ADDED, s.burst_added)
+
+
+@kernel
+def _fall_silent(s: Any, c: Any, out: Any, number: float) -> None:
+    """Report a silence too long to count its teeth, and search."""
+    if s.phase == CONFIRMED and s.hole == 0:
+        s.burst_missed = int(number)
+        s.missed += int(number)
+        _fail(s, c, out, PULSES_LOST, int(number))
+        s.losses += 1
+    search(s)
 
 
 @kernel
@@ -360,7 +378,8 @@ def _turned(s: Any, c: Any, out: Any) -> None:
     s.hole = max(s.hole - 1, 0)
     if s.phase != CONFIRMED:
         return
-    if doubled > DOUBLE_SHARE * c.pulses:
+    s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
+    if s.doubling == 1:
         place = report(out, DOUBLED, True, doubled / c.pulses, DOUBLE_SHARE)
         if place >= 0:
             out.results[place].evidence[0] = doubled / c.pulses
@@ -403,10 +422,15 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
     if s.phase == SEARCHING:
         _seek(s, c, y)
     else:
-        if y > c.slowest_us * s.tracker.pitches[s.index]:
-            reversal.begin(s.reversal, s.index)
+        span = s.tracker.pitches[s.index]
+        period = best(s.tracker).period
+        if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
+            reversal.begin(s.reversal, c.pulses, s.index, y)
             doubt(s)
-        _track(s, c, y, out)
+        if y > (MOST_MISSED + 1 + span) * ABRUPT * period:
+            _fall_silent(s, c, out, y / period)
+        else:
+            _track(s, c, y, out)
     if s.phase != CONFIRMED:
         _wait(s, c, y, out)
     s.y2 = s.y1
@@ -468,6 +492,9 @@ def _track(s: Any, c: Any, y: float, out: Any) -> None:
     h = best(tr)
     s.index = h.index
     s.since += 1
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    old_behind = profile.smooth(s.profile, behind)
+    old_ahead = profile.smooth(s.profile, s.index)
     profile.follow(s.profile, c.wheel, h.period, tr.pitches)
     following = before + 1 if before + 1 < c.pulses else 0
     if h.fresh == 1 and s.index == following:
@@ -480,5 +507,9 @@ def _track(s: Any, c: Any, y: float, out: Any) -> None:
             return
     if s.index < before and before - s.index > c.pulses // 2:
         _turned(s, c, out)
+    new_behind = profile.smooth(s.profile, behind)
+    new_ahead = profile.smooth(s.profile, s.index)
+    if new_behind != old_behind or new_ahead != old_ahead:
+        rebase(tr, old_behind - new_behind, old_ahead - new_ahead)
     if s.phase == TENTATIVE and s.since >= c.pulses and agreed(tr):
         _confirm(s, out)

@@ -13,18 +13,26 @@ from gateway.jit import f8, i4, kernel, record
 from gateway.monitors.crank_sync.faults import REVERSED
 from gateway.monitors.shape import report
 
-#: ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since.
-REVERSAL = record(index=i4, count=i4, widest=f8)
+#: ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since, ``slowest``
+#: that interval [us].
+REVERSAL = record(index=i4, count=i4, slowest=f8)
 
 #: Pulses that the two counts must differ by, and that a count may be off.
 CLEAR, OFF = 4, 2
 
 
 @kernel
-def begin(re: Any, index: int) -> None:
-    """Note that the engine nearly stood behind a tooth."""
-    re.index = index
-    re.count = -1
+def begin(re: Any, pulses: int, index: int, y: float) -> None:
+    """Note that the engine nearly stood behind a tooth; of several slow intervals [us] the slowest counts."""
+    if re.index < 0:
+        re.index = index
+        re.slowest = 0.0
+    elif y > re.slowest:
+        # Pulses are counted here: so near standstill time does not tell teeth apart.
+        re.index = (re.index + re.count + 1) % pulses
+    if y > re.slowest:
+        re.count = -1
+        re.slowest = y
 
 
 @kernel
