@@ -41,7 +41,7 @@ MISS, MISS_MORE, ADD, ADD_MORE, JOLT, OUTLIER = 12.0, 2.0, 12.0, 10.5, 4.0, 8.0
 OVERDUE = 20.0
 #: A pulse has no explanation so much dearer than its best one. ``ADD - BRANCH`` is half the square of the
 #: residual (in deviations) below which nothing else is considered.
-BRANCH = 10.0
+BRANCH = 8.0
 #: A decision is made when those that disagree are so much dearer.
 DECISION = 10.0
 #: Hypotheses so much dearer than the best are dropped; what was decided can be taken back until then.
@@ -158,7 +158,8 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
     q3 = tr.wander + TORQUE * jolt
     jolt = max(jolt, ripple * ripple)
     cheapest = 1e9
-    usual = tr.variance * (spread(h, 1.0, tr.variance) + 1.0)
+    scale = 1.0 / tr.variance
+    usual = tr.variance * (spread(h, 1.0, scale) + 1.0)
     for j in range(MOST_MISSED + 1):
         span += tr.pitches[index]
         slack = tr.slack[index]
@@ -178,7 +179,7 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
             child.fresh = 0
             child.rough = ROUGH
             made = _insert(tr, made)
-        v = tr.variance * (spread(h, span, tr.variance) + 1.0) + slack
+        v = tr.variance * (spread(h, span, scale) + 1.0) + slack
         m = span * span * (STEP + jolt * span * span / 16)
         missing = 0.0 if j == 0 else MISS + MISS_MORE * (j - 1)
         plain = missing + 0.5 * e * e / v + 0.5 * log(v / usual)
@@ -203,8 +204,8 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
             edge = 1.0 + slack / tr.variance
             if kind >= 2:
                 edge = max(OUTLIER_PITCH * OUTLIER_PITCH / tr.variance, edge)
-            scale = 1.0 / tr.variance if kind == 1 else 0.0
-            correct(child, span, e, q, edge, STEP * scale, jolt * scale, tr.variance, q3)
+            shock = scale if kind == 1 else 0.0
+            correct(child, span, e, q, edge, STEP * shock, jolt * shock, scale, q3)
             if kind == 3:
                 child.lag = 0.0
                 child.p11 = 1.0
@@ -239,11 +240,12 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
     e = (h.lag - dt) * q / h.period
     tr.residual = e
     tr.rough = 0
+    scale = 1.0 / tr.variance
     if tr.count == 1 and h.pending == 0:
-        v = tr.variance * (spread(h, span, tr.variance) + 1.0)
+        v = tr.variance * (spread(h, span, scale) + 1.0)
         if e * e < 2.0 * (ADD - BRANCH) * v:
             q3 = tr.wander + TORQUE * torque(h, acceleration)
-            correct(h, span, e, q, 1.0, 0.0, 0.0, tr.variance, q3)
+            correct(h, span, e, q, 1.0, 0.0, 0.0, scale, q3)
             h.index = 0 if index + 1 == pulses else index + 1
             h.fresh = 1
             h.rough = 0
@@ -257,7 +259,7 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
     tr.stress += 0.1 * (least - tr.stress)
     chosen = best(tr)
     if chosen.fresh == 1 and chosen.missed == 0 and chosen.added == 0:
-        v = spread(chosen, 1.0, tr.variance) + 1.0
+        v = spread(chosen, 1.0, scale) + 1.0
         _adapt(tr, e / max(v, 1.0) ** 0.5)
     tr.rough = chosen.rough
     return least

@@ -81,15 +81,21 @@ def torque(h: Any, acceleration: float) -> float:
 
 
 @kernel
-def spread(h: Any, span: float, variance: float) -> float:
-    """Return the predicted variance of the position over ``span`` pitches (units of the edge's)."""
+def spread(h: Any, span: float, scale: float) -> float:
+    """Return the predicted variance of the position over ``span`` pitches (units of the edge's).
+
+    Args:
+        h: hypothesis.
+        span: pitches.
+        scale: 1 / variance of an edge [1/pitch^2].
+    """
     b = -span * span / 4
     return float(
         h.p11
         + span * span * h.p22
         + b * b * h.p33
         + 2 * (span * h.p12 + b * h.p13 + span * b * h.p23)
-        + (Q1 + Q2 * span * span * span / 3) / variance
+        + (Q1 + Q2 * span * span * span / 3) * scale
     )
 
 
@@ -102,7 +108,7 @@ def correct(
     edge: float,
     step: float,
     jolt: float,
-    variance: float,
+    scale: float,
     q3: float,
 ) -> None:
     """Take a pulse as the tooth ``span`` pitches on, with residual ``e``.
@@ -115,7 +121,7 @@ def correct(
         edge: variance of this edge in units of the usual one (more than 1: an outlier).
         step: variance added to ln T before (units of the edge's).
         jolt: variance added to the growth before (units of the edge's).
-        variance: of an edge [pitch^2].
+        scale: 1 / variance of an edge [1/pitch^2].
         q3: process noise of the growth per pitch.
     """
     period = h.period / q
@@ -125,15 +131,19 @@ def correct(
     f12 = h.p12 + span * p22 + b * h.p23
     f13 = h.p13 + span * h.p23 + b * p33
     f11 = (
-        h.p11 + span * h.p12 + b * h.p13 + span * f12 + b * f13 + (Q1 + Q2 * span**3 / 3) / variance
+        h.p11
+        + span * h.p12
+        + b * h.p13
+        + span * f12
+        + b * f13
+        + (Q1 + Q2 * span * span * span / 3) * scale
     )
-    f12 = f12 + d * f13 + Q2 * span * span / 2 / variance
+    f12 = f12 + d * f13 + Q2 * span * span / 2 * scale
     f23 = h.p23 + d * p33
-    f22 = p22 + d * h.p23 + d * f23 + Q2 * span / variance
-    f33 = p33 + q3 * span / variance
-    k1 = f11 / (f11 + edge)
-    k2 = f12 / (f11 + edge)
-    k3 = f13 / (f11 + edge)
+    f22 = p22 + d * h.p23 + d * f23 + Q2 * span * scale
+    f33 = p33 + q3 * span * scale
+    certainty = 1.0 / (f11 + edge)
+    k1, k2, k3 = f11 * certainty, f12 * certainty, f13 * certainty
     h.p11 = f11 - k1 * f11
     h.p12 = f12 - k1 * f12
     h.p13 = f13 - k1 * f13
