@@ -41,7 +41,9 @@ MISS, MISS_MORE, ADD, ADD_MORE, JOLT, OUTLIER = 12.0, 2.0, 12.0, 10.5, 4.0, 8.0
 OVERDUE = 20.0
 #: A pulse has no explanation so much dearer than its best one. ``ADD - BRANCH`` is half the square of the
 #: residual (in deviations) below which nothing else is considered.
-BRANCH = 8.0
+BRANCH = 10.0
+#: A hypothesis with events speaks when it is so much better than one without.
+HESITATION = 4.0
 #: A decision is made when those that disagree are so much dearer.
 DECISION = 10.0
 #: Hypotheses so much dearer than the best are dropped; what was decided can be taken back until then.
@@ -93,6 +95,28 @@ TRACKER = record(
 def best(tr: Any) -> Any:
     """Return the cheapest hypothesis; it is always the first."""
     return tr.banks[tr.bank * MOST]
+
+
+@kernel
+def speaker(tr: Any) -> Any:
+    """Return the hypothesis whose tooth is told to others.
+
+    The best, unless it has missed or added pulses that are not decided and one without is nearly as good:
+    an edge that is far off for once must not move the angle back and forth.
+    """
+    first = tr.bank * MOST
+    h = tr.banks[first]
+    if h.missed != 0 or h.added != 0:
+        for k in range(1, tr.count):
+            other = tr.banks[first + k]
+            if (
+                other.cost < HESITATION
+                and other.fresh == 1
+                and other.missed == 0
+                and other.added == 0
+            ):
+                return other
+    return h
 
 
 @kernel
@@ -157,7 +181,8 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
     jolt = torque(h, acceleration)
     q3 = tr.wander + TORQUE * jolt
     jolt = max(jolt, ripple * ripple)
-    cheapest = 1e9
+    first = 0.0
+    cheapest = (ADD if h.pending == 0 else ADD_MORE) + OVERDUE
     scale = 1.0 / tr.variance
     usual = tr.variance * (spread(h, 1.0, scale) + 1.0)
     for j in range(MOST_MISSED + 1):
@@ -168,17 +193,8 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
             index = 0
         dt, q = travel(h, span)
         e = (h.lag - dt) * q / h.period
-        if j == 0 and h.pending < MOST_PENDING:
-            copy(child, h)
-            child.cost += ADD if h.pending == 0 else ADD_MORE
-            if e > 0.3 + 4.0 * tr.variance**0.5:
-                child.cost += OVERDUE
-            cheapest = child.cost - h.cost
-            child.added += 1
-            child.pending += 1
-            child.fresh = 0
-            child.rough = ROUGH
-            made = _insert(tr, made)
+        if j == 0:
+            first = e
         v = tr.variance * (spread(h, span, scale) + 1.0) + slack
         m = span * span * (STEP + jolt * span * span / 16)
         missing = 0.0 if j == 0 else MISS + MISS_MORE * (j - 1)
@@ -213,6 +229,17 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
             made = _insert(tr, made)
         if e < -0.5 * tr.pitches[index] and missing > cheapest:
             break
+    cost = ADD if h.pending == 0 else ADD_MORE
+    if first > 0.3 + 4.0 * tr.variance**0.5:
+        cost += OVERDUE
+    if h.pending < MOST_PENDING and cost < cheapest + BRANCH:
+        copy(child, h)
+        child.cost += cost
+        child.added += 1
+        child.pending += 1
+        child.fresh = 0
+        child.rough = ROUGH
+        made = _insert(tr, made)
     return made
 
 

@@ -4,8 +4,9 @@ Learned in open loop from the measured intervals of clean revolutions. The trend
 before comes from equal crank angles, this revolution against the last one; a line fitted inside one
 revolution would take part of the ripple for a trend, and the loop would feed on itself.
 
-The low orders are torsional ripple: the torque's part of the kinetic energy, whose share falls with the square
-of the speed. What is left are the teeth themselves, at any speed.
+Most of it is torsional ripple, the torque's part of the kinetic energy, whose share falls with the square of the
+speed; teeth that are a few per cent out are learned again soon. A gap's error is its own at any speed:
+there only the low orders fall.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ MOST_ORDERS = 6
 #: The ripple's share is computed anew when the speed has changed by so much.
 SPEED_STEP = 1.1
 
-#: What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, and the
-#: first order's cosine and sine in the middle of each slot.
+#: What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, which
+#: slots are or follow a gap, and the first order's cosine and sine in the middle of each slot.
 WHEEL = record(
     pulses=i4,
     orders=i4,
     whole=f8,
     nominal=(f8, MOST_PULSES),
+    gap=(u1, MOST_PULSES),
     cosine=(f8, MOST_PULSES),
     sine=(f8, MOST_PULSES),
 )
@@ -102,10 +104,14 @@ def _learn(pr: Any, wh: Any, growth: float) -> None:
         pr.intervals[i] = w
         total += a * w
     mean = total / wh.whole
+    period = pr.turn_us / wh.whole
+    # What was learned at another speed is brought to this one first.
+    fallen = min((period / pr.period) ** 2, 1.0) if pr.turns > 1 else 1.0
+    pr.period = period
     for i in range(wh.pulses):
+        pr.logs[i] += (fallen - 1.0) * (pr.ripple[i] if wh.gap[i] == 1 else pr.logs[i])
         pr.logs[i] += share * (pr.intervals[i] - mean - pr.logs[i])
         pr.ripple[i] = 0.0
-    pr.period = pr.turn_us / wh.whole
     for order in range(1, wh.orders + 1):
         even, odd = 0.0, 0.0
         for i in range(wh.pulses):
@@ -138,7 +144,8 @@ def apply(pr: Any, wh: Any, period: float, pitches: Any) -> None:
     pr.share = share
     total = 0.0
     for i in range(wh.pulses):
-        pitches[i] = wh.nominal[i] * exp(pr.logs[i] + (share - 1.0) * pr.ripple[i])
+        falls = pr.ripple[i] if wh.gap[i] == 1 else pr.logs[i]
+        pitches[i] = wh.nominal[i] * exp(pr.logs[i] + (share - 1.0) * falls)
         total += pitches[i]
     for i in range(wh.pulses):
         pitches[i] *= wh.whole / total

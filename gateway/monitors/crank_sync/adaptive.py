@@ -26,6 +26,7 @@ from gateway.fdi.pulse_tracking.hypotheses import (
     rebase,
     settle,
     shift,
+    speaker,
     take,
 )
 from gateway.fdi.pulse_tracking.motion import Q3
@@ -149,8 +150,10 @@ def prepare(
     c["gap"] = pitches.max()
     c["logs"][:count] = np.log(pitches)
     gap = (pitches > 1.3) | (pitches < 0.7)
-    c["slack"][:count] = np.where(gap | np.roll(gap, 1), GAP_ERROR**2, 0.0)
+    gap |= np.roll(gap, 1)
+    c["slack"][:count] = np.where(gap, GAP_ERROR**2, 0.0)
     wh = c["wheel"]
+    wh["gap"][:count] = gap
     wh["pulses"], wh["whole"] = count, wheel.turn
     wh["orders"] = min(MOST_ORDERS, count // 5)
     wh["nominal"][:count] = pitches
@@ -306,8 +309,6 @@ def _decide(s: Any, c: Any, out: Any) -> None:
             return
     s.corrections += missed - added
     missed, added = max(missed, 0), max(added, 0)
-    s.missed += missed
-    s.added += added
     s.recent_missed += missed
     s.recent_added += added
     if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
@@ -319,6 +320,9 @@ def _decide(s: Any, c: Any, out: Any) -> None:
     s.decided = s.teeth
     s.burst_missed += missed
     s.burst_added += added
+    if s.phase == CONFIRMED:
+        s.missed += missed
+        s.added += added
     if missed > 0:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed)
@@ -352,6 +356,10 @@ def _confirm(s: Any, out: Any) -> None:
         if place >= 0:
             for k in range(EVIDENCE):
                 out.results[place].evidence[k] = s.held[k]
+        if s.held_fault == ADDED:
+            s.added += int(s.held[0])
+        else:
+            s.missed += int(s.held[0])
         s.held_fault = -1
 
 
@@ -489,7 +497,7 @@ def _track(s: Any, c: Any, y: float, out: Any) -> None:
         return
     if tr.open > 5 * c.pulses // 2:
         keep_best(tr)
-    h = best(tr)
+    h = speaker(tr)
     s.index = h.index
     s.since += 1
     behind = s.index - 1 if s.index > 0 else c.pulses - 1
@@ -501,7 +509,9 @@ def _track(s: Any, c: Any, y: float, out: Any) -> None:
         profile.note(s.profile, before, y)
     else:
         s.profile.clean = 0
-    if h.fresh == 1 and (h.missed != 0 or h.added != 0) and agreed(tr):
+    first = best(tr)
+    if first.fresh == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
+        s.index = first.index
         _decide(s, c, out)
         if s.phase == SEARCHING:
             return
