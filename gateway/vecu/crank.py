@@ -110,3 +110,25 @@ def tooth_times(
         times = times + rng.normal(0, jitter, len(times)) * pitch
     # Pulse 0 stays pulse 0: jitter does not move it before the start.
     return np.unique(np.maximum(np.rint(times * 1e6).astype(np.int64), 0)) * 1000
+
+
+def cam_edges(
+    edges: Sequence[tuple[float, int]],
+    breakpoints: Sequence[tuple[float, float]],
+    duration_s: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return times [ns] and levels of the edges of a cam sensor, by the mean angle of the crank.
+
+    Args:
+        edges: (crank angle from tooth 0, 0..720 [deg], level after it).
+        breakpoints: speed profile, (time [s], speed [rpm]).
+        duration_s: length of the run [s].
+    """
+    cycles = int(profile_angle(np.array([duration_s]), breakpoints)[0] / 2) + 1
+    ordered = sorted(edges)
+    angles = np.array([angle for angle, _ in ordered]) / 360
+    at = (2 * np.arange(cycles)[:, None] + angles[None, :]).ravel()
+    levels = np.tile([level for _, level in ordered], cycles)
+    times = profile_time(at, breakpoints)
+    inside = times <= duration_s
+    return np.rint(times[inside] * 1e9).astype(np.int64), levels[inside].astype(np.int64)

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.vecu.crank import tooth_times
+from gateway.vecu.crank import cam_edges, tooth_times
 from gateway.vecu.pulse_faults import Truth, added_pulses, missed_pulses
 from gateway.vecu.scenario import EngineParams, PulseFault
-from gateway.vecu.tooth_frames import tooth_frames
+from gateway.vecu.tooth_frames import cam_frames, tooth_frames
 
 
 def engine_frames(
@@ -54,4 +54,9 @@ def engine_frames(
         truth += injected
     times = np.unique(np.concatenate([healthy[~gone], *extra]))
     on_off = 0, round(duration_s * 1e9)
-    return tooth_frames(times, params.format, bus=bus, span_ns=on_off), truth
+    frames = tooth_frames(times, params.format, bus=bus, span_ns=on_off)
+    if params.cam:
+        edges, levels = cam_edges(params.cam, params.speed, duration_s)
+        frames = np.concatenate([frames, cam_frames(times, edges, levels, bus=bus)])
+        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+    return frames, truth

@@ -39,6 +39,11 @@ class EngineParams(StrictModel):
     jitter: float = Field(0.0, ge=0, le=0.3, description="of an edge, standard deviation [pitch]")
     tooth_error: float = Field(0.0, ge=0, le=0.3, description="standard deviation [pitch]")
 
+    cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
+        (),
+        description="edges of a cam sensor: [crank angle 0..720 deg from tooth 0, level after it]",
+    )
+
     @model_validator(mode="after")
     def _speed_is_a_profile(self) -> EngineParams:
         times = [t for t, _ in self.speed]

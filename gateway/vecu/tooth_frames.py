@@ -172,3 +172,34 @@ def _fd(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int)
         put(frames, number, group.t_ns + delay, message.frame_id, protect(message, values), bus=bus)
         frames[number]["flags"] = FD
     return frames
+
+
+def cam_frames(
+    times_ns: NDArray[np.int64],
+    edges_ns: NDArray[np.int64],
+    levels: NDArray[np.int64],
+    *,
+    bus: int = 0,
+) -> Frames:
+    """Return a CTW_CAM for each edge of a cam sensor.
+
+    Args:
+        times_ns: shape (n,), pulse times of the crank as sent, rising [ns].
+        edges_ns: shape (m,), times of the edges, rising [ns].
+        levels: shape (m,), level after each.
+        bus: index of the bus.
+    """
+    message = _message("CTW_CAM")
+    places = np.searchsorted(times_ns, edges_ns, side="right") - 1
+    frames = empty(int((places >= 0).sum()))
+    rows = zip(places, edges_ns, levels, strict=True)
+    for k, (place, edge_ns, level) in enumerate(row for row in rows if row[0] >= 0):
+        values = {
+            "FrameCnt": k % 16,
+            "Level": int(level),
+            "PulseCnt": int(place) % 65536,
+            "Delay": int(edge_ns - times_ns[place]) // 1000,
+        }
+        stamp = int(edge_ns) + WIRE_NS["classic"]
+        put(frames, k, stamp, message.frame_id, protect(message, values), bus=bus)
+    return frames

@@ -36,8 +36,8 @@ from gateway.jit import f8, i4, i8, kernel, record, u1
 from gateway.monitors.crank_sync import reversal
 from gateway.monitors.crank_sync.faults import (
     ADDED,
+    CRANK_FAULTS,
     DOUBLED,
-    FAULT_COUNT,
     MISSED,
     NO_GAP,
     PULSES_LOST,
@@ -207,6 +207,12 @@ def speed(s: Any, c: Any) -> float:
 
 
 @kernel
+def period(s: Any) -> float:
+    """Return the time of one pitch at the last tooth [us]."""
+    return float(best(s.tracker).period)
+
+
+@kernel
 def angle(s: Any, c: Any) -> float:
     """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
     total = 0.0
@@ -235,6 +241,7 @@ def lost(s: Any, c: Any, number: int) -> None:
         restart(s.search)
     else:
         jump(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         s.profile.clean = 0
         s.hole = 2
@@ -249,6 +256,7 @@ def recount(s: Any, c: Any, number: int) -> None:
     """Put the index right by pulses that were lost on the bus and counted wrongly."""
     if number != 0 and s.phase != SEARCHING:
         shift(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
         s.hole = 2
@@ -401,7 +409,7 @@ def _turned(s: Any, c: Any, out: Any) -> None:
     s.fastest_rpm = max(s.fastest_rpm, s.speed_rpm)
     if s.slowest_rpm == 0.0 or s.speed_rpm < s.slowest_rpm:
         s.slowest_rpm = s.speed_rpm
-    for fault in range(FAULT_COUNT):
+    for fault in range(CRANK_FAULTS):
         if fault != RUNOUT:
             report(out, fault, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
@@ -517,6 +525,8 @@ def _track(s: Any, c: Any, y: float, out: Any) -> None:
             return
     if s.index < before and before - s.index > c.pulses // 2:
         _turned(s, c, out)
+    elif s.index > before and s.index - before > c.pulses // 2:
+        s.revolutions -= 1
     new_behind = profile.smooth(s.profile, behind)
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:

@@ -11,8 +11,11 @@ from gateway.monitors.shape import Debounce, Fault
     NO_GAP,
     RUNOUT,
     REVERSED,
-) = range(8)
-FAULT_COUNT = 8
+    CAM_CORRELATION,
+    CAM_SILENT,
+) = range(10)
+#: Those before concern the crankshaft sensor alone.
+CRANK_FAULTS = CAM_CORRELATION
 
 #: Evidence of missed and added pulses: how many, the first tooth concerned, the speed, and the shape of the
 #: residual, five values in order of time. paper: from the first exceedance on; adaptive: up to the decision.
@@ -74,6 +77,20 @@ FAULTS = (
         "P1335-00",
         "the engine turned back: synchronisation is given up",
         ("tooth", "pulses until the gap"),
+        Debounce(failed_after=1, passed_after=3),
+    ),
+    Fault(
+        "cam_correlation",
+        "P0016-76",
+        "an edge of the cam sensor does not fit the crank",
+        ("crank angle [deg]", "off [deg]", "level"),
+        Debounce(failed_after=3, passed_after=10),
+    ),
+    Fault(
+        "cam_silent",
+        "P0340-31",
+        "the crank turns, but no edge of the cam sensor comes",
+        ("revolutions",),
         Debounce(failed_after=1, passed_after=3),
     ),
 )

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from gateway.fdi.wheel import WheelText
 from gateway.jit import f8, i8, kernel, record, u1
-from gateway.monitors.crank_sync import adaptive, constant_speed
+from gateway.monitors.crank_sync import adaptive, cam, constant_speed
 from gateway.monitors.crank_sync.faults import FAULTS
 from gateway.monitors.shape import (
     TIMER,
@@ -63,6 +63,14 @@ class Params(MonitorParams):
     reversal_rpm: float = Field(
         30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]"
     )
+    cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
+        (),
+        max_length=cam.MOST_EDGES,
+        description="adaptive: [crank angle 0..720 deg, level after it] of each edge of a cam sensor",
+    )
+    cam_tolerance_deg: float = Field(
+        25.0, gt=0, lt=90, description="of a cam edge, as much as valve timing moves it [deg]"
+    )
     gain: float = Field(0.6, gt=0, lt=2, description="paper: observer gain D, (9)")
     threshold: float | None = Field(
         None,
@@ -80,6 +88,7 @@ CONST = record(
     fd=u1,
     stall_ns=i8,
     tooth_0_deg=f8,
+    cam=cam.CONST,
     fast=adaptive.CONST,
     paper=constant_speed.CONST,
 )
@@ -111,30 +120,44 @@ STATE = record(
     added=i8,
     corrections=i8,
     losses=i8,
+    half=i8,
+    cam=cam.STATE,
     fast=adaptive.STATE,
     paper=constant_speed.STATE,
 )
 
 INPUTS = inputs(
-    counter=f8, pulses=f8, valid=f8, shift=f8, base_counter=f8, intervals=(f8, MOST_INTERVALS)
+    counter=f8,
+    pulses=f8,
+    valid=f8,
+    shift=f8,
+    base_counter=f8,
+    cam_counter=f8,
+    cam_level=f8,
+    cam_pulse=f8,
+    cam_delay=f8,
+    intervals=(f8, MOST_INTERVALS),
 )
 
 
 def _wire(p: Params) -> Wiring:
-    if p.frame == "fd":
-        message, count = "CTW_FD27", MOST_INTERVALS
-        header = [f"{message}.{s}" for s in ("FrameCnt", "PulseCnt", "NValid", "Shift", "FrameCnt")]
-        return Wiring((message,), (*header, *(f"{message}.Pt{k}" for k in range(count))))
-    message, count, base = "CTW_PT4", CLASSIC_INTERVALS, "CTW_BASE"
-    header = [
-        f"{message}.FrameCnt",
-        f"{base}.PulseCnt",
-        f"{base}.TeethCnt",
-        f"{message}.FrameCnt",
-        f"{base}.FrameCnt",
-    ]
-    signals = (*header, *(f"{message}.Pt{k}" for k in range(count)))
-    return Wiring((message, base), signals, optional=(base,))
+    fd = p.frame == "fd"
+    teeth, count = ("CTW_FD27", MOST_INTERVALS) if fd else ("CTW_PT4", CLASSIC_INTERVALS)
+    unused = f"{teeth}.FrameCnt"
+    triggers, optional = [teeth], []
+    if fd:
+        header = [f"{teeth}.{s}" for s in ("FrameCnt", "PulseCnt", "NValid", "Shift", "FrameCnt")]
+    else:
+        base = "CTW_BASE"
+        header = [unused, f"{base}.PulseCnt", f"{base}.TeethCnt", unused, f"{base}.FrameCnt"]
+        optional.append(base)
+    if p.cam:
+        optional.append("CTW_CAM")
+        header += [f"CTW_CAM.{s}" for s in ("FrameCnt", "Level", "PulseCnt", "Delay")]
+    else:
+        header += [unused] * 4
+    signals = (*header, *(f"{teeth}.Pt{k}" for k in range(count)))
+    return Wiring((*triggers, *optional), signals, optional=tuple(optional))
 
 
 def _prepare(p: Params, s: np.void, c: np.void) -> None:
@@ -144,6 +167,7 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
     c["tooth_0_deg"] = p.tooth_0_deg
     adaptive.prepare(s["fast"], c["fast"], p.wheel, p.acceleration, p.runout, p.reversal_rpm)
     constant_speed.prepare(s["paper"], c["paper"], p.wheel, p.gain, p.threshold, p.follow_speed)
+    cam.prepare(s["cam"], c["cam"], p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
     s["counter"] = -1
     s["base_counter"] = -1
     s["stray"] = -1
@@ -274,10 +298,33 @@ def _fd(s: Any, c: Any, u: Any, out: Any) -> None:
             _lost(s, c, number)
     s.linked = 1
     s.count = pulses
+    s.counted = 1
     scale = float(1 << int(u.shift))
     for k in range(int(u.valid)):
         s.stalls_ns = u.t_ns + c.stall_ns
         _tooth(s, c, u.intervals[k] * scale, out)
+
+
+@kernel
+def _cam(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
+    s.cam.counter = int(u.cam_counter)
+    f = s.fast
+    if f.phase != adaptive.CONFIRMED or s.counted == 0:
+        return
+    pulses = c.fast.pulses
+    since = _wrapped(int(u.cam_pulse) - s.count)
+    if abs(since) > pulses:
+        return
+    place = f.index + since
+    ahead = place // pulses
+    tooth = place % pulses
+    total = 0.0
+    for i in range(tooth):
+        total += c.fast.wheel.nominal[i]
+    total += min(u.cam_delay / adaptive.period(f), c.fast.wheel.nominal[tooth])
+    degrees = total / c.fast.wheel.whole * 360.0
+    cam.edge(s.cam, c.cam, degrees, ahead, int(u.cam_level), out)
 
 
 @kernel
@@ -295,6 +342,7 @@ def _show(s: Any, c: Any) -> float:
         s.added = f.added
         s.corrections = f.corrections
         s.losses = f.losses
+        s.half = s.cam.half
         return adaptive.speed(f, c.fast)
     p = s.paper
     s.sync = p.phase
@@ -319,31 +367,41 @@ def _send(s: Any, c: Any, t_ns: int, speed_rpm: float, out: Any) -> None:
     s.sent_sync = s.sync
     s.sent_corrections = s.corrections
     if c.adaptive == 1:
-        turn = adaptive.angle(s.fast, c.fast)
+        turn = adaptive.angle(s.fast, c.fast) + max(s.cam.half, 0)
         index = int(s.fast.index)
     else:
         turn = constant_speed.angle(s.paper, c.paper)
         index = int(s.paper.index)
     out.send = 1
     out.values[0] = s.sync
-    out.values[1] = (turn * 360.0 + c.tooth_0_deg) % 360.0
+    cycle = 720.0 if s.cam.half >= 0 else 360.0
+    out.values[1] = (turn * 360.0 + c.tooth_0_deg) % cycle
     out.values[2] = speed_rpm
     out.values[3] = (s.corrections + 128) % 256 - 128
     out.values[4] = index
+    out.values[5] = s.cam.half >= 0
 
 
 @kernel
 def step(s: Any, c: Any, u: Any, out: Any) -> None:
-    """Take one frame of intervals, CTW_BASE, or the timer of a standing engine."""
+    """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
+    turns = s.fast.revolutions
     if u.trigger == TIMER:
         _stand(s, c)
+    elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:
+        _cam(s, c, u, out)  # NaN, while no edge has come, is not >= 0
     elif c.fd == 1:
         _fd(s, c, u, out)
     elif s.linked == 1 and int(u.counter) == s.counter:
-        if int(u.base_counter) != s.base_counter:
+        if u.base_counter >= 0.0 and int(u.base_counter) != s.base_counter:
             _base(s, c, u)
     else:
         _classic(s, c, u, out)
+    if c.cam.edges > 0:
+        if s.fast.phase == adaptive.CONFIRMED:
+            cam.turned(s.cam, out, s.fast.revolutions - turns)
+        else:
+            cam.forget(s.cam)
     _send(s, c, u.t_ns, _show(s, c), out)
     if s.stalls_ns > u.t_ns:
         out.wake_ns = s.stalls_ns
@@ -373,6 +431,6 @@ MONITOR = Monitor(
     ),
     emission=Emission(
         "GW_EngineSync",
-        ("SyncState", "CrankAngle", "EngineSpeed", "Corrections", "ToothIndex"),
+        ("SyncState", "CrankAngle", "EngineSpeed", "Corrections", "ToothIndex", "CycleKnown"),
     ),
 )
