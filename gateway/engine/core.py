@@ -110,7 +110,8 @@ class Engine:
         frames = np.asarray(self.tables.outbox[first:last]).copy()
         frames["reserved"] = 0
         clock["taken"] = last
-        if clock["fed"] == last:  # else the next pass has them to handle still
+        waiting = self.tables.outbox[int(clock["fed"]) : last]["reserved"]
+        if not waiting.any():  # else the next pass has them to handle still
             clock["sent"] = clock["fed"] = clock["taken"] = 0
         return frames
 

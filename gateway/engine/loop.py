@@ -321,6 +321,8 @@ def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> i
             clock.fed = k + 1
             frame, words = T.outbox[k], T.outbox_cells[k, 2:]
             if frame["reserved"] == 0:
+                if clock.fed == clock.sent and clock.sent >= outbox_room:
+                    return i
                 continue
         elif i < count:
             frame, words = frames[i], cells[i, 2:]
@@ -342,5 +344,7 @@ def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> i
         else:
             return count
         dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
-        if clock.stop == 1 or clock.events >= room or clock.sent >= outbox_room:
+        if clock.stop == 1:
+            return i
+        if clock.fed == clock.sent and (clock.events >= room or clock.sent >= outbox_room):
             return i
