@@ -97,6 +97,14 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
         console.print(table)
     if alarms:
         console.print(_alarm_table(alarms))
+    if scores or alarms:
+        _explain(console, seed)
+    for file in files:
+        console.print(f"drawn: {file}")
+    return 0
+
+
+def _explain(console: Console, seed: int) -> None:
     console.print(
         f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as rusEFI and FOME find the gap;"
         " threshold: as Speeduino does, filter 50 %.\n"
@@ -104,6 +112,3 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
         " fault for 3 turns), at once: % of runs; delay: pulses from\nthe fault's last pulse to the"
         " report; wrong, no sync: turns after the fault with a wrong tooth, with none."
     )
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0

@@ -104,8 +104,8 @@ def _fig345(folder: Path, number: int, count: int, title: str, seed: int) -> Pat
     axes[1].axhspan(-sigma, sigma, color="C0", alpha=0.15, label=r"$\pm\sigma_r$ by (13)")
     axes[1].set_ylabel("residual $r_k$")
     axes[1].set_xlabel("pulse k")
-    axes[1].set_ylim(-8, 8)
-    axes[1].legend(loc="upper right", fontsize=8, ncols=3)
+    axes[1].set_ylim(-9, 8)
+    axes[1].legend(loc="lower left", fontsize=8, ncols=3)
     for axis in axes:
         axis.grid(alpha=0.3)
     figure.suptitle(

@@ -185,7 +185,7 @@ def displacement(residuals: Any, step: float) -> int:
             peak = opposite
             lag = k
     # The opposite peak of a displaced gap is at least 1.096 of the gap's step.
-    if lag == 0 or lag > LARGEST_COUNT or peak < 0.8 * step:
+    if lag == 0 or lag > LARGEST_COUNT or peak < 0.65 * step:
         return 0
     return lag if sign > 0 else -lag
 
