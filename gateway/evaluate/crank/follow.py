@@ -13,7 +13,7 @@ from gateway.engine.tables import table
 from gateway.evaluate.crank.peers import PEER, ratio, threshold
 from gateway.fdi.wheel import Wheel
 from gateway.jit import kernel
-from gateway.monitors.crank_sync import adaptive, constant_speed
+from gateway.monitors.crank_sync import adaptive, constant_speed, place
 from gateway.monitors.crank_sync.monitor import Params
 from gateway.monitors.shape import FAILED, RESULTS
 
@@ -50,8 +50,8 @@ def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports
     for k in range(y.shape[0]):
         out.n = 0
         adaptive.tooth(s, c, y[k], out)
-        teeth[k] = s.index if s.phase != adaptive.SEARCHING else -1
-        proven[k] = s.phase == adaptive.CONFIRMED
+        teeth[k] = s.index if s.phase != place.SEARCHING else -1
+        proven[k] = s.phase == place.CONFIRMED
         for j in range(out.n):
             r = out.results[j]
             if r.result == FAILED and n < reports.shape[0]:
@@ -112,8 +112,8 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         s: Any
         c: Any
         if method == "adaptive":
-            s, c = table(1, adaptive.STATE), table(1, adaptive.CONST)
-            adaptive.prepare(
+            s, c = table(1, place.STATE), table(1, place.CONST)
+            place.prepare(
                 s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm
             )
             n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)

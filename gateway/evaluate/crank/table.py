@@ -15,8 +15,8 @@ import numpy as np
 from gateway.evaluate.crank.cases import Kind, Train, cranking, labels, sweep, with_fault
 from gateway.evaluate.crank.follow import METHODS, Followed, Method, follower
 from gateway.fdi.wheel import Wheel
-from gateway.monitors.crank_sync.adaptive import LOSS
 from gateway.monitors.crank_sync.faults import ADDED, MISSED, PULSES_LOST
+from gateway.monitors.crank_sync.isolation import LOSS
 
 WHEELS = ("60-2", "36-1", "30-2")
 SPEEDS = (300.0, 1000.0, 3000.0, 6000.0, 8000.0)
