@@ -41,15 +41,16 @@ BATCH = 64
 def make_log(count):
     """Return ``count`` CTW_PT4 frames of a healthy engine, in order of time."""
     wheel = Wheel.parse("60-2")
-    # 256 frames bring the alive counter round; one such piece (with the wheel's turn) is repeated.
-    period = 58 * 64  # turns and counter both come round: 58 * 64 pulses = 928 frames = 64 turns
-    turns = 4 * 64
+    # Alive counter (256 frames of 4) and wheel (58 pulses) both come round after 29,696 pulses: one such piece
+    # is repeated.
+    pulses = 29_696
     rng = np.random.default_rng(1)
-    times = tooth_times(wheel, [(0, RATE_RPM)], (turns + 1) * 60 / RATE_RPM, jitter=0.003, rng=rng)
-    piece = tooth_frames(times[: 4 * period + 1], "classic")
+    seconds = (pulses / wheel.pulses + 1) * 60 / RATE_RPM
+    times = tooth_times(wheel, [(0, RATE_RPM)], seconds, jitter=0.003, rng=rng)
+    piece = tooth_frames(times[: pulses + 1], "classic")
     piece = piece[piece["can_id"] == 0x700]
     # From the last pulse of a piece to the first of the next is one whole number of turns.
-    span = int(times[4 * period] - times[0])
+    span = int(times[pulses] - times[0])
     copies = -(-count // len(piece))
     frames = np.tile(piece, copies)
     frames["t_ns"] += np.repeat(np.arange(copies) * span, len(piece))

@@ -45,6 +45,17 @@ class Followed:
 
 
 @kernel
+def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
+    """Append what failed at a pulse to the reports; returns how many there are."""
+    for j in range(out.n):
+        r = out.results[j]
+        if r.result == FAILED and n < reports.shape[0]:
+            reports[n, 0], reports[n, 1], reports[n, 2] = pulse, r.fault, r.evidence[0]
+            n += 1
+    return n
+
+
+@kernel
 def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
     n = 0
     for k in range(y.shape[0]):
@@ -52,11 +63,7 @@ def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports
         adaptive.tooth(s, c, y[k], out)
         teeth[k] = s.index if s.phase != place.SEARCHING else -1
         proven[k] = s.phase == place.CONFIRMED
-        for j in range(out.n):
-            r = out.results[j]
-            if r.result == FAILED and n < reports.shape[0]:
-                reports[n, 0], reports[n, 1], reports[n, 2] = k + 1, r.fault, r.evidence[0]
-                n += 1
+        n = _collect(out, n, k + 1, reports)
     return n
 
 
@@ -68,11 +75,7 @@ def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: A
         constant_speed.tooth(s, c, y[k], out)
         teeth[k] = s.index if s.phase != constant_speed.SEARCH else -1
         proven[k] = s.phase == constant_speed.TRACK
-        for j in range(out.n):
-            r = out.results[j]
-            if r.result == FAILED and n < reports.shape[0]:
-                reports[n, 0], reports[n, 1], reports[n, 2] = k + 1, r.fault, r.evidence[0]
-                n += 1
+        n = _collect(out, n, k + 1, reports)
     return n
 
 

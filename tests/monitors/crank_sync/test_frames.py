@@ -48,13 +48,14 @@ def state_of(engine, method="adaptive"):
     return state, state["fast" if method == "adaptive" else "paper"]
 
 
-@pytest.mark.parametrize("method", ["adaptive", "paper"])
 @pytest.mark.parametrize("form", ["classic", "fd"])
-@pytest.mark.parametrize("share", [0.01, 0.05, 0.2])
+@pytest.mark.parametrize(
+    ("method", "share"),
+    # The paper's method is not made for a lost frame in every window.
+    [("adaptive", 0.01), ("adaptive", 0.05), ("adaptive", 0.2), ("paper", 0.01), ("paper", 0.05)],
+)
 def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     """A lost frame is known by its counter; its pulses were there."""
-    if method == "paper" and share == 0.2:
-        pytest.skip("the paper's method is not made for a lost frame in every window")
     w = Wheel.parse("60-2")
     times = tooth_times(w, [(0, 1500)], 20.0 if COMPILED else 1.5, rng=np.random.default_rng(4))
     frames = tooth_frames(times, form)
