@@ -45,7 +45,9 @@ def say(text: str) -> None:
 def say_if_cold() -> None:
     """Say that the first start compiles, when it does."""
     if COMPILED and not cache_is_warm():
-        say("first start: compiling the kernels, this takes some seconds (gateway warmup does it)")
+        say(
+            "first start: compiling the kernels, this takes up to a minute (gateway warmup does it)"
+        )
 
 
 def strict(value: Any) -> Any:

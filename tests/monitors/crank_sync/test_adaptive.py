@@ -82,7 +82,11 @@ def test_a_healthy_engine_makes_no_report():
 
 
 @pytest.mark.parametrize(
-    "wheel", ["60-2", "36-1", "30-2", "24-1", "36-2-1", "36-2-2-2", "12+1", "11*1,0.36,0.64"]
+    "wheel",
+    [
+        *("60-2", "36-1", "30-2", "24-2", "12-1", "8-1", "6-1"),
+        *("36-2-1", "36-2-2-2", "12+1", "11*1,0.36,0.64", "3*1,2,2*1,0.5,1.5"),
+    ],
 )
 def test_wheels_of_all_kinds(wheel):
     """Gaps, several gaps, added teeth: no report, every label right, sync at the first gap."""
