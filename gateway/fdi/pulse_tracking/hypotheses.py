@@ -24,7 +24,8 @@ from gateway.fdi.pulse_tracking.motion import (
     torque,
     travel,
 )
-from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.fdi.wheel import MOST_TEETH
+from gateway.jit import f8, i4, i8, kernel, record
 
 #: Hypotheses held at once.
 MOST = 16
@@ -32,7 +33,6 @@ MOST = 16
 MOST_MISSED = 8
 #: Pulses in one interval that can be held for spurious.
 MOST_PENDING = 6
-MOST_PULSES = 128
 
 #: Costs [nat]: a missed tooth and each further one with it, an added pulse and each further one in the
 #: same interval, a jolt, an outlier.
@@ -50,7 +50,6 @@ DECISION = 10.0
 MARGIN = 16.0
 #: Two hypotheses with the same tooth are one when lag and period differ by less than this [pitch].
 ALIKE = 0.02
-SMOOTH, ROUGH, AFTER_OUTLIER = range(3)
 #: Variance of ln(period) that a jolt brings at once.
 STEP = 0.03**2
 #: Above this variance of an edge single pulses cannot be told from noise (identifiability): a pulse may also be
@@ -85,9 +84,8 @@ TRACKER = record(
     last=f8,
     stress=f8,
     open=i8,
-    rough=u1,
-    pitches=(f8, MOST_PULSES),
-    slack=(f8, MOST_PULSES),
+    pitches=(f8, MOST_TEETH),
+    slack=(f8, MOST_TEETH),
 )
 
 
@@ -137,7 +135,7 @@ def copy(a: Any, b: Any) -> None:
     a.added = b.added
     a.pending = b.pending
     a.fresh = b.fresh
-    a.rough = b.rough
+    a.outlier = b.outlier
 
 
 @kernel
@@ -200,7 +198,7 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
         missing = 0.0 if j == 0 else MISS + MISS_MORE * (j - 1)
         plain = missing + 0.5 * e * e / v + 0.5 * log(v / usual)
         jolted = missing + JOLT + 0.5 * e * e / (v + m) + 0.5 * log((v + m) / usual)
-        outlier = missing + (OUTLIER if h.rough != AFTER_OUTLIER else 2.0 * OUTLIER)
+        outlier = missing + (2.0 * OUTLIER if h.outlier == 1 else OUTLIER)
         outlier += 0.5 * e * e / (OUTLIER_PITCH * OUTLIER_PITCH)
         cheapest = min(cheapest, plain, jolted, outlier)
         kinds = 4 if j == 0 and tr.variance > COARSE else 3
@@ -216,7 +214,7 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
             child.missed += j
             child.pending = 0
             child.fresh = 1
-            child.rough = SMOOTH if kind == 0 else (ROUGH if kind == 1 else AFTER_OUTLIER)
+            child.outlier = 1 if kind >= 2 else 0
             edge = 1.0 + slack / tr.variance
             if kind >= 2:
                 edge = max(OUTLIER_PITCH * OUTLIER_PITCH / tr.variance, edge)
@@ -238,7 +236,7 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
         child.added += 1
         child.pending += 1
         child.fresh = 0
-        child.rough = ROUGH
+        child.outlier = 0
         made = _insert(tr, made)
     return made
 
@@ -266,7 +264,6 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
     dt, q = travel(h, span)
     e = (h.lag - dt) * q / h.period
     tr.residual = e
-    tr.rough = 0
     scale = 1.0 / tr.variance
     if tr.count == 1 and h.pending == 0:
         v = tr.variance * (spread(h, span, scale) + 1.0)
@@ -275,7 +272,7 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
             correct(h, span, e, q, 1.0, 0.0, 0.0, scale, q3)
             h.index = 0 if index + 1 == pulses else index + 1
             h.fresh = 1
-            h.rough = 0
+            h.outlier = 0
             _adapt(tr, e * (tr.variance / v) ** 0.5)
             tr.stress *= 0.9
             return float(0.5 * e * e / v)
@@ -288,7 +285,6 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
     if chosen.fresh == 1 and chosen.missed == 0 and chosen.added == 0:
         v = spread(chosen, 1.0, scale) + 1.0
         _adapt(tr, e / max(v, 1.0) ** 0.5)
-    tr.rough = chosen.rough
     return least
 
 
@@ -388,7 +384,7 @@ def begin(tr: Any, index: int, period: float, growth: float, variance: float) ->
     h.added = 0
     h.pending = 0
     h.fresh = 1
-    h.rough = 0
+    h.outlier = 0
 
 
 @kernel

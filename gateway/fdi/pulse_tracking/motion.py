@@ -28,7 +28,7 @@ from gateway.jit import f8, i4, kernel, record, u1
 #: ``lag`` time since its last tooth (filtered) [us]; ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance;
 #: ``cost`` minus log likelihood above the best; ``index`` of its last tooth; ``missed``, ``added``
 #: pulses since all hypotheses agreed; ``pending`` pulses held for spurious since its last tooth;
-#: ``fresh`` its last tooth is the latest pulse; ``rough`` it took a pulse as an outlier or a jolt.
+#: ``fresh`` its last tooth is the latest pulse; ``outlier`` it took that for an edge far off.
 HYPOTHESIS = record(
     lag=f8,
     period=f8,
@@ -45,7 +45,7 @@ HYPOTHESIS = record(
     added=i4,
     pending=i4,
     fresh=u1,
-    rough=u1,
+    outlier=u1,
 )
 
 #: Process noise per pitch: variances of the position [pitch^2] and of ln T. They are the engine's, not the

@@ -14,7 +14,7 @@ from __future__ import annotations
 from math import exp, log
 from typing import Any
 
-from gateway.fdi.pulse_tracking.hypotheses import MOST_PULSES
+from gateway.fdi.wheel import MOST_TEETH
 from gateway.jit import f8, i4, i8, kernel, record, u1
 
 #: Share of a new revolution in the profile, once it is old.
@@ -34,10 +34,10 @@ WHEEL = record(
     pulses=i4,
     orders=i4,
     whole=f8,
-    nominal=(f8, MOST_PULSES),
-    gap=(u1, MOST_PULSES),
-    cosine=(f8, MOST_PULSES),
-    sine=(f8, MOST_PULSES),
+    nominal=(f8, MOST_TEETH),
+    gap=(u1, MOST_TEETH),
+    cosine=(f8, MOST_TEETH),
+    sine=(f8, MOST_TEETH),
 )
 
 #: ``intervals`` of this revolution [us], ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
@@ -45,9 +45,9 @@ WHEEL = record(
 #: ``first``
 #: amplitude of the first order, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
 PROFILE = record(
-    intervals=(f8, MOST_PULSES),
-    logs=(f8, MOST_PULSES),
-    ripple=(f8, MOST_PULSES),
+    intervals=(f8, MOST_TEETH),
+    logs=(f8, MOST_TEETH),
+    ripple=(f8, MOST_TEETH),
     turn_us=f8,
     last_us=f8,
     trend=f8,

@@ -60,7 +60,7 @@ def lost(s: Any, c: Any, number: int) -> None:
         s.index = best(s.tracker).index
         s.profile.clean = 0
         s.hole = 2
-        s.since = 0
+    s.unsynced = 0  # what the bus lost is no reason to blame the sensor
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import SEARCH, restart
-from gateway.fdi.pulse_tracking.hypotheses import MOST_PULSES, TRACKER, best
+from gateway.fdi.pulse_tracking.hypotheses import TRACKER, best
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, PROFILE, WHEEL
-from gateway.fdi.wheel import Wheel
+from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import f8, i4, i8, kernel, record, u1
 from gateway.monitors.crank_sync.reversal import REVERSAL
 from gateway.monitors.shape import EVIDENCE
@@ -32,8 +32,8 @@ CONST = record(
     slowest_us=f8,
     gap=f8,
     wheel=WHEEL,
-    logs=(f8, MOST_PULSES),
-    slack=(f8, MOST_PULSES),
+    logs=(f8, MOST_TEETH),
+    slack=(f8, MOST_TEETH),
 )
 
 #: ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
