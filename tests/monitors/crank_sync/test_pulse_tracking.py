@@ -7,10 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.engine.tables import table
+from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import SEARCH, WINDOW, seek
 from gateway.fdi.pulse_tracking.hypotheses import MOST, TRACKER, begin, take
 from gateway.fdi.pulse_tracking.motion import HYPOTHESIS, Q1, Q2, correct, spread, travel
 from gateway.fdi.wheel import Wheel
+from gateway.jit import COMPILED
+from gateway.monitors.crank_sync import place
 
 
 def hypothesis(period=500.0, growth=0.0, **p):
@@ -121,3 +124,30 @@ def test_hypotheses_never_exceed_their_room():
         assert costs[0] == min(costs) == 0.0
         assert all(0 <= int(tr["banks"][first + k]["index"]) < 35 for k in range(len(costs)))
         assert all(np.isfinite(tr["banks"][first + k]["period"]) for k in range(len(costs)))
+
+
+def test_ripple_learned_at_another_speed_is_brought_to_this_one():
+    """10 % ripple while cranking, none at twice the speed: a quarter is believed at once, then less."""
+    wheel = Wheel.parse("36-1")
+    state, const = table(1, place.STATE), table(1, place.CONST)
+    place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+    pr, wh, pitches = state[0]["profile"], const[0]["wheel"], state[0]["tracker"]["pitches"]
+    if not COMPILED:
+        pr, wh = state[0].profile, const[0].wheel
+    nominal = np.array(wheel.pitches)
+    ripple = 0.1 * np.cos(2 * np.pi * 2 * np.array(wheel.positions) / wheel.turn)
+
+    def turns(count, period, share):
+        for _ in range(count):
+            for slot in range(wheel.pulses):
+                profile.note(pr, slot, float(period * nominal[slot] * np.exp(share * ripple[slot])))
+            profile.turn(pr, wh, pitches)
+
+    turns(12, 8000.0, 1.0)
+    plain = slice(3, 30)
+    believed = np.log(np.array(pitches[:35]) / nominal)[plain]
+    np.testing.assert_allclose(believed, ripple[plain], atol=0.012)
+    pr["last_us"], pr["trend"] = 0.0, 0.0  # the speed has changed in between
+    turns(2, 4000.0, 0.0)
+    believed = np.log(np.array(pitches[:35]) / nominal)[plain]
+    assert np.abs(believed).max() < 0.3 * np.abs(ripple[plain]).max()
