@@ -1,0 +1,69 @@
+"""Kalman hybrid redundancy: FT from a scalar Kalman filter (paper 002, section III).
+
+Equations (1) to (10) with A = H = 1, Q = 1, R = 0.5, P(0) = 1 (section IV). Corrected: (5) lacks a hat on its
+last term; (6) and (8) have K^T H^T inside the bracket, where H^T alone is right; (9) is P(k+1) on its left side;
+in (10) the bracket must close behind K H: ``A (I - K H) P A^T + Q``. K is n x p. With these numbers the gain is
+0.73205 (sqrt(3) - 1) after four samples: simple exponential smoothing. Only Q / R matters.
+
+Whether the state is the output or its change does not: the difference of the filtered output is the filtered
+difference. The change it is here, because that is what the detector needs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting import hybrid
+from gateway.jit import f8, i8, kernel, record
+
+CONST = record(hybrid=hybrid.CONST, q=f8, r=f8)
+
+#: ``x``, ``p``: estimate of the change and its variance.
+STATE = record(value=f8, used=i8, hybrid=hybrid.STATE, x=f8, p=f8)
+
+
+def prepare(c: np.void, *, q: float = 1.0, r: float = 0.5) -> None:
+    """Fill the predictor's constants; those of ``c["hybrid"]`` come from :func:`.hybrid.prepare`.
+
+    Args:
+        c: record of CONST.
+        q: process noise Q.
+        r: measurement noise R.
+    """
+    c["q"], c["r"] = q, r
+
+
+@kernel
+def predict(s: Any, c: Any) -> float:
+    """Predict the change, (9); returns FT(k)."""
+    s.p += c.q
+    return float(s.x)
+
+
+@kernel
+def correct(s: Any, c: Any, observed: float) -> None:
+    """Correct the change by what was observed, (5), (7), (8)."""
+    k = s.p / (s.p + c.r)
+    s.x += k * (observed - s.x)
+    s.p *= 1.0 - k
+
+
+@kernel
+def vote(s: Any, c: Any, y: Any) -> None:
+    """Take the readings of one sample.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        y: readings.
+    """
+    h = s.hybrid
+    if h.started == 0:
+        hybrid.start(h, c.hybrid, y)
+        s.p = 1.0
+    else:
+        correct(s, c, hybrid.vote(h, c.hybrid, y, predict(s, c)))
+    s.value = h.value
+    s.used = h.used

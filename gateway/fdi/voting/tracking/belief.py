@@ -1,0 +1,183 @@
+"""Which readings are believed in a sample: those that agree, else what the track says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting.simple import MOST_CHANNELS, middle
+from gateway.fdi.voting.tracking import mismatch, motion, track
+from gateway.fdi.voting.tracking.shape import (
+    AGREED,
+    CALM,
+    COASTED,
+    COMMON,
+    COMMON_AT_END,
+    COMMON_MODE,
+    DOUBT,
+    GATE,
+    ISOLATE,
+    LONG,
+    MOVED,
+    SINGLE,
+    SURE,
+    SUREST,
+    SUSPECT,
+)
+from gateway.jit import kernel
+
+
+@kernel
+def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
+    """Readings that agree: the track, a change of slope, or all wrong together."""
+    m = s.motion
+    z = 0.0
+    for i in range(c.channels):
+        if bits & (1 << i):
+            z += s.z[i]
+    z /= count
+    innovation = z - m.x
+    if abs(innovation) <= GATE * np.sqrt(m.p00 + c.variance / count):
+        motion.correct(m, innovation, c.variance / count)
+        track.accept(s, c, bits, AGREED)
+        s.sure = min(s.sure + 1, SUREST)
+        s.old_age = 0
+        for i in range(c.channels):
+            if bits & (1 << i):
+                mismatch.learn(s.mismatch, i, s.z[i] - z, dt)
+        return
+    reach = c.slew * (m.coasted - s.common + dt)
+    at_end = min(z - c.low, c.high - z) <= c.agree
+    s.common += 1
+    smooth, sound = True, True
+    for i in range(c.channels):
+        if bits & (1 << i):
+            smooth = smooth and s.habits.line[i] >= 1
+            sound = sound and s.rejected[i] < DOUBT
+    known = abs(z - s.anchor) <= reach and (sound or smooth)
+    if at_end:
+        believed = s.common >= COMMON_AT_END
+    else:
+        believed = s.common >= COMMON or smooth or (sound and s.sure < SURE)
+    if known or believed:
+        track.remember(s)
+        if known:
+            track.turn(s, c, z, count, dt)
+        else:
+            motion.restart(m, z, 0.0, c.variance / count, c.slew * c.slew / 9.0)
+        track.accept(s, c, bits, MOVED)
+        s.sure = 1
+        return
+    track.coast(s, dt, COMMON_MODE)
+
+
+@kernel
+def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None:
+    """Readings that disagree, or one alone: the one the track expects, or a smooth one, or none."""
+    m = s.motion
+    best = track.regret(s, c, trusted)
+    if best >= 0:
+        motion.copy(m, s.old)
+        s.old_age = 0
+        track.expect(s, c, y)
+        s.gate = GATE * np.sqrt(m.p00 + c.variance)
+    nearest = s.gate
+    for i in range(c.channels):
+        if trusted & (1 << i) and abs(s.innovation[i]) <= nearest:
+            best, nearest = i, abs(s.innovation[i])
+    if best >= 0:
+        motion.correct(m, s.innovation[best], c.variance)
+        track.accept(s, c, 1 << best, SINGLE)
+        s.sure = max(s.sure - 1, 0)
+        return
+    calmest = 2 * ISOLATE + 1
+    if not alone and m.coasted < SUSPECT:
+        for i in range(c.channels):
+            if trusted & (1 << i):
+                calmest = min(calmest, s.rejected[i] + 2)
+    for i in range(c.channels):
+        if trusted & (1 << i) and s.habits.line[i] >= 1 and s.rejected[i] < calmest:
+            near = abs(s.habits.oldest[i] - s.anchor) <= c.slew * (m.coasted + dt)
+            if near and m.coasted >= 2.0:
+                best, calmest = i, s.rejected[i]
+    if best >= 0:
+        track.remember(s)
+        track.follow(s, c, best, dt)
+    else:
+        track.coast(s, dt, COASTED)
+
+
+@kernel
+def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
+    """Tell whether what two channels differ by is a mismatch, and no fault of one of them.
+
+    It is when they parted without a jump, this sample and the one before; or when both go a smooth way, and what
+    they differ by has changed little.
+    """
+    if (
+        0.0 < s.apart <= CALM
+        and abs(parity - s.lately) <= c.creep * dt + c.noise_gate
+        and abs(s.lately - s.parity) <= c.creep * s.apart + c.noise_gate
+    ):
+        return True
+    step = min(abs(parity - s.parity), abs(parity))
+    if (
+        s.apart < 2.0
+        or abs(parity - s.lately) > c.creep * dt + c.noise_gate
+        or step > (c.tolerance if s.drift else c.tolerance / 2.0)
+    ):
+        return False
+    smooth = True
+    for i in range(c.channels):
+        if trusted & (1 << i):
+            smooth = smooth and s.habits.line[i] >= 2
+    return smooth
+
+
+@kernel
+def decide(s: Any, c: Any, y: Any, trusted: int, dt: float) -> None:
+    """Believe those that agree; where there is no agreement, what the track says."""
+    n, z = c.channels, s.z
+    count, total = 0, 0.0
+    for i in range(n):
+        if trusted & (1 << i):
+            count += 1
+            total += z[i]
+    if count == 0:
+        track.coast(s, dt, COASTED)
+        return
+    centre = middle(z, n) if count == MOST_CHANNELS else total / count
+    # Two are as far from each other as twice from their mean.
+    reach = c.agree + c.mismatch * abs(s.motion.v) * dt
+    if count < MOST_CHANNELS:
+        reach /= 2.0
+    members, bits = 0, 0
+    for i in range(n):
+        if trusted & (1 << i) and abs(z[i] - centre) <= reach:
+            bits |= 1 << i
+            members += 1
+    if count == 2:
+        parity = 0.0
+        for i in range(n):
+            if trusted & (1 << i):
+                parity = y[i] - parity  # of the later channel less the earlier one
+        if trusted != s.pair:
+            s.pair = trusted
+            s.apart = LONG
+        if members < 2 and _creeping(s, c, trusted, parity, dt):
+            for i in range(n):
+                if trusted & (1 << i):
+                    s.mismatch.level[i] += z[i] - centre
+                    z[i] = centre
+            bits, members = trusted, 2
+        if members == 2:
+            s.parity = parity
+            s.apart = 0.0
+        else:
+            s.apart += dt
+        s.lately = parity
+    if members >= 2:
+        _together(s, c, bits, members, dt)
+    else:
+        _apart(s, c, y, trusted, count == 1, dt)

@@ -1,0 +1,106 @@
+"""What a channel does by itself: repeats the same reading, or moves along a smooth line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.jit import f8, i8, kernel, record
+
+#: Same readings in a row that are suspicious while another channel moves.
+FEW = 4
+
+#: ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
+#: ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie on
+#: one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat.
+STATE = record(
+    last=(f8, MOST_CHANNELS),
+    older=(f8, MOST_CHANNELS),
+    oldest=(f8, MOST_CHANNELS),
+    same=(i8, MOST_CHANNELS),
+    longest=(i8, MOST_CHANNELS),
+    line=(i8, MOST_CHANNELS),
+    begin=(f8, MOST_CHANNELS),
+    anchor=(f8, MOST_CHANNELS * MOST_CHANNELS),
+)
+
+
+@kernel
+def start(h: Any, n: int, y: Any) -> None:
+    """Begin with the first readings."""
+    for i in range(n):
+        h.last[i] = y[i]
+        h.older[i] = y[i]
+        h.oldest[i] = y[i]
+        h.same[i] = 0
+        h.line[i] = 0
+        h.begin[i] = y[i]
+        for j in range(n):
+            h.anchor[i * MOST_CHANNELS + j] = y[j]
+
+
+@kernel
+def watch(h: Any, n: int, y: Any, trusted: int, straight: float, slew: float) -> None:
+    """Take the readings of one sample.
+
+    Args:
+        h: record of STATE.
+        n: channels.
+        y: readings; NaN: none.
+        trusted: bits of the channels that are not held for failed.
+        straight: largest second difference on a line.
+        slew: largest difference of neighbours on a line.
+    """
+    for i in range(n):
+        if y[i] == h.last[i]:
+            h.same[i] += 1
+        else:
+            if trusted & (1 << i):
+                h.longest[i] = max(h.longest[i], h.same[i])
+            h.same[i] = 0
+            for j in range(n):
+                h.anchor[i * MOST_CHANNELS + j] = y[j]
+        bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
+        if bend <= straight and abs(y[i] - h.last[i]) <= slew:
+            h.line[i] += 1
+        else:
+            h.line[i] = 0  # so do NaNs
+            h.begin[i] = h.last[i]
+        h.oldest[i] = h.older[i]
+        h.older[i] = h.last[i]
+        h.last[i] = y[i]
+
+
+@kernel
+def outrun(h: Any, n: int, i: int, y: Any, far: float, rate: float) -> int:
+    """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself; -1: none.
+
+    Args:
+        h: record of STATE.
+        n: channels.
+        i: the channel.
+        y: readings.
+        far: least movement of the other.
+        rate: least movement of the other per sample; a drift is slower.
+    """
+    if h.same[i] < FEW:
+        return -1
+    for j in range(n):
+        if j == i or h.line[j] < 2:
+            continue
+        anchor = h.anchor[i * MOST_CHANNELS + j]
+        moved = y[j] - anchor
+        length = h.same[i]
+        if h.line[j] < h.same[i]:
+            # The anchor may have been an impulse: what counts is the line, too.
+            length = h.line[j] + 1
+            if abs(y[j] - h.begin[j]) < abs(moved):
+                anchor = h.begin[j]
+                moved = y[j] - anchor
+        if moved < 0.0:
+            on_the_way = min((anchor - h.older[j]) * 2.0, (anchor - h.oldest[j]) * 4.0)
+        else:
+            on_the_way = min((h.older[j] - anchor) * 2.0, (h.oldest[j] - anchor) * 4.0)
+        if min(abs(moved), on_the_way) >= far and abs(moved) >= rate * length:
+            return j
+    return -1

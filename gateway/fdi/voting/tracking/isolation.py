@@ -1,0 +1,151 @@
+"""Which channels are held for failed, and when they are taken back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking import habits, mismatch, track
+from gateway.fdi.voting.tracking.habits import FEW
+from gateway.fdi.voting.tracking.shape import (
+    COMMON,
+    DRIFTED,
+    FROZEN,
+    GATE,
+    IMPLAUSIBLE,
+    ISOLATE,
+    RELAPSE,
+    RESTORE,
+    TRUSTED,
+)
+from gateway.jit import kernel
+
+
+@kernel
+def isolate(s: Any, i: int, why: int) -> None:
+    """Hold channel ``i`` for failed."""
+    s.isolated |= 1 << i
+    s.why[i] = why
+    s.back[i] = 0
+    if s.drift:
+        mismatch.start(s.mismatch)  # it was this channel that drifted
+
+
+@kernel
+def restore(s: Any, i: int) -> None:
+    """Trust channel ``i`` again."""
+    s.isolated &= ~(1 << i)
+    s.why[i] = TRUSTED
+    s.rejected[i] = 0
+
+
+@kernel
+def _frozen(s: Any, c: Any, y: Any, i: int, others: int) -> bool:
+    """Tell whether channel ``i`` has stopped while one of the others goes on.
+
+    It repeats itself while another moves away; or it is silent, as no live channel with noise is, while the others
+    are not. One that others stand still with is not frozen.
+    """
+    h = s.habits
+    # A channel that has repeated itself before, in a quiet time or behind a filter, may do so again.
+    patience = max(c.silent, 2 * h.longest[i] + 2)
+    company, silent = False, h.same[i] >= patience and c.low < y[i] < c.high
+    for j in range(c.channels):
+        if others & (1 << j):
+            company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= c.agree)
+            silent = silent and h.same[j] <= patience // 2
+    if company:
+        return False
+    mover = habits.outrun(h, c.channels, i, y, 2.0 * c.agree, c.creep)
+    return bool(silent or (mover >= 0 and others & (1 << mover)))
+
+
+@kernel
+def freeze(s: Any, c: Any, y: Any, trusted: int, dt: float) -> int:
+    """Isolate a frozen channel; returns the trusted ones that are left."""
+    n, h = c.channels, s.habits
+    for i in range(n):
+        others = trusted & ~(1 << i)
+        if h.same[i] < FEW or not trusted & (1 << i) or others == 0:
+            continue
+        if not _frozen(s, c, y, i, others):
+            continue
+        # What looked like a mismatch was the frozen channel, and the track went half its way.
+        mismatch.forget(s.mismatch, n, i)
+        isolate(s, i, FROZEN)
+        trusted = others
+        track.expect(s, c, y)
+        for j in range(n):
+            if others == 1 << j and h.line[j] >= 1:
+                track.follow(s, c, j, dt)
+    return int(trusted)
+
+
+@kernel
+def judge(s: Any, c: Any, trusted: int) -> None:
+    """Isolate what was rejected too often or drifts; restore what follows the track again."""
+    n, m, h = c.channels, s.motion, s.habits
+    for i in range(n):
+        bit = 1 << i
+        if s.isolated & bit == 0:
+            witness = False
+            for j in range(n):
+                if trusted & s.used & ~bit & (1 << j) and h.same[j] < ISOLATE:
+                    witness = True  # a frozen channel is none
+            if s.rejected[i] >= ISOLATE and witness:
+                isolate(s, i, IMPLAUSIBLE)
+            continue
+        if s.used == 0:
+            continue
+        off = s.z[i] - m.x
+        inside = abs(off) <= GATE * np.sqrt(m.p00 + 2.0 * c.variance)
+        if s.why[i] == DRIFTED:
+            if inside:
+                mismatch.learn(s.mismatch, i, off, 1.0)
+            inside = inside and abs(s.mismatch.level[i] - mismatch.centre(s.mismatch, n)) < (
+                c.tolerance / 2.0
+            )
+        if inside and not (s.why[i] == FROZEN and h.same[i] >= FEW):
+            s.back[i] += 1
+        else:
+            s.back[i] = max(s.back[i] - RELAPSE, 0)
+        if s.back[i] >= RESTORE:
+            restore(s, i)
+
+
+@kernel
+def reconcile(s: Any, c: Any) -> None:
+    """Restore isolated channels when nothing else is believed and all agree with each other again."""
+    n = c.channels
+    low, high, count = np.inf, -np.inf, 0
+    for i in range(n):
+        if s.z[i] == s.z[i] and not (s.why[i] == FROZEN and s.habits.same[i] >= FEW):
+            low, high, count = min(low, s.z[i]), max(high, s.z[i]), count + 1
+    s.accord = s.accord + 1 if count >= 2 and high - low <= c.agree else 0
+    if s.accord >= COMMON:
+        for i in range(n):
+            if s.isolated & (1 << i):
+                restore(s, i)
+
+
+@kernel
+def drifting(s: Any, c: Any) -> None:
+    """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
+    n, b = c.channels, s.mismatch
+    s.spread = mismatch.spread(b, n, s.isolated)
+    s.drift = 1 if s.spread > (0.8 * c.tolerance if s.drift else c.tolerance) else 0
+    if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
+        return
+    middle = mismatch.centre(b, n)
+    worst, most, second = 0, 0.0, 0.0
+    for i in range(n):
+        off = abs(b.level[i] - middle)
+        if off > most:
+            worst, most, second = i, off, most
+        else:
+            second = max(second, off)
+    if most > c.tolerance > 2.0 * second:
+        s.drift = 0
+        isolate(s, worst, DRIFTED)

@@ -1,0 +1,97 @@
+"""What channels differ by for long: gain and offset errors, and drift.
+
+Each channel's mismatch with the mean of all is followed by an alpha-beta filter while they agree. It is taken off
+the readings, so that a slow disagreement does not make one of them look wrong: from two channels nobody can tell
+which one drifts. The mean is what two voters can promise (error: half the drift); of three the median tells.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting.simple import MOST_CHANNELS, middle
+from gateway.jit import f8, i8, kernel, record
+
+#: Gains of the filter.
+ALPHA, BETA = 0.15, 0.012
+#: A rate that nothing confirms is not continued for longer than this [samples].
+CONTINUE = 10
+
+#: ``mark[i * 3 + j]``: mismatch of channel j when channel i began to repeat its reading.
+STATE = record(
+    level=(f8, MOST_CHANNELS),
+    rate=(f8, MOST_CHANNELS),
+    error=(f8, MOST_CHANNELS),
+    stale=(i8, MOST_CHANNELS),
+    mark=(f8, MOST_CHANNELS * MOST_CHANNELS),
+)
+
+
+@kernel
+def start(b: Any) -> None:
+    """Begin without any mismatch."""
+    for i in range(MOST_CHANNELS):
+        b.level[i] = 0.0
+        b.rate[i] = 0.0
+        b.error[i] = 0.0
+        b.stale[i] = 0
+
+
+@kernel
+def predict(b: Any, n: int, dt: float) -> None:
+    """Go ``dt`` samples ahead."""
+    for i in range(n):
+        if b.stale[i] < CONTINUE:
+            b.level[i] += b.rate[i] * dt
+            b.stale[i] += 1
+        else:
+            b.rate[i] = 0.0
+
+
+@kernel
+def centre(b: Any, n: int) -> float:
+    """Return what stands for no mismatch: the middle of two, the median of three."""
+    return middle(b.level, n)
+
+
+@kernel
+def learn(b: Any, i: int, error: float, dt: float) -> None:
+    """Correct channel ``i``'s mismatch by the difference between what it is and what it was taken for.
+
+    Two errors in a row have to agree in sign, and the smaller counts: a small impulse is not a mismatch.
+    """
+    before = b.error[i]
+    b.error[i] = error
+    if error * before > 0.0:
+        counted = error if abs(error) < abs(before) else before
+        b.level[i] += ALPHA * counted
+        b.rate[i] += BETA * counted / dt
+    b.stale[i] = 0
+
+
+@kernel
+def mark(b: Any, n: int, i: int) -> None:
+    """Remember the mismatches as they are now, before channel ``i`` may be found frozen."""
+    for j in range(n):
+        b.mark[i * MOST_CHANNELS + j] = b.level[j]
+
+
+@kernel
+def forget(b: Any, n: int, i: int) -> None:
+    """Go back to the mismatches that channel ``i``'s mark remembers."""
+    for j in range(n):
+        b.level[j] = b.mark[i * MOST_CHANNELS + j]
+        b.rate[j] = 0.0
+        b.error[j] = 0.0
+
+
+@kernel
+def spread(b: Any, n: int, without: int) -> float:
+    """Return the largest mismatch between two channels, ``without`` those of its bits."""
+    low, high = np.inf, -np.inf
+    for i in range(n):
+        if without & (1 << i) == 0:
+            low, high = min(low, b.level[i]), max(high, b.level[i])
+    return float(max(high - low, 0.0))

@@ -1,0 +1,140 @@
+"""Constants, state and parameters of the tracking voter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking import habits, mismatch, motion
+from gateway.fdi.voting.tracking.habits import FEW
+from gateway.jit import f8, i8, record
+
+#: Standard deviations of a gate: 6e-7 of normal innovations lie outside.
+GATE = 5.0
+#: Rejections (an acceptance takes one back) that isolate a channel, and the consistent samples that restore it.
+ISOLATE, RESTORE, RELAPSE = 30, 60, 4
+#: Samples of coasting for which a channel that was rejected more often than another is not followed.
+SUSPECT = 8
+#: Samples for which a jump of all channels together is not believed; and where all lie at an end of the span.
+COMMON, COMMON_AT_END = 5, 60
+#: Samples after which coasting becomes holding: nothing is known any more.
+LOST = 100
+#: Agreements that a track must rest on, less what single readings have moved it since, to outweigh a new one.
+SURE, SUREST = 3, 20
+#: Samples for which a disagreement may have lasted that still counts as creeping.
+CALM, LONG = 4.0, 1e9
+#: Samples for which a track that was given up is remembered, and how many in a row bring it back.
+REMEMBER, REGRET = 6, 2
+#: Rejections from which on a channel's agreement with another does not move the track by itself.
+DOUBT = 4
+#: A count that is not reached.
+NEVER = 1 << 62
+#: Why a channel is isolated.
+TRUSTED, IMPLAUSIBLE, FROZEN, DRIFTED = range(4)
+#: Where the value comes from.
+NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
+
+CONST = record(
+    channels=i8,
+    low=f8,
+    high=f8,
+    variance=f8,
+    agree=f8,
+    straight=f8,
+    slew=f8,
+    bend=f8,
+    mismatch=f8,
+    tolerance=f8,
+    creep=f8,
+    noise_gate=f8,
+    silent=i8,
+    widest=f8,
+)
+
+#: ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
+#: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause.
+STATE = record(
+    value=f8,
+    used=i8,
+    source=i8,
+    isolated=i8,
+    why=(i8, MOST_CHANNELS),
+    drift=i8,
+    spread=f8,
+    rejected=(i8, MOST_CHANNELS),
+    back=(i8, MOST_CHANNELS),
+    innovation=(f8, MOST_CHANNELS),
+    gate=f8,
+    common=i8,
+    accord=i8,
+    sure=i8,
+    pair=i8,
+    parity=f8,
+    lately=f8,
+    apart=f8,
+    started=i8,
+    anchor=f8,
+    z=(f8, MOST_CHANNELS),
+    motion=motion.STATE,
+    old=motion.STATE,
+    old_age=i8,
+    old_hits=i8,
+    mismatch=mismatch.STATE,
+    habits=habits.STATE,
+)
+
+
+def _silent(noise: float, step: float) -> int:
+    """Return how often a live channel hardly ever repeats a reading: probability 1e-8 at the likeliest one."""
+    if noise == 0.0:
+        return NEVER
+    likeliest = math.erf(step / (2.0 * math.sqrt(2.0) * noise))
+    if likeliest == 0.0:
+        return FEW
+    return max(FEW, math.ceil(math.log(1e-8) / math.log(likeliest))) if likeliest < 0.9 else NEVER
+
+
+def prepare(
+    c: np.void,
+    channels: int,
+    *,
+    low: float,
+    high: float,
+    noise: float,
+    step: float,
+    slew: float = 0.02,
+    bend: float = 1.6e-4,
+    mismatch: float = 0.005,
+    tolerance: float = 0.01,
+) -> None:
+    """Fill the constants.
+
+    Args:
+        c: record of CONST.
+        channels: 2 or 3.
+        low: least value of the quantity; the unit is that of the readings.
+        high: largest value.
+        noise: standard deviation of a reading, from the data sheet.
+        step: resolution of a reading, from the data sheet.
+        slew: largest true change in one sample, share of the span.
+        bend: standard deviation of the change of slope in one sample, share of the span.
+        mismatch: difference of the channels' gains that is usual.
+        tolerance: slow mismatch that is usual, share of the span.
+    """
+    span = high - low
+    least = 2e-5 * span  # arithmetic and what no data sheet says
+    variance = noise**2 + step**2 / 12 + least**2
+    c["channels"], c["low"], c["high"] = channels, low, high
+    c["variance"] = variance
+    c["agree"] = max(GATE * np.sqrt(2 * variance) + step / 2, 1.2e-3 * span)
+    c["noise_gate"] = GATE * np.sqrt(2 * variance) + step
+    c["slew"] = slew * span
+    c["bend"] = bend * span
+    c["straight"] = GATE * np.sqrt(6 * variance) + 6 * bend * span
+    c["mismatch"] = 4 * mismatch
+    c["tolerance"] = tolerance * span
+    c["creep"] = 6e-4 * span
+    c["silent"] = _silent(noise, step)
+    c["widest"] = span / 4

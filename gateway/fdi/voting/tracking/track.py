@@ -1,0 +1,89 @@
+"""The track: what is expected, what moves it, how it is given up and taken back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting.tracking import mismatch, motion
+from gateway.fdi.voting.tracking.shape import FOLLOWED, GATE, ISOLATE, REGRET
+from gateway.jit import kernel
+
+
+@kernel
+def expect(s: Any, c: Any, y: Any) -> None:
+    """Take the mismatch off the readings, and compare them with the track."""
+    centre = mismatch.centre(s.mismatch, c.channels)
+    for i in range(c.channels):
+        s.z[i] = y[i] - (s.mismatch.level[i] - centre)
+        s.innovation[i] = s.z[i] - s.motion.x
+
+
+@kernel
+def accept(s: Any, c: Any, bits: int, source: int) -> None:
+    """Book the channels that were believed and those that were not."""
+    s.used = bits
+    s.source = source
+    s.common = 0
+    for i in range(c.channels):
+        if bits & (1 << i):
+            s.rejected[i] = max(s.rejected[i] - 1, 0)
+        elif abs(s.innovation[i]) > s.gate:
+            s.rejected[i] = min(s.rejected[i] + 1, 2 * ISOLATE)
+
+
+@kernel
+def coast(s: Any, dt: float, source: int) -> None:
+    """Believe none."""
+    s.used = 0
+    s.source = source
+    s.motion.coasted += dt
+
+
+@kernel
+def remember(s: Any) -> None:
+    """Keep the track that is given up."""
+    motion.copy(s.old, s.motion)
+    s.old_age = 1
+    s.old_hits = 0
+
+
+@kernel
+def regret(s: Any, c: Any, trusted: int) -> int:
+    """Return the channel that has gone back to the track that was given up, for the second time; -1: none.
+
+    Readings that agree by chance, an impulse of one channel and the offset of another, look like a change of
+    slope; but then the first channel returns.
+    """
+    if s.old_age == 0:
+        return -1
+    gate = GATE * np.sqrt(s.old.p00 + c.variance)
+    for i in range(c.channels):
+        back = abs(s.z[i] - s.old.x) <= gate < abs(s.z[i] - s.motion.x)
+        if trusted & (1 << i) and back:
+            s.old_hits += 1
+            return i if s.old_hits >= REGRET else -1
+    return -1
+
+
+@kernel
+def turn(s: Any, c: Any, x: float, count: int, dt: float) -> None:
+    """The quantity changed its slope: go on from the last level that was sure."""
+    m = s.motion
+    elapsed = m.coasted + dt
+    v = (x - s.anchor) / elapsed
+    sigma = 0.5 * abs(v) + 2.0 * np.sqrt(c.variance)
+    motion.restart(m, x, v, c.variance / count, sigma * sigma)
+
+
+@kernel
+def follow(s: Any, c: Any, i: int, dt: float) -> None:
+    """Begin a new track on the line that channel ``i`` goes."""
+    h = s.habits
+    v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
+    motion.restart(
+        s.motion, s.z[i], v, c.variance, c.variance / 2.0 + c.bend * c.bend + v * v / 16.0
+    )
+    accept(s, c, 1 << i, FOLLOWED)
+    s.sure = 0

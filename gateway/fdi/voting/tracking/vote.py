@@ -1,0 +1,93 @@
+"""The decision of the tracking voter, sample by sample.
+
+In order: readings that agree with each other are believed together, as the quantity's own course or, where the
+track does not expect them but a foot can move so fast, as a change of its mind. Where readings disagree, the one
+that the track expects is believed; where the track expects none, it coasts, and a channel that goes a smooth way
+for three samples is followed. A channel that is rejected again and again, or frozen, is isolated; it is taken back
+when it has followed the track for long.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting.tracking import belief, habits, isolation, mismatch, motion, track
+from gateway.fdi.voting.tracking.shape import AGREED, GATE, LOST, NONE, REMEMBER, SINGLE
+from gateway.jit import kernel
+
+
+@kernel
+def _start(s: Any, c: Any, y: Any) -> None:
+    """Begin with the mean of the readings that are trusted; without any, wait."""
+    n = c.channels
+    total, count, bits, low, high = 0.0, 0, 0, np.inf, -np.inf
+    for i in range(n):
+        if y[i] == y[i] and s.isolated & (1 << i) == 0:  # not NaN
+            total += y[i]
+            count += 1
+            bits |= 1 << i
+            low, high = min(low, y[i]), max(high, y[i])
+    s.source = NONE
+    s.used = 0
+    if count == 0:
+        for i in range(n):
+            isolation.restore(s, i)  # rather all of them again than none for good
+        return
+    spread = high - low
+    motion.restart(
+        s.motion, total / count, 0.0, c.variance + spread * spread / 4.0, c.slew * c.slew / 9.0
+    )
+    habits.start(s.habits, n, y)
+    s.started = 1
+    s.source = AGREED if spread <= c.agree else SINGLE
+    s.sure = 1 if spread <= c.agree else 0
+    s.used = bits
+    s.anchor = s.motion.x
+    s.value = min(max(s.motion.x, c.low), c.high)
+
+
+@kernel
+def vote(s: Any, c: Any, y: Any, dt: float) -> None:
+    """Take the readings of one sample.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        y: readings, NaN where there is none.
+        dt: time since the last sample, in sample periods.
+    """
+    if s.started == 0 or dt >= LOST:
+        s.started = 0
+        _start(s, c, y)
+        return
+    n, m = c.channels, s.motion
+    motion.predict(m, dt, c.bend, c.widest)
+    mismatch.predict(s.mismatch, n, dt)
+    if s.old_age > 0:
+        motion.predict(s.old, dt, c.bend, c.widest)
+        s.old_age = s.old_age + 1 if s.old_age < REMEMBER else 0
+    s.gate = GATE * np.sqrt(m.p00 + c.variance)
+    track.expect(s, c, y)
+    trusted = 0
+    for i in range(n):
+        if y[i] == y[i] and s.isolated & (1 << i) == 0:
+            trusted |= 1 << i
+    habits.watch(s.habits, n, y, trusted, c.straight, c.slew * dt)
+    for i in range(n):
+        if s.habits.same[i] == 0:
+            mismatch.mark(s.mismatch, n, i)
+    s.used = 0
+    trusted = isolation.freeze(s, c, y, trusted, dt)
+    if s.used == 0:
+        belief.decide(s, c, y, trusted, dt)
+    if s.used:
+        s.anchor = m.x
+    elif s.isolated:
+        isolation.reconcile(s, c)
+    isolation.judge(s, c, trusted)
+    isolation.drifting(s, c)
+    if m.coasted >= LOST:
+        s.source = NONE
+    s.value = min(max(m.x, c.low), c.high)
