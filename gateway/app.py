@@ -23,7 +23,7 @@ from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, FaultDefinition, debounce_of, define
 from gateway.faults.memory import DtcChange, FaultMemory
 from gateway.faults.store import Store
-from gateway.monitors.shape import FAILED, PASSED, Monitor
+from gateway.monitors.shape import FAILED, PASSED, Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameOutput, message_of
 from gateway.resources import shipped
 from gateway.signals.database import Database, load_database
@@ -31,6 +31,9 @@ from gateway.signals.tables import SignalRef
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
+
+#: Databases of messages that the gateway itself sends.
+OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")
 
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
@@ -254,17 +257,20 @@ def _frozen_refs(
     return found
 
 
-def _emission(entry: MonitorConfig, monitor: Monitor, database: Database) -> Message:
+def _emission(
+    entry: MonitorConfig, monitor: Monitor, params: MonitorParams, database: Database
+) -> Message:
     """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
 
     Raises:
         InputError: the monitor has nothing to send, or its message is nowhere.
     """
     key = f'monitor "{entry.name}".send'
-    if monitor.emission is None:
+    emission = monitor.emission_of(params)
+    if emission is None:
         raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
-    name = monitor.emission.message
-    for known in (database, load_database([shipped("dbc/gateway.dbc")])):
+    name = entry.send if isinstance(entry.send, str) else emission.message
+    for known in (database, *(load_database([shipped(file)]) for file in OWN_DATABASES)):
         if any(message.name == name for message in known):
             return known.message(name)
     raise InputError(f"no database has the message {name}", key=key)
@@ -291,7 +297,7 @@ def _assemble(
                 bus,
                 entry.priority,
                 entry.signals,
-                _emission(entry, monitor, dict(databases)[bus]) if entry.send else None,
+                _emission(entry, monitor, params, dict(databases)[bus]) if entry.send else None,
             )
         )
     checks = [

@@ -45,8 +45,10 @@ class MonitorConfig(BaseModel):
     type: str = Field(description="type of the monitor")
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
     priority: int = Field(0, description="order among the monitors of one message, 0 first")
-    send: bool = Field(
-        False, description="send its own message (angle, voted value, ...) on its bus"
+    send: bool | str = Field(
+        False,
+        description="send its own message (angle, voted value, ...) on its bus; or the name of"
+        " another message with the same signals",
     )
     signals: dict[str, str] = Field(
         default_factory=dict, description='default "Message.Signal" = your "Message.Signal"'

@@ -133,6 +133,8 @@ def entry_point(
     if not COMPILED:
         _PYTHON_ENTRIES.append((step, records))
         return len(_PYTHON_ENTRIES) - 1
+    if (step, records) in _KNOWN:
+        return _KNOWN[step, records]
     python = getattr(step, "py_func", step)
     # The wrapper is given the file of its kernel, so that numba finds a place for it in the cache.
     source = f"def {name}(a, b, c, d):\n step(carray(a, 1)[0], carray(b, 1)[0], carray(c, 1)[0], carray(d, 1)[0])\n"
@@ -143,11 +145,14 @@ def entry_point(
     )
     entry = numba.cfunc(signature, cache=True)(scope[name])
     _KEPT.append(entry)
-    return int(cast(int, entry.address))
+    _KNOWN[step, records] = int(cast(int, entry.address))
+    return _KNOWN[step, records]
 
 
 #: Compiled entries, kept alive: an address must outlive whoever asked for it.
 _KEPT: list[Any] = []
+#: Their addresses: types of monitor that share a kernel share its entry.
+_KNOWN: dict[tuple[Any, tuple[np.dtype[np.void], ...]], int] = {}
 
 
 @intrinsic

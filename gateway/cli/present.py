@@ -112,7 +112,10 @@ class EventPrinter:
             f"  occurrence {event['occurrence']}"
         )
         if failed:
-            shown = "  ".join(f"{k} {v:.6g}" for k, v in event["evidence"].items())
+            shown = "  ".join(
+                f"{k} {'-' if v is None else format(v, '.6g')}"
+                for k, v in event["evidence"].items()
+            )
             self._console.print(escape(f"{'':14}evidence: {shown}"), style="dim")
 
     def _summary(self, event: dict[str, Any]) -> None:

@@ -60,7 +60,7 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
         console.print(f"[bold]{scenario.name}[/]: {scenario.description} (seed {player.seed})")
         for ecu in scenario.ecu:
             console.print(
-                f"virtual ECU [bold]{ecu.name}[/]: {ecu.wheel} trigger wheel,"
+                f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
                 f" {len(player.frames)} frames in {scenario.duration_s} s"
             )
     truth = list(player.truth)

@@ -131,7 +131,8 @@ def build_engine(
         cells += m.monitor.inputs.itemsize // 8
         for name in triggers:
             triggered.setdefault(plan.message(m.bus, name), []).append(k)
-        faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in m.monitor.faults]
+        mine = m.monitor.faults_of(m.params)
+        faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]
     pool = np.zeros(max(cells, 1))
     for k in range(len(monitors)):
         handlers[k]["inputs_address"] = pool.ctypes.data + 8 * int(handlers[k]["inputs"])

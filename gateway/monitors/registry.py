@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from gateway.monitors import crank_sync
+from gateway.monitors import brake_pedal, crank_sync
 from gateway.monitors.shape import Monitor
 
-MONITORS: dict[str, Monitor] = {monitor.type: monitor for monitor in (crank_sync.MONITOR,)}
+MONITORS: dict[str, Monitor] = {
+    monitor.type: monitor for monitor in (crank_sync.MONITOR, brake_pedal.PAIR, brake_pedal.TRIPLE)
+}

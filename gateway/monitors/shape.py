@@ -9,8 +9,8 @@ the :data:`RESULTS` sink. It never reads a clock; ``u.t_ns`` is the event's own 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -155,6 +155,8 @@ class Monitor:
         prepare: parameters, state record, constants record: fills both before the first step.
         readout: fields of the state shown to people (summary, live values).
         emission: the message it sends, if any.
+        dtcs: parameters -> DTCs by name of the fault, where they are not those of ``faults``.
+        message: parameters -> name of the message it sends, where it is not that of ``emission``.
     """
 
     type: str
@@ -168,6 +170,19 @@ class Monitor:
     prepare: Callable[[Any, np.void, np.void], None]
     readout: tuple[str, ...] = ()
     emission: Emission | None = None
+    dtcs: Callable[[Any], Mapping[str, str]] | None = None
+    message: Callable[[Any], str] | None = None
+
+    def faults_of(self, params: MonitorParams) -> tuple[Fault, ...]:
+        """Return what an instance with these parameters can report."""
+        codes = {} if self.dtcs is None else self.dtcs(params)
+        return tuple(replace(fault, dtc=codes.get(fault.name, fault.dtc)) for fault in self.faults)
+
+    def emission_of(self, params: MonitorParams) -> Emission | None:
+        """Return what an instance with these parameters sends."""
+        if self.emission is None or self.message is None:
+            return self.emission
+        return replace(self.emission, message=self.message(params))
 
     @cached_property
     def entry(self) -> int:

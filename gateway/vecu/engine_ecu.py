@@ -8,8 +8,8 @@ import numpy as np
 
 from gateway.bus.frames import Frames
 from gateway.vecu.crank import cam_edges, tooth_times
+from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pulse_faults import Truth, added_pulses, missed_pulses
-from gateway.vecu.scenario import EngineParams, PulseFault
 from gateway.vecu.tooth_frames import cam_frames, tooth_frames
 
 

@@ -9,6 +9,9 @@ import numpy as np
 from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
 from gateway.vecu.engine_ecu import engine_frames
+from gateway.vecu.engine_params import EngineParams, PulseFault
+from gateway.vecu.pedal_ecu import pedal_frames
+from gateway.vecu.pedal_params import SensorFault
 from gateway.vecu.pulse_faults import Truth
 from gateway.vecu.scenario import Scenario
 from gateway.vecu.wire_faults import apply_wire_faults
@@ -48,9 +51,13 @@ class Player:
                     f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or ""
                 )
             mine = [fault for fault in scenario.fault if fault.ecu == ecu.name]
-            frames, truth = engine_frames(
-                ecu, mine, scenario.duration_s, bus=bus, rng=np.random.default_rng([self.seed, k])
-            )
+            rng = np.random.default_rng([self.seed, k])
+            if isinstance(ecu, EngineParams):
+                pulse = [fault for fault in mine if isinstance(fault, PulseFault)]
+                frames, truth = engine_frames(ecu, pulse, scenario.duration_s, bus=bus, rng=rng)
+            else:
+                sensor = [fault for fault in mine if isinstance(fault, SensorFault)]
+                frames, truth = pedal_frames(ecu, sensor, scenario.duration_s, bus=bus, rng=rng)
             runs.append(frames)
             self.truth += truth
         frames = np.concatenate(runs)

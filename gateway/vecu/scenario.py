@@ -2,66 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
 from gateway.faults.catalogue import DtcText
-from gateway.fdi.wheel import WheelText
 from gateway.tomlfile import StrictModel, load
+from gateway.vecu.engine_params import EngineParams, PulseFault
+from gateway.vecu.pedal_params import PedalParams, SensorFault
 
-
-class RippleParams(StrictModel):
-    """One order of torsional ripple."""
-
-    order: float = Field(gt=0, description="per revolution of the crank")
-    amplitude: float = Field(ge=0, lt=1, description="fraction of the speed")
-    phase: float = Field(0.0, description="[rad]")
-
-
-class EngineParams(StrictModel):
-    """An engine ECU that sends the tooth times of its crankshaft sensor."""
-
-    type: Literal["engine"] = "engine"
-    name: str = "engine"
-    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
-    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
-    format: Literal["classic", "fd"] = Field("classic", description="CTW_PT4 or CTW_FD27 frames")
-    speed: tuple[tuple[float, float], ...] = Field(
-        min_length=1, description="breakpoints [time s, speed rpm], linear in between"
-    )
-    ripple: tuple[RippleParams, ...] = ()
-    jitter: float = Field(0.0, ge=0, le=0.3, description="of an edge, standard deviation [pitch]")
-    tooth_error: float = Field(0.0, ge=0, le=0.3, description="standard deviation [pitch]")
-
-    cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
-        (),
-        description="edges of a cam sensor: [crank angle 0..720 deg from tooth 0, level after it]",
-    )
-
-    @model_validator(mode="after")
-    def _speed_is_a_profile(self) -> EngineParams:
-        times = [t for t, _ in self.speed]
-        if any(b <= a for a, b in pairwise(times)) or times[0] < 0:
-            raise ValueError("the times of the speed's breakpoints must rise from 0")
-        if any(rpm < 0 for _, rpm in self.speed):
-            raise ValueError("a speed cannot be negative")
-        return self
-
-
-class PulseFault(StrictModel):
-    """A fault of the crankshaft sensor."""
-
-    kind: Literal["missed_pulses", "added_pulses"]
-    ecu: str = Field("engine", description="name of the ECU")
-    at_s: float = Field(ge=0, description="not before this time [s]")
-    count: int = Field(1, ge=1, le=20, description="pulses")
-    tooth: int | None = Field(None, ge=0, description="first tooth; default: the next one")
+Ecu = Annotated[EngineParams | PedalParams, Field(discriminator="type")]
+SensedFault = Annotated[PulseFault | SensorFault, Field(discriminator="kind")]
 
 
 class WireFault(StrictModel):
@@ -108,8 +60,8 @@ class Scenario(StrictModel):
     duration_s: float = Field(gt=0, le=86400, description="[s]")
     seed: int = Field(1, ge=0)
     config: Path = Field(Path("../gateway.toml"), description="relative to the scenario")
-    ecu: tuple[EngineParams, ...] = Field(min_length=1)
-    fault: tuple[PulseFault, ...] = ()
+    ecu: tuple[Ecu, ...] = Field(min_length=1)
+    fault: tuple[SensedFault, ...] = ()
     wire: tuple[WireFault, ...] = ()
     expect: tuple[Expectation, ...] = ()
     unexpected: Literal["fail", "allow"] = Field("fail", description="DTCs that no line expects")
@@ -122,6 +74,13 @@ class Scenario(StrictModel):
         for fault in self.fault:
             if fault.ecu not in names:
                 raise ValueError(f"no ECU {fault.ecu!r}; there are {', '.join(names)}")
+            ecu = self.ecu[names.index(fault.ecu)]
+            if isinstance(fault, SensorFault) != isinstance(ecu, PedalParams):
+                raise ValueError(f"ECU {ecu.name!r} is of type {ecu.type}: it has no {fault.kind}")
+            if isinstance(fault, SensorFault) and isinstance(ecu, PedalParams):
+                most = len(ecu.sensors)
+                if max(fault.channel) > most:
+                    raise ValueError(f"ECU {ecu.name!r} has no channel {max(fault.channel)}")
         return self
 
 

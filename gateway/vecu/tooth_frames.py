@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.bus.frames import FD, Frames, empty, put
-from gateway.resources import shipped
-from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
-from gateway.signals.database import load_database
 from gateway.signals.tooth_codec import LONGEST_US, encode_intervals
+from gateway.vecu.protection import message_of, protect
 
 Format = Literal["classic", "fd"]
 
@@ -27,29 +23,6 @@ ALIVE_NS = 100_000_000
 WIRE_NS = {"classic": 242_000, "fd": 354_000}
 #: Pulses between two CTW_BASE frames.
 BASE_EVERY = 58
-
-_CRC = "crc8_sae_j1850"
-
-
-@cache
-def _message(name: str) -> Message:
-    return load_database([shipped("dbc/engine.dbc")]).message(name)
-
-
-@cache
-def _table() -> NDArray[np.uint8]:
-    return crc8_table(_CRC)
-
-
-def protect(message: Message, values: dict[str, Any]) -> bytes:
-    """Encode a message of engine.dbc and put its CRC in."""
-    data = bytearray(message.encode({**values, "Crc": 0}))
-    words = np.frombuffer(bytes(data).ljust(64, b"\0"), "<u8")
-    algorithm = ALGORITHMS[_CRC]
-    data[0] = crc8(
-        words, len(data), 0, message.frame_id, _table(), algorithm.init, algorithm.xorout
-    )
-    return bytes(data)
 
 
 @dataclass(frozen=True)
@@ -126,7 +99,7 @@ def _classic(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay:
     codes = np.zeros(max(len(times_ns) - 1, 0), np.int64)
     if len(codes):
         encode_intervals(times_ns / 1e3, codes)
-    teeth, base = _message("CTW_PT4"), _message("CTW_BASE")
+    teeth, base = message_of("dbc/engine.dbc", "CTW_PT4"), message_of("dbc/engine.dbc", "CTW_BASE")
     rows: list[tuple[int, int, bytes]] = []
     bases = 0
     for number, group in enumerate(groups):
@@ -150,7 +123,7 @@ def _classic(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay:
 
 
 def _fd(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int) -> Frames:
-    message = _message("CTW_FD27")
+    message = message_of("dbc/engine.dbc", "CTW_FD27")
     frames = empty(len(groups))
     half_us = times_ns // 500
     for number, group in enumerate(groups):
@@ -189,7 +162,7 @@ def cam_frames(
         levels: shape (m,), level after each.
         bus: index of the bus.
     """
-    message = _message("CTW_CAM")
+    message = message_of("dbc/engine.dbc", "CTW_CAM")
     places = np.searchsorted(times_ns, edges_ns, side="right") - 1
     frames = empty(int((places >= 0).sum()))
     rows = zip(places, edges_ns, levels, strict=True)

@@ -108,6 +108,7 @@ def prepare(
     bend: float = 1.6e-4,
     mismatch: float = 0.005,
     tolerance: float = 0.01,
+    creep: float = 6e-4,
 ) -> None:
     """Fill the constants.
 
@@ -122,6 +123,7 @@ def prepare(
         bend: standard deviation of the change of slope in one sample, share of the span.
         mismatch: difference of the channels' gains that is usual.
         tolerance: slow mismatch that is usual, share of the span.
+        creep: largest change of a drift in one sample, share of the span.
     """
     span = high - low
     least = 2e-5 * span  # arithmetic and what no data sheet says
@@ -135,6 +137,6 @@ def prepare(
     c["straight"] = GATE * np.sqrt(6 * variance) + 6 * bend * span
     c["mismatch"] = 4 * mismatch
     c["tolerance"] = tolerance * span
-    c["creep"] = 6e-4 * span
+    c["creep"] = creep * span
     c["silent"] = _silent(noise, step)
     c["widest"] = span / 4

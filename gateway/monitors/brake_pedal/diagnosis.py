@@ -1,0 +1,149 @@
+"""From what the voter made of a sample to test results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking.shape import (
+    AGREED,
+    COMMON_MODE,
+    DRIFTED,
+    FROZEN,
+    ISOLATE,
+    MOVED,
+    NONE,
+    TRUSTED,
+)
+from gateway.fdi.voting.tracking.shape import (
+    IMPLAUSIBLE as REJECTED,
+)
+from gateway.jit import f8, i8, kernel, record
+from gateway.monitors.brake_pedal.faults import (
+    CORRELATION,
+    DRIFT,
+    DRIFTS,
+    ERRATIC,
+    HIGH,
+    IMPLAUSIBLE,
+    INVALID,
+    JUMP,
+    LOW,
+    PER_CHANNEL,
+    RANGE,
+    STUCK,
+)
+from gateway.monitors.shape import report
+
+#: How a reading lies to its range.
+FINE, BELOW, ABOVE, OUTSIDE = range(4)
+#: Shares of samples, averaged over so many: those in which a channel goes wrong; those without agreement.
+ERRATIC_OVER, SPLIT_OVER = 256.0, 64.0
+#: From which share on they fail, and below which they pass; in between the verdict stands.
+ERRATIC_FAILS, ERRATIC_PASSES = 0.05, 0.02
+SPLIT_FAILS, SPLIT_PASSES = 0.5, 0.1
+
+#: ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one; ``split``:
+#: share of the samples without agreement.
+STATE = record(erratic=(f8, MOST_CHANNELS), wrong=(i8, MOST_CHANNELS), split=f8)
+
+
+@kernel
+def _of_channel(
+    s: Any, i: int, fault: int, failed: bool, value: float, limit: float, out: Any
+) -> None:
+    """Report a test of channel ``i`` with its evidence; ``fault`` is its place among all."""
+    at = report(out, fault, failed, value, limit)
+    if at < 0 or not failed:
+        return
+    v = s.tracking
+    e = out.results[at].evidence
+    e[0] = s.reading[i]
+    e[1] = s.position[i]
+    e[2] = s.value
+    # A reading outside its range has not been seen by the voter.
+    e[3] = v.innovation[i] if s.place[i] == FINE else s.position[i] - s.value
+    e[4] = v.gate
+    e[5] = v.mismatch.level[i]
+    e[6] = v.rejected[i]
+    e[7] = v.habits.same[i]
+
+
+@kernel
+def _of_all(s: Any, c: Any, fault: int, failed: bool, value: float, limit: float, out: Any) -> None:
+    """Report a test of all channels with its evidence."""
+    at = report(out, c.channels * PER_CHANNEL + fault, failed, value, limit)
+    if at < 0 or not failed:
+        return
+    e = out.results[at].evidence
+    for i in range(c.channels):
+        e[i] = s.position[i]
+    e[3] = s.value
+    e[4] = s.speed
+    e[5] = s.tracking.spread
+    e[6] = s.diagnosis.split
+
+
+@kernel
+def _channel(s: Any, c: Any, i: int, out: Any) -> None:
+    """Test one channel."""
+    v, d, place = s.tracking, s.diagnosis, s.place[i]
+    first = i * PER_CHANNEL
+    _of_channel(s, i, first + LOW, place == BELOW, s.reading[i], c.low[i], out)
+    _of_channel(s, i, first + HIGH, place == ABOVE, s.reading[i], c.high[i], out)
+    if place in (FINE, OUTSIDE):
+        _of_channel(s, i, first + RANGE, place == OUTSIDE, s.position[i], 100.0 + c.over, out)
+    if place != FINE:
+        return  # its place is the cause; the voter has not seen it
+    why = v.why[i] if v.isolated & (1 << i) else TRUSTED
+    if why in (TRUSTED, FROZEN):
+        repeated, limit = v.habits.same[i], c.tracking.silent
+        _of_channel(s, i, first + STUCK, why == FROZEN, repeated, limit, out)
+    if why in (TRUSTED, REJECTED):
+        _of_channel(s, i, first + IMPLAUSIBLE, why == REJECTED, v.rejected[i], ISOLATE, out)
+    if why in (TRUSTED, DRIFTED) and c.channels == MOST_CHANNELS:
+        drifts = c.channels * PER_CHANNEL + DRIFTS + i
+        moved, limit = abs(v.mismatch.level[i]), c.tracking.tolerance
+        _of_channel(s, i, drifts, why == DRIFTED, moved, limit, out)
+    if why != TRUSTED:
+        d.erratic[i] = 0.0
+        return
+    if v.used == 0:
+        return
+    wrong = v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate
+    # A channel that goes wrong and stays so is not erratic: what counts is how often it begins.
+    began = wrong and d.wrong[i] == 0
+    d.wrong[i] = 1 if wrong else 0
+    d.erratic[i] += ((1.0 if began else 0.0) - d.erratic[i]) / ERRATIC_OVER
+    if d.erratic[i] > ERRATIC_FAILS or d.erratic[i] < ERRATIC_PASSES:
+        failed = d.erratic[i] > ERRATIC_FAILS
+        often, limit = 100.0 * d.erratic[i], 100.0 * ERRATIC_FAILS
+        _of_channel(s, i, first + ERRATIC, failed, often, limit, out)
+
+
+@kernel
+def diagnose(s: Any, c: Any, out: Any) -> None:
+    """Report what a sample shows.
+
+    Args:
+        s: the monitor's state.
+        c: its constants.
+        out: record of RESULTS.
+    """
+    v, d = s.tracking, s.diagnosis
+    valid = 0
+    for i in range(c.channels):
+        _channel(s, c, i, out)
+        if s.place[i] == FINE and v.isolated & (1 << i) == 0:
+            valid += 1
+    if valid >= 2:
+        agreed = v.source in (AGREED, MOVED)
+        d.split += ((0.0 if agreed else 1.0) - d.split) / SPLIT_OVER
+        if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
+            _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
+        _of_all(s, c, DRIFT, v.drift == 1, v.spread, c.tracking.tolerance, out)
+    # Channels that come back together after they were lost have not jumped.
+    jumped = v.source == COMMON_MODE and v.motion.coasted <= v.common + 1.0
+    _of_all(s, c, JUMP, jumped, v.common, 1.0, out)
+    if v.source == NONE or v.used:
+        _of_all(s, c, INVALID, v.source == NONE, v.motion.coasted, c.lost, out)

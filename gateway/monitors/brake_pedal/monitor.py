@@ -1,0 +1,229 @@
+"""Redundant position sensors: faults of two or three channels, and one value out of them.
+
+Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault-Tolerant of Safety Critical
+System" (2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the
+default is :mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its
+input. One step a message of the last channel; the others' readings are the newest there are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking import shape
+from gateway.fdi.voting.tracking import vote as tracking
+from gateway.jit import f8, i8, kernel, record
+from gateway.monitors.brake_pedal import diagnosis
+from gateway.monitors.brake_pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
+from gateway.monitors.brake_pedal.faults import DTCS, faults
+from gateway.monitors.brake_pedal.params import PRESETS, VOTERS, PairParams, Params, TripleParams
+from gateway.monitors.shape import TIMER, Emission, Monitor, ParamsClass, Wiring, inputs
+
+#: Quality of the value, as GW_BrakePedal carries it.
+STARTING, AGREED, ONE_CHANNEL, DEGRADED, ESTIMATED, INVALID = range(6)
+#: Without a sample for so many periods the value is invalid.
+SILENCE = 20
+#: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
+#: of the noise, and the smoothing constant of the predictive one.
+BETA, REPAIRED_BETA, FLOOR, ALPHA = 0.3, 0.5, 4.0, 0.3
+#: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.
+BEND = 1.6e-4
+#: A drift is slower [travels/s].
+CREEP = 0.6
+
+CONST = record(
+    channels=i8,
+    voter=i8,
+    rest=(f8, MOST_CHANNELS),
+    percent=(f8, MOST_CHANNELS),
+    low=(f8, MOST_CHANNELS),
+    high=(f8, MOST_CHANNELS),
+    over=f8,
+    period_ns=i8,
+    lost=f8,
+    tracking=shape.CONST,
+    simple=simple.CONST,
+    kalman=kalman_hybrid.CONST,
+    predictive=predictive_hybrid.CONST,
+)
+
+#: ``reading`` in the unit of the signal, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN outside it.
+STATE = record(
+    value=f8,
+    quality=i8,
+    speed=f8,
+    samples=i8,
+    used=i8,
+    isolated=i8,
+    spread=f8,
+    last_ns=i8,
+    reading=(f8, MOST_CHANNELS),
+    position=(f8, MOST_CHANNELS),
+    place=(i8, MOST_CHANNELS),
+    trusted=(f8, MOST_CHANNELS),
+    tracking=shape.STATE,
+    simple=simple.STATE,
+    kalman=kalman_hybrid.STATE,
+    predictive=predictive_hybrid.STATE,
+    diagnosis=diagnosis.STATE,
+)
+
+INPUTS = inputs(reading=(f8, MOST_CHANNELS))
+
+
+def _wire(p: Params) -> Wiring:
+    signals = [channel.signal for channel in p.channels]
+    return Wiring((p.channels[-1].message,), tuple(signals))
+
+
+def _prepare(p: Params, s: np.void, c: np.void) -> None:
+    n = len(p.channels)
+    c["channels"], c["voter"] = n, VOTERS.index(p.voter)
+    for i, channel in enumerate(p.channels):
+        c["rest"][i], c["percent"][i] = channel.at_rest, channel.percent
+        c["low"][i], c["high"][i] = channel.low, channel.high
+    c["over"] = p.overtravel
+    c["period_ns"] = round(p.period_ms * 1e6)
+    c["lost"] = shape.LOST
+    noise = max(abs(channel.noise * channel.percent) for channel in p.channels)
+    step = max(abs(channel.resolution * channel.percent) for channel in p.channels)
+    shape.prepare(
+        c["tracking"],
+        n,
+        low=0.0,
+        high=100.0,
+        noise=noise,
+        step=step,
+        slew=p.fastest * p.period_ms * 1e-3,
+        bend=BEND * p.period_ms**1.5,
+        mismatch=p.gain_error / 100,
+        tolerance=p.tolerance / 100,
+        creep=CREEP * p.period_ms * 1e-3,
+    )
+    simple.prepare(c["simple"], n)
+    repaired = p.voter == "kalman_repaired"
+    for part in ("kalman", "predictive"):
+        hybrid.prepare(
+            c[part]["hybrid"],
+            n,
+            beta=REPAIRED_BETA if repaired else BETA,
+            lower=not repaired,
+            floor=FLOOR * noise if repaired else 0.0,
+            low=0.0 if repaired else -np.inf,
+            high=100.0 if repaired else np.inf,
+        )
+    kalman_hybrid.prepare(c["kalman"])
+    predictive_hybrid.prepare(c["predictive"], alpha=ALPHA)
+
+
+@kernel
+def _read(s: Any, c: Any, u: Any) -> None:
+    """Bring the readings to per cent of the travel, and place them to their ranges."""
+    for i in range(c.channels):
+        reading = u.reading[i]
+        position = (reading - c.rest[i]) * c.percent[i]
+        s.reading[i], s.position[i] = reading, position
+        if reading < c.low[i]:
+            s.place[i] = BELOW
+        elif reading > c.high[i]:
+            s.place[i] = ABOVE
+        elif -c.over <= position <= 100.0 + c.over:
+            s.place[i] = FINE
+        else:
+            s.place[i] = OUTSIDE  # so is NaN
+        s.trusted[i] = position if s.place[i] == FINE else np.nan
+
+
+@kernel
+def _vote(s: Any, c: Any, dt: float) -> None:
+    """Run the tracking voter, and the one whose value is asked for."""
+    t = s.tracking
+    tracking.vote(t, c.tracking, s.trusted, dt)
+    s.value, s.used = t.value, t.used
+    s.speed = t.motion.v / (c.period_ns * 1e-9)
+    s.isolated, s.spread = t.isolated, t.spread
+    if c.voter == 1:
+        simple.average(s.simple, c.simple, s.position)
+        s.value, s.used = s.simple.value, s.simple.used
+    elif c.voter == 2:
+        simple.median(s.simple, c.simple, s.position)
+        s.value, s.used = s.simple.value, s.simple.used
+    elif c.voter == 3:
+        predictive_hybrid.vote(s.predictive, c.predictive, s.position)
+        s.value, s.used = s.predictive.value, s.predictive.used
+    elif c.voter > 3:
+        kalman_hybrid.vote(s.kalman, c.kalman, s.position)
+        s.value, s.used = s.kalman.value, s.kalman.used
+
+
+@kernel
+def _quality(s: Any) -> int:
+    """Return how good the value is."""
+    t = s.tracking
+    if t.source == shape.NONE:
+        return STARTING if t.started == 0 else INVALID
+    if t.used == 0:
+        return ESTIMATED
+    if t.drift == 1:
+        return DEGRADED
+    return ONE_CHANNEL if t.used & (t.used - 1) == 0 else AGREED
+
+
+@kernel
+def _send(s: Any, out: Any) -> None:
+    out.send = 1
+    out.values[0] = s.value
+    out.values[1] = s.speed
+    out.values[2] = s.quality
+    out.values[3] = s.used
+    out.values[4] = s.isolated
+    out.values[5] = s.spread
+
+
+@kernel
+def step(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take one sample of all channels, or the timer of a silent bus."""
+    if u.trigger == TIMER:
+        s.quality = INVALID
+        s.used = 0
+        _send(s, out)
+        return
+    dt = 1.0
+    if s.samples > 0:
+        dt = max(np.rint((u.t_ns - s.last_ns) / c.period_ns), 1.0)
+    s.last_ns = u.t_ns
+    s.samples += 1
+    _read(s, c, u)
+    _vote(s, c, dt)
+    s.quality = _quality(s)
+    diagnosis.diagnose(s, c, out)
+    _send(s, out)
+    out.wake_ns = u.t_ns + SILENCE * c.period_ns
+
+
+def _monitor(kind: str, params: ParamsClass, channels: int) -> Monitor:
+    return Monitor(
+        type=kind,
+        params=params,
+        state=STATE,
+        const=CONST,
+        inputs=INPUTS,
+        step=step,
+        faults=faults(channels),
+        wire=_wire,
+        prepare=_prepare,
+        readout=("value", "quality", "speed", "samples", "used", "isolated", "spread"),
+        emission=Emission(
+            "GW_BrakePedal", ("Position", "Speed", "Quality", "Used", "Isolated", "Mismatch")
+        ),
+        dtcs=lambda p: DTCS[p.preset],
+        message=lambda p: PRESETS[p.preset].message,
+    )
+
+
+PAIR = _monitor("redundant_pair", PairParams, 2)
+TRIPLE = _monitor("redundant_triple", TripleParams, 3)
