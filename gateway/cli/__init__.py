@@ -153,9 +153,26 @@ def evaluate_crank(
     ] = None,
 ) -> None:
     """Missed and added pulses of a crankshaft sensor: our two methods beside open controllers'."""
-    from gateway.cli.evaluate import crank as work
+    from gateway.cli.evaluate.crank import crank as work
 
     raise typer.Exit(work(runs=seeds, pulses=pulses, seed=seed, json=json, plot=plot))
+
+
+@evaluate_app.command("voters")
+def evaluate_voters(
+    seeds: Annotated[int, typer.Option(min=0, help="Runs of each case; 0: none.")] = 300,
+    seed: Annotated[
+        int, typer.Option(min=0, help="First seed; no parameter was chosen on those from 20000 on.")
+    ] = 20_000,
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")
+    ] = None,
+) -> None:
+    """Faulty pedal sensors: our voter beside average, median, predictive and Kalman hybrid."""
+    from gateway.cli.evaluate.voters import voters as work
+
+    raise typer.Exit(work(runs=seeds, seed=seed, json=json, plot=plot))
 
 
 @app.command()

@@ -19,6 +19,9 @@ from gateway.faults.status import Status
 from gateway.jit import COMPILED, cache_is_warm
 from gateway.resources import shipped
 
+#: Columns of a table that does not go to a terminal.
+WIDTH = 180
+
 
 def set_up_logging() -> None:
     """Send log lines to stderr: readable on a terminal, JSON elsewhere."""
@@ -40,6 +43,12 @@ def set_up_logging() -> None:
 def say(text: str) -> None:
     """Tell a person something that is not data."""
     print(text, file=sys.stderr, flush=True)
+
+
+def wide_console() -> Console:
+    """Return a console for wide tables, which stay wide in a file or a pipe."""
+    console = Console()
+    return console if console.is_terminal else Console(width=WIDTH)
 
 
 def say_if_cold() -> None:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-mpl.use("Agg")
-
-import matplotlib.pyplot as plt
-from matplotlib.figure import Figure
+from gateway.evaluate.drawing import save
 
 #: Section 4 of the paper: a 30-2 wheel, D = 0.6, gamma = 0.16; alpha and beta are not printed and are chosen so that
 #: the threshold 1 gives the durations it states.
@@ -85,7 +82,7 @@ def _fig2(folder: Path) -> Path:
     for axis in axes[1]:
         axis.set_xlabel(r"$k - n\Pi$")
     figure.suptitle("Fig. 2  Shape of the fault signals", fontsize=11)
-    return _save(figure, folder / "fig2-fault-signals.png")
+    return save(figure, folder / "fig2-fault-signals.png")
 
 
 def _fig345(folder: Path, number: int, count: int, title: str, seed: int) -> Path:
@@ -112,14 +109,7 @@ def _fig345(folder: Path, number: int, count: int, title: str, seed: int) -> Pat
         f"Fig. {number}  {title}{'' if count == 0 else '; not corrected'}  (seed {seed})",
         fontsize=11,
     )
-    return _save(figure, folder / f"fig{number}-{title.split(', ')[1].replace(' ', '-')}.png")
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
-    return path
+    return save(figure, folder / f"fig{number}-{title.split(', ')[1].replace(' ', '-')}.png")
 
 
 def draw(folder: Path, seed: int) -> list[Path]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import product
@@ -14,6 +12,7 @@ import numpy as np
 
 from gateway.evaluate.crank.cases import Kind, Train, cranking, labels, sweep, with_fault
 from gateway.evaluate.crank.follow import METHODS, Followed, Method, follower
+from gateway.evaluate.pool import Progress, run
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.crank_sync.faults import ADDED, MISSED, PULSES_LOST
 from gateway.monitors.crank_sync.isolation import LOSS
@@ -28,8 +27,6 @@ JITTERS = (0.01, 0.02, 0.03, 0.05)
 GRACE, JUDGED = 4, 3
 #: Healthy trains are made in pieces of so many pulses.
 PIECE = 1_000_000
-
-Progress = Callable[[], None]
 
 
 @dataclass
@@ -188,16 +185,11 @@ def alarm_jobs(pulses: int, seed: int) -> list[tuple[str, str, float, int, int]]
     return [(*case, piece, seed + k) for case in cases for k, piece in enumerate(pieces)]
 
 
-def _run(work: Callable[[Any], list[Any]], jobs: Sequence[Any], progress: Progress) -> list[Any]:
-    found: list[Any] = []
+def _warm() -> None:
+    """Fill the kernels' cache before several processes want it."""
     wheel = Wheel.parse(WHEELS[0])
-    for method in METHODS:  # fills the kernels' cache before several processes want it
+    for method in METHODS:
         _follower(method, wheel.text)(np.arange(wheel.pulses) * 1e3)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for rows in pool.map(work, jobs):
-            found += rows
-            progress()
-    return found
 
 
 def monte_carlo(runs: int, seed: int, progress: Progress = lambda: None) -> list[Score]:
@@ -208,7 +200,8 @@ def monte_carlo(runs: int, seed: int, progress: Progress = lambda: None) -> list
         seed: of all of them.
         progress: called at the end of each job.
     """
-    return _run(_faults, fault_jobs(runs, seed), progress)
+    _warm()
+    return run(_faults, fault_jobs(runs, seed), progress)
 
 
 def false_alarms(pulses: int, seed: int, progress: Progress = lambda: None) -> list[Alarms]:
@@ -220,7 +213,8 @@ def false_alarms(pulses: int, seed: int, progress: Progress = lambda: None) -> l
         progress: called at the end of each job.
     """
     total: dict[tuple[str, str, float, str], Alarms] = {}
-    for row in _run(_alarms, alarm_jobs(pulses, seed), progress):
+    _warm()
+    for row in run(_alarms, alarm_jobs(pulses, seed), progress):
         key = (row.case, row.wheel, row.jitter, row.method)
         if key in total:
             sum_of = total[key]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -103,7 +104,7 @@ def _prepare_tracking(c: np.void, channels: int, environment: Environment) -> No
     shape.prepare(c, channels, low=0.0, high=SPAN, noise=environment.noise, step=environment.step)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Voter:
     """A voter as it is evaluated: how many channels it is given, its records and its loop over a run."""
 
@@ -113,6 +114,7 @@ class Voter:
     prepare: Callable[[np.void, int, Environment], None]
     loop: Callable[..., None]
 
+    @cache  # noqa: B019 - the few voters live as long as the process
     def constants(self, environment: Environment) -> Any:
         """Return its constants in an environment, whose noise and resolution alone it is told."""
         c = table(1, self.const)[0]

@@ -73,6 +73,35 @@ def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
 
 
 @kernel
+def _smooth(s: Any, c: Any, trusted: int, alone: bool, dt: float) -> int:
+    """Return the channel whose line goes on from where the track was lost; -1: none.
+
+    A foot changes its speed, not its place: a line that does not lead back to the last sure level is an offset. Only
+    after long coasting, when nothing better has come, is such a line followed.
+    """
+    m, h = s.motion, s.habits
+    if m.coasted < 2.0:
+        return -1
+    late = m.coasted >= SUSPECT
+    calmest = 2 * ISOLATE + 1
+    if not alone and not late:
+        for i in range(c.channels):
+            if trusted & (1 << i):
+                calmest = min(calmest, s.rejected[i] + 2)
+    elapsed = m.coasted + dt
+    best, nearest = -1, np.inf
+    for i in range(c.channels):
+        if trusted & (1 << i) == 0 or h.line[i] < 1 or s.rejected[i] >= calmest:
+            continue
+        v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
+        miss = abs(s.z[i] - v * elapsed - s.anchor)
+        reachable = abs(s.z[i] - s.anchor) <= c.slew * elapsed
+        if reachable and miss < nearest and (late or alone or miss <= 1.5 * abs(v) * dt + c.agree):
+            best, nearest = i, miss
+    return best
+
+
+@kernel
 def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None:
     """Readings that disagree, or one alone: the one the track expects, or a smooth one, or none."""
     m = s.motion
@@ -91,18 +120,8 @@ def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None
         track.accept(s, c, 1 << best, SINGLE)
         s.sure = max(s.sure - 1, 0)
         return
-    calmest = 2 * ISOLATE + 1
-    if not alone and m.coasted < SUSPECT:
-        for i in range(c.channels):
-            if trusted & (1 << i):
-                calmest = min(calmest, s.rejected[i] + 2)
-    for i in range(c.channels):
-        if trusted & (1 << i) and s.habits.line[i] >= 1 and s.rejected[i] < calmest:
-            near = abs(s.habits.oldest[i] - s.anchor) <= c.slew * (m.coasted + dt)
-            if near and m.coasted >= 2.0:
-                best, calmest = i, s.rejected[i]
+    best = _smooth(s, c, trusted, alone, dt)
     if best >= 0:
-        track.remember(s)
         track.follow(s, c, best, dt)
     else:
         track.coast(s, dt, COASTED)

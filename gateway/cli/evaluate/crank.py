@@ -1,4 +1,4 @@
-"""``gateway evaluate``: the papers' figures and tables, from our own data."""
+"""``gateway evaluate crank``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, say_if_cold
+from gateway.cli.present import print_json, say_if_cold, wide_console
 from gateway.evaluate.crank.figures import draw
 from gateway.evaluate.crank.table import (
     KINDS,
@@ -21,9 +21,6 @@ from gateway.evaluate.crank.table import (
     fault_jobs,
     monte_carlo,
 )
-
-#: Columns of a table that does not go to a terminal.
-WIDTH = 180
 
 
 def _share(value: float) -> str:
@@ -91,8 +88,7 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
             }
         )
         return 0
-    # Wide tables, also into a file or a pipe.
-    console = Console() if Console().is_terminal else Console(width=WIDTH)
+    console = wide_console()
     for table in _scores(scores):
         console.print(table)
     if alarms:

@@ -1,0 +1,1 @@
+"""``gateway evaluate``: the papers' figures and tables, from our own data."""

@@ -1,0 +1,20 @@
+"""What all figures have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure and let go of it; returns the file."""
+    figure.tight_layout(rect=(0, 0.06, 1, 1) if figure.legends else (0, 0, 1, 1))
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+    return path
