@@ -55,7 +55,7 @@ LARGE = 0.02
 #: An output is latched when it is off by more than this for so many samples [V].
 LATCH, LATCHED = 0.25, 50
 #: No parameter was chosen on seeds from here on.
-FIRST_SEED = 20_000
+FIRST_SEED = 100_000
 #: Runs of one job.
 PIECE = 100
 

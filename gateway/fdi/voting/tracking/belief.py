@@ -102,6 +102,19 @@ def _smooth(s: Any, c: Any, trusted: int, alone: bool, dt: float) -> int:
 
 
 @kernel
+def _sound(s: Any, c: Any, trusted: int) -> bool:
+    """Tell whether there is a channel that was hardly ever rejected, and the track is not lost for long.
+
+    Then one that was rejected often, and meets the coasting track by chance, is not believed.
+    """
+    found = False
+    for i in range(c.channels):
+        if trusted & (1 << i):
+            found = found or s.rejected[i] < DOUBT
+    return found and s.motion.coasted < SUSPECT
+
+
+@kernel
 def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None:
     """Readings that disagree, or one alone: the one the track expects, or a smooth one, or none."""
     m = s.motion
@@ -112,8 +125,11 @@ def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None
         track.expect(s, c, y)
         s.gate = GATE * np.sqrt(m.p00 + c.variance)
     nearest = s.gate
+    sound = _sound(s, c, trusted)
     for i in range(c.channels):
         if trusted & (1 << i) and abs(s.innovation[i]) <= nearest:
+            if sound and s.rejected[i] >= DOUBT:
+                continue
             best, nearest = i, abs(s.innovation[i])
     if best >= 0:
         motion.correct(m, s.innovation[best], c.variance)
@@ -144,7 +160,7 @@ def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
     if (
         s.apart < 2.0
         or abs(parity - s.lately) > c.creep * dt + c.noise_gate
-        or step > (c.tolerance if s.drift else c.tolerance / 2.0)
+        or step > (2.0 * c.tolerance if s.drift else c.tolerance / 2.0)
     ):
         return False
     smooth = True

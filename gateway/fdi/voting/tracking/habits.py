@@ -9,7 +9,6 @@ from gateway.jit import f8, i8, kernel, record
 
 #: Same readings in a row that are suspicious while another channel moves.
 FEW = 4
-
 #: ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
 #: ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie on
 #: one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat.
@@ -72,7 +71,7 @@ def watch(h: Any, n: int, y: Any, trusted: int, straight: float, slew: float) ->
 
 
 @kernel
-def outrun(h: Any, n: int, i: int, y: Any, far: float, rate: float) -> int:
+def outrun(h: Any, n: int, i: int, y: Any, smooth: int, far: float, rate: float) -> int:
     """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself; -1: none.
 
     Args:
@@ -80,13 +79,14 @@ def outrun(h: Any, n: int, i: int, y: Any, far: float, rate: float) -> int:
         n: channels.
         i: the channel.
         y: readings.
+        smooth: samples beyond the first two that the other must move along a line.
         far: least movement of the other.
         rate: least movement of the other per sample; a drift is slower.
     """
     if h.same[i] < FEW:
         return -1
     for j in range(n):
-        if j == i or h.line[j] < 2:
+        if j == i or h.line[j] < smooth:
             continue
         anchor = h.anchor[i * MOST_CHANNELS + j]
         moved = y[j] - anchor
@@ -97,10 +97,10 @@ def outrun(h: Any, n: int, i: int, y: Any, far: float, rate: float) -> int:
             if abs(y[j] - h.begin[j]) < abs(moved):
                 anchor = h.begin[j]
                 moved = y[j] - anchor
-        if moved < 0.0:
-            on_the_way = min((anchor - h.older[j]) * 2.0, (anchor - h.oldest[j]) * 4.0)
-        else:
-            on_the_way = min((h.older[j] - anchor) * 2.0, (h.oldest[j] - anchor) * 4.0)
-        if min(abs(moved), on_the_way) >= far and abs(moved) >= rate * length:
+        way = -1.0 if moved < 0.0 else 1.0
+        on_the_way = min((h.older[j] - anchor) * way * 2.0, (h.oldest[j] - anchor) * way * 4.0)
+        # A channel that comes back from an impulse has moved, but does not go on.
+        goes_on = (h.last[j] - h.older[j]) * way > 0.0 and (h.older[j] - h.oldest[j]) * way > 0.0
+        if goes_on and min(abs(moved), on_the_way) >= far and abs(moved) >= rate * length:
             return j
     return -1

@@ -18,6 +18,7 @@ from gateway.fdi.voting.tracking.shape import (
     ISOLATE,
     RELAPSE,
     RESTORE,
+    SURE,
     TRUSTED,
 )
 from gateway.jit import kernel
@@ -58,7 +59,9 @@ def _frozen(s: Any, c: Any, y: Any, i: int, others: int) -> bool:
             silent = silent and h.same[j] <= patience // 2
     if company:
         return False
-    mover = habits.outrun(h, c.channels, i, y, 2.0 * c.agree, c.creep)
+    # Against a track that is sure a few impulses in a row are not enough.
+    smooth = 3 if s.sure >= SURE else 2
+    mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * c.agree, c.creep)
     return bool(silent or (mover >= 0 and others & (1 << mover)))
 
 
