@@ -11,7 +11,7 @@ TESTS = Path(__file__).parent
 def test_engine_and_monitors_run_uncompiled():
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "engine", "monitors", "signals/test_random_databases.py",
+         "-W", "error::RuntimeWarning", "engine", "fdi", "monitors", "signals/test_random_databases.py",
          "signals/test_crc_and_codec.py"],
         cwd=TESTS,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},

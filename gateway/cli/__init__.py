@@ -162,7 +162,8 @@ def evaluate_crank(
 def evaluate_voters(
     seeds: Annotated[int, typer.Option(min=0, help="Runs of each case; 0: none.")] = 300,
     seed: Annotated[
-        int, typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on.")
+        int,
+        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
     ] = 100_000,
     json: Json = False,
     plot: Annotated[

@@ -52,7 +52,7 @@ _COMMON = (
         "jump",
         "27",
         "all channels jump together, faster than the pedal can move",
-        Debounce(failed_after=3, passed_after=200),
+        Debounce(failed_after=2, passed_after=200),
     ),
     ("invalid", "29", "no channel has a reading that can be believed", _JUDGED),
 )

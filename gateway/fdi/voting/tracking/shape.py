@@ -54,7 +54,9 @@ CONST = record(
 )
 
 #: ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
-#: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause.
+#: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings, NaN
+#: for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``: what the
+#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample.
 STATE = record(
     value=f8,
     used=i8,
@@ -76,6 +78,7 @@ STATE = record(
     apart=f8,
     started=i8,
     anchor=f8,
+    y=(f8, MOST_CHANNELS),
     z=(f8, MOST_CHANNELS),
     motion=motion.STATE,
     old=motion.STATE,

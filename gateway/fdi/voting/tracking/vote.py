@@ -49,15 +49,8 @@ def _start(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def vote(s: Any, c: Any, y: Any, dt: float) -> None:
-    """Take the readings of one sample.
-
-    Args:
-        s: record of STATE.
-        c: record of CONST.
-        y: readings, NaN where there is none.
-        dt: time since the last sample, in sample periods.
-    """
+def _take(s: Any, c: Any, y: Any, dt: float) -> None:
+    """Predict, judge, decide; a reading that there is not is NaN."""
     if s.started == 0 or dt >= LOST:
         s.started = 0
         _start(s, c, y)
@@ -91,3 +84,18 @@ def vote(s: Any, c: Any, y: Any, dt: float) -> None:
     if m.coasted >= LOST:
         s.source = NONE
     s.value = min(max(m.x, c.low), c.high)
+
+
+@kernel
+def vote(s: Any, c: Any, y: Any, dt: float) -> None:
+    """Take the readings of one sample.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        y: readings; what is not finite is none.
+        dt: time since the last sample, in sample periods.
+    """
+    for i in range(c.channels):
+        s.y[i] = y[i] if -np.inf < y[i] < np.inf else np.nan
+    _take(s, c, s.y, dt)
