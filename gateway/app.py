@@ -272,8 +272,13 @@ def _emission(
     name = entry.send if isinstance(entry.send, str) else emission.message
     for known in (database, *(load_database([shipped(file)]) for file in OWN_DATABASES)):
         if any(message.name == name for message in known):
-            return known.message(name)
-    raise InputError(f"no database has the message {name}", key=key)
+            found = known.message(name)
+            missing = set(emission.signals) - {signal.name for signal in found.signals}
+            if missing:
+                lacking = ", ".join(sorted(missing))
+                raise InputError(f"this message has no {lacking}", key=key, value=name)
+            return found
+    raise InputError("no database has this message", key=key, value=name)
 
 
 def events_of(event: np.void) -> Events:

@@ -136,7 +136,9 @@ def _cross_check(config: Config) -> Iterator[InputError]:
             monitor_of(entry)
         except InputErrors as errors:
             for error in errors.errors:
-                yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
+                # An error of the monitor as a whole has no key of its own; its value would be everything.
+                key = f"monitor[{k}].{error.key}" if error.key else f"monitor[{k}]"
+                yield InputError(error.message, key=key, value=error.value if error.key else None)
         except InputError as error:
             yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
         try:

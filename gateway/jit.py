@@ -117,13 +117,10 @@ def record_at(address: int, dtype: np.dtype[np.void]) -> Any:
     return np.frombuffer(cast(Any, raw), dtype).view(np.recarray)[0]
 
 
-def entry_point(
-    name: str, step: Callable[..., None], records: tuple[np.dtype[np.void], ...]
-) -> int:
+def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
     """Give a kernel of records an address that :func:`call_entry` can jump to.
 
     Args:
-        name: of the entry, unique in the kernel's module.
         step: a kernel ``step(a, b, c, d)`` over four records.
         records: the dtypes of the four.
 
@@ -136,6 +133,7 @@ def entry_point(
     if (step, records) in _KNOWN:
         return _KNOWN[step, records]
     python = getattr(step, "py_func", step)
+    name = f"{python.__name__}_entry"
     # The wrapper is given the file of its kernel, so that numba finds a place for it in the cache.
     source = f"def {name}(a, b, c, d):\n step(carray(a, 1)[0], carray(b, 1)[0], carray(c, 1)[0], carray(d, 1)[0])\n"
     scope: dict[str, Any] = {"step": step, "carray": carray, "__name__": python.__module__}

@@ -62,7 +62,7 @@ def input_errors(error: ValidationError, file: Path | None, prefix: str = "") ->
         key = key_path(tuple(detail["loc"]))
         if prefix:
             key = f"{prefix}.{key}" if key else prefix
-        message = detail["msg"]
+        message = detail["msg"].removeprefix("Value error, ")
         value = None if detail["type"] in {"missing", "extra_forbidden"} else detail["input"]
         if detail["type"] == "extra_forbidden":
             message = "unknown key"

@@ -240,6 +240,40 @@ def test_wrong_configurations_name_file_key_and_value(tmp_path, old, new, said):
     assert "gateway.toml" in text or ".dbc" in text
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("send = true", 'send = "Nope"', "monitor \"brake\".send = 'Nope': no database has"),
+        ("send = true", 'send = "PED_Brake"', "this message has no Isolated, Mismatch, Position"),
+        ('preset = "brake"', 'preset = "clutch"', "monitor[0].preset = 'clutch'"),
+        ('preset = "brake"', 'preset = "brake_3"', "monitor[0]: a redundant_pair has 2 channels"),
+        ('preset = "brake"', 'voter = "none"', "monitor[0].voter = 'none'"),
+        ('preset = "brake"', "tolerance = 0", "monitor[0].tolerance = 0"),
+    ],
+)
+def test_wrong_pedals_are_refused_with_their_key(tmp_path, old, new, said):
+    text = shipped("configs/pedal.toml").read_text().replace('"../dbc/', f'"{shipped("dbc")}/')
+    assert old in text
+    path = tmp_path / "pedal.toml"
+    path.write_text(text.replace(old, new))
+    with pytest.raises((InputError, InputErrors)) as caught:
+        Gateway(load_config(path), file=path)
+    assert said in str(caught.value)
+    assert "pedal.toml" in str(caught.value)
+
+
+def test_a_voted_value_can_go_out_as_another_message(tmp_path):
+    text = shipped("configs/pedal.toml").read_text().replace('"../dbc/', f'"{shipped("dbc")}/')
+    path = tmp_path / "pedal.toml"
+    path.write_text(text.replace("send = true", 'send = "GW_AcceleratorPedal"'))
+    gateway = Gateway(load_config(path))
+    _, _, player = build("pedal_emergency")
+    gateway.start(0)
+    sent = gateway.feed(player.frames[:100])
+    gateway.close()
+    assert (sent["can_id"] == 0x2B1).sum() == 100
+
+
 def test_all_mistakes_are_named_at_once(tmp_path):
     text = config_error(
         tmp_path,

@@ -187,6 +187,4 @@ class Monitor:
     @cached_property
     def entry(self) -> int:
         """Address of the compiled kernel; compiles it, or loads it from the cache."""
-        return entry_point(
-            f"{self.type}_entry", self.step, (self.state, self.const, self.inputs, RESULTS)
-        )
+        return entry_point(self.step, (self.state, self.const, self.inputs, RESULTS))

@@ -3,69 +3,21 @@
 import json
 import os
 import random
-import re
 import signal
 import subprocess
-import sys
-import threading
 import time
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from contextlib import ExitStack
 
 import can
 import cantools
 import pytest
+from processes import GATEWAY, bus, gateway, process
 
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.resources import shipped
 
 pytestmark = pytest.mark.system
-
-GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
-
-
-def gateway(*arguments, cwd, timeout=120, **options):
-    return subprocess.run(
-        [*GATEWAY, *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-        **options,
-    )
-
-
-@contextmanager
-def process(*arguments, cwd, ready):
-    """Start a command, wait for a line on stderr, end it with SIGTERM."""
-    started = subprocess.Popen(
-        [*GATEWAY, *map(str, arguments)],
-        cwd=cwd,
-        stdout=(Path(cwd) / f"{arguments[0]}.out").open("a"),
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        line = ""
-        while ready not in line:
-            line = started.stderr.readline()
-            assert line, f"{arguments} ended with {started.wait(5)}"
-        started.said = line
-        drain = threading.Thread(target=started.stderr.read, daemon=True)
-        drain.start()
-        yield started
-    finally:
-        if started.poll() is None:
-            started.terminate()
-        started.code = started.wait(20)
-
-
-@contextmanager
-def bus(cwd):
-    with process("bus", "127.0.0.1:0", cwd=cwd, ready="serving") as started:
-        yield re.search(r"loopback:\S+", started.said)[0]
 
 
 def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):

@@ -280,6 +280,8 @@ def test_expectations():
     assert judged(want, again) == [True, False]
     assert judged([], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
     assert judged([], [(0.7, "U0100-87", 0x2F, 1)], unexpected="allow") == []
+    # after the drive the ECUs are switched off
+    assert judged([], [(99.0, "U0100-87", 0x2F, 1)]) == []
     assert judged([{"dtc": "U0100-87", "absent": True}], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
     assert judged([{"dtc": "U0100-87", "absent": True}], []) == [True]
 

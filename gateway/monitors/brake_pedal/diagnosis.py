@@ -42,6 +42,8 @@ ERRATIC_OVER, SPLIT_OVER = 256.0, 64.0
 #: From which share on they fail, and below which they pass; in between the verdict stands.
 ERRATIC_FAILS, ERRATIC_PASSES = 0.05, 0.02
 SPLIT_FAILS, SPLIT_PASSES = 0.5, 0.1
+#: Channels that agreed hardly ever before have not jumped together.
+SPLIT_JUMP = 0.3
 
 #: ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one; ``split``:
 #: share of the samples without agreement.
@@ -142,8 +144,7 @@ def diagnose(s: Any, c: Any, out: Any) -> None:
         if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
             _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
         _of_all(s, c, DRIFT, v.drift == 1, v.spread, c.tracking.tolerance, out)
-    # Channels that come back together after they were lost have not jumped.
-    jumped = v.source == COMMON_MODE and v.motion.coasted <= v.common + 1.0
+    jumped = v.source == COMMON_MODE and d.split < SPLIT_JUMP
     _of_all(s, c, JUMP, jumped, v.common, 1.0, out)
     if v.source == NONE or v.used:
         _of_all(s, c, INVALID, v.source == NONE, v.motion.coasted, c.lost, out)

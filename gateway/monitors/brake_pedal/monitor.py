@@ -103,6 +103,7 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
         mismatch=p.gain_error / 100,
         tolerance=p.tolerance / 100,
         creep=CREEP * p.period_ms * 1e-3,
+        rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
     simple.prepare(c["simple"], n)
     repaired = p.voter == "kalman_repaired"

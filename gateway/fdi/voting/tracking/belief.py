@@ -48,7 +48,7 @@ def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
                 mismatch.learn(s.mismatch, i, s.z[i] - z, dt)
         return
     reach = c.slew * (m.coasted - s.common + dt)
-    at_end = min(z - c.low, c.high - z) <= c.agree
+    at_end = min(z - c.floor, c.ceiling - z) <= c.agree
     s.common += 1
     smooth, sound = True, True
     for i in range(c.channels):

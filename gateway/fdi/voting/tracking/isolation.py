@@ -52,7 +52,7 @@ def _frozen(s: Any, c: Any, y: Any, i: int, others: int) -> bool:
     h = s.habits
     # A channel that has repeated itself before, in a quiet time or behind a filter, may do so again.
     patience = max(c.silent, 2 * h.longest[i] + 2)
-    company, silent = False, h.same[i] >= patience and c.low < y[i] < c.high
+    company, silent = False, h.same[i] >= patience and c.floor < y[i] < c.ceiling
     for j in range(c.channels):
         if others & (1 << j):
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= c.agree)

@@ -40,6 +40,8 @@ CONST = record(
     channels=i8,
     low=f8,
     high=f8,
+    floor=f8,
+    ceiling=f8,
     variance=f8,
     agree=f8,
     straight=f8,
@@ -112,6 +114,7 @@ def prepare(
     mismatch: float = 0.005,
     tolerance: float = 0.01,
     creep: float = 6e-4,
+    rails: tuple[float, float] | None = None,
 ) -> None:
     """Fill the constants.
 
@@ -127,11 +130,14 @@ def prepare(
         mismatch: difference of the channels' gains that is usual.
         tolerance: slow mismatch that is usual, share of the span.
         creep: largest change of a drift in one sample, share of the span.
+        rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
+            and channels that jump there together have more likely failed than moved.
     """
     span = high - low
     least = 2e-5 * span  # arithmetic and what no data sheet says
     variance = noise**2 + step**2 / 12 + least**2
     c["channels"], c["low"], c["high"] = channels, low, high
+    c["floor"], c["ceiling"] = rails or (low, high)
     c["variance"] = variance
     c["agree"] = max(GATE * np.sqrt(2 * variance) + step / 2, 1.2e-3 * span)
     c["noise_gate"] = GATE * np.sqrt(2 * variance) + step

@@ -1,0 +1,72 @@
+"""A pedal's faults over the loopback bus: daemon, virtual ECU and tester as processes of their own."""
+
+import json
+import threading
+from contextlib import ExitStack
+
+import can
+import cantools
+import pytest
+from processes import bus, gateway, process
+
+from gateway.resources import shipped
+
+pytestmark = pytest.mark.system
+
+#: DTC -> a part of the evidence that it must have been kept with.
+EVIDENCE = {
+    "P057A-14": ("reading", lambda v: v == 0),
+    "P157A-15": ("reading", lambda v: v > 4.9),
+    "P057A-2A": ("repeated [samples]", lambda v: v >= 4),
+    "P157A-64": ("innovation [%]", lambda v: 5 < v < 7.5),
+    "P057A-2F": ("position [%]", lambda v: v != 0),
+    "P157C-28": ("mismatch [%]", lambda v: 2 <= v < 3),
+    "P157C-62": ("without agreement [share]", lambda v: v > 0.5),
+    "P157A-14": ("reading", lambda v: v == 0),
+    "P157C-29": ("channel 1 [%]", lambda v: v == -12.5),
+}
+
+
+def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
+    voted = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name(
+        "GW_BrakePedal"
+    )
+    with ExitStack() as stack:
+        uri = stack.enter_context(bus(tmp_path))
+        host, _, port = uri.removeprefix("loopback:").rpartition(":")
+        daemon = stack.enter_context(
+            process("run", shipped("configs/pedal.toml"), "--bus", uri, "--json",
+                    "--memory", "f.sqlite", cwd=tmp_path, ready="monitoring")
+        )  # fmt: skip
+        tester = stack.enter_context(
+            can.Bus(
+                interface="socketcand",
+                host=host,
+                port=int(port),
+                channel="can0",
+                can_filters=[{"can_id": voted.frame_id, "can_mask": 0x7FF}],
+            )
+        )
+        qualities, stop = set(), threading.Event()
+
+        def read():
+            while not stop.is_set():
+                if (message := tester.recv(0.2)) is not None:
+                    qualities.add(str(voted.decode(message.data)["Quality"]))
+
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        drive = gateway("simulate", "pedal_faults", "--check", "--bus", uri, cwd=tmp_path)
+        assert drive.returncode == 0, drive.stdout + drive.stderr
+        assert drive.stdout.count("healed at") == len(EVIDENCE)
+        stop.set()
+        reader.join(10)
+        assert {"agreed", "one channel", "degraded", "estimated", "invalid"} <= set(
+            map(str, qualities)
+        )
+    assert daemon.code == 0
+    for dtc, (name, good) in EVIDENCE.items():
+        shown = gateway("faults", "show", dtc, "--memory", "f.sqlite", "--json", cwd=tmp_path)
+        entry = json.loads(shown.stdout)
+        entry = entry[0] if isinstance(entry, list) else entry
+        assert good(entry["evidence"][name]), (dtc, entry["evidence"])
