@@ -173,7 +173,7 @@ def load_config(path: Path) -> Config:
     try:
         config = Config(**data)
     except ValidationError as error:
-        raise input_errors(error, path) from error
+        raise input_errors(error, path, data=data) from error
     wrong = [
         InputError(error.message, file=path, key=error.key, value=error.value)
         for error in _cross_check(config)

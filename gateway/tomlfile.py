@@ -55,11 +55,41 @@ def key_path(location: tuple[int | str, ...]) -> str:
     return path
 
 
-def input_errors(error: ValidationError, file: Path | None, prefix: str = "") -> InputErrors:
-    """Turn pydantic's error into ours, one entry for each key."""
+def _place(location: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
+    """Return a location without the names of union members, which are no keys of the file."""
+    place: list[int | str] = []
+    for k, part in enumerate(location):
+        last = k == len(location) - 1
+        if isinstance(part, str) and isinstance(data, dict) and part not in data and not last:
+            continue
+        place.append(part)
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            data = None
+    return tuple(place)
+
+
+def input_errors(
+    error: ValidationError, file: Path | None, prefix: str = "", *, data: Any = None
+) -> InputErrors:
+    """Turn pydantic's error into ours, one entry for each key.
+
+    Args:
+        error: pydantic's.
+        file: where the data stand.
+        prefix: key path of the data in it.
+        data: what was validated.
+    """
     found = []
-    for detail in error.errors(include_url=False):
-        key = key_path(tuple(detail["loc"]))
+    details = error.errors(include_url=False)
+    places = [detail["loc"] for detail in details]
+    for detail in details:
+        here = detail["loc"]
+        inner = any(place[: len(here)] == here and place != here for place in places)
+        if detail["type"] == "too_short" and inner:
+            continue  # its items are there, but wrong
+        key = key_path(_place(tuple(here), data))
         if prefix:
             key = f"{prefix}.{key}" if key else prefix
         message = detail["msg"].removeprefix("Value error, ")
@@ -81,7 +111,7 @@ def validate(data: dict[str, Any], model: type[M], file: Path | None, prefix: st
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise input_errors(error, file, prefix) from error
+        raise input_errors(error, file, prefix, data=data) from error
 
 
 def load(path: Path, model: type[M]) -> M:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from gateway.faults.catalogue import DtcText
 from gateway.tomlfile import StrictModel, load
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pedal_params import PedalParams, SensorFault
 
-Ecu = Annotated[EngineParams | PedalParams, Field(discriminator="type")]
+
+def _type(ecu: Any) -> str:
+    """Return the type of an ECU; without one it is an engine."""
+    return str(ecu.get("type", "engine") if isinstance(ecu, dict) else ecu.type)
+
+
+Ecu = Annotated[
+    Annotated[EngineParams, Tag("engine")] | Annotated[PedalParams, Tag("pedal")],
+    Discriminator(
+        _type, custom_error_type="ecu_type", custom_error_message="the types are engine, pedal"
+    ),
+]
 SensedFault = Annotated[PulseFault | SensorFault, Field(discriminator="kind")]
 
 

@@ -122,6 +122,10 @@ type = "pedal"
 @pytest.mark.parametrize(
     ("text", "says"),
     [
+        ("period_ms = 0\n", r"ecu\[0\]\.period_ms = 0"),
+        ('[[fault]]\nkind = "stuck"\nsize = "x"\n', r"fault\[0\]\.size = 'x'"),
+        ('[[ecu]]\ntype = "radio"\n', r"ecu\[1\] = .*the types are engine, pedal"),
+        ("speed = 1\n", r"ecu\[0\]\.speed: unknown key"),
         ('[[fault]]\nkind = "stuck"\nchannel = [3]\n', "no channel 3"),
         ('[[fault]]\nkind = "stuck"\nchannel = [0]\n', "channels count from 1"),
         ('[[fault]]\nkind = "missed_pulses"\necu = "pedal"\nat_s = 1.0\n', "no missed_pulses"),
@@ -141,4 +145,5 @@ def test_a_wrong_scenario_is_refused_with_its_key(tmp_path, text, says):
     path.write_text(SCENARIO + text)
     with pytest.raises(InputErrors, match=says) as caught:
         load_scenario(path)
+    assert len(str(caught.value).splitlines()) == 1, "one mistake, one line"
     assert "wrong.toml" in str(caught.value)
