@@ -178,6 +178,28 @@ def test_healthy_channels_are_never_isolated(seed, hertz, channels):
     assert (result["used"][5:] == (1 << channels) - 1).mean() > 0.995
 
 
+@pytest.mark.parametrize(("apart", "drift"), [(0.03, 0), (0.045, 0), (0.2, 1), (0.45, 1)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_channels_that_differ_from_the_start_are_both_kept(apart, drift, sign):
+    """Within the tolerance it is nothing; beyond it is flagged: nobody can tell which one is off."""
+    rng = np.random.default_rng(12)
+    truth, y = wave(600, rng)
+    y[:, 0] += sign * apart
+    result = run(*voter(), digitised(y))
+    assert not result["isolated"].any()
+    assert (result["drift"][10:] == drift).all()
+    np.testing.assert_allclose(result["value"][10:], truth[10:] + sign * apart / 2, atol=0.02)
+
+
+def test_an_impulse_at_the_start_is_not_a_mismatch():
+    rng = np.random.default_rng(13)
+    truth, y = wave(100, rng)
+    y[0, 0] += 0.04
+    result = run(*voter(), digitised(y))
+    assert not result["isolated"].any()
+    assert np.abs(result["value"] - truth)[8:].max() < 0.01
+
+
 # Each judgement
 
 

@@ -148,7 +148,7 @@ def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
     """Tell whether what two channels differ by is a mismatch, and no fault of one of them.
 
     It is when they parted without a jump, this sample and the one before; or when both go a smooth way, and what
-    they differ by has changed little.
+    they differ by has changed little, or has been there from the start: nobody can tell then which one is off.
     """
     if (
         0.0 < s.apart <= CALM
@@ -160,7 +160,7 @@ def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
     if (
         s.apart < 2.0
         or abs(parity - s.lately) > c.creep * dt + c.noise_gate
-        or step > (2.0 * c.tolerance if s.drift else c.tolerance / 2.0)
+        or (s.met == 1 and step > (2.0 * c.tolerance if s.drift else c.tolerance / 2.0))
     ):
         return False
     smooth = True
@@ -209,6 +209,7 @@ def decide(s: Any, c: Any, y: Any, trusted: int, dt: float) -> None:
         if members == 2:
             s.parity = parity
             s.apart = 0.0
+            s.met = 1
         else:
             s.apart += dt
         s.lately = parity

@@ -58,7 +58,8 @@ CONST = record(
 #: ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
 #: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings, NaN
 #: for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``: what the
-#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample.
+#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample; ``met``: they have agreed
+#: before.
 STATE = record(
     value=f8,
     used=i8,
@@ -75,6 +76,7 @@ STATE = record(
     accord=i8,
     sure=i8,
     pair=i8,
+    met=i8,
     parity=f8,
     lately=f8,
     apart=f8,

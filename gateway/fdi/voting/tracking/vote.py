@@ -20,29 +20,42 @@ from gateway.jit import kernel
 
 @kernel
 def _start(s: Any, c: Any, y: Any) -> None:
-    """Begin with the mean of the readings that are trusted; without any, wait."""
+    """Begin with the mean of the readings that are trusted; without any, wait.
+
+    What they differ by within the tolerance is a mismatch that was there before.
+    """
     n = c.channels
+    track.expect(s, c, y)
     total, count, bits, low, high = 0.0, 0, 0, np.inf, -np.inf
     for i in range(n):
         if y[i] == y[i] and s.isolated & (1 << i) == 0:  # not NaN
-            total += y[i]
+            total += s.z[i]
             count += 1
             bits |= 1 << i
-            low, high = min(low, y[i]), max(high, y[i])
+            low, high = min(low, s.z[i]), max(high, s.z[i])
     s.source = NONE
     s.used = 0
     if count == 0:
         for i in range(n):
             isolation.restore(s, i)  # rather all of them again than none for good
         return
-    spread = high - low
+    spread, mean = high - low, total / count
+    agreed = spread <= c.tolerance
+    if agreed and spread > c.agree:
+        for i in range(n):
+            if bits & (1 << i):
+                s.mismatch.level[i] += s.z[i] - mean
     motion.restart(
-        s.motion, total / count, 0.0, c.variance + spread * spread / 4.0, c.slew * c.slew / 9.0
+        s.motion,
+        mean,
+        0.0,
+        c.variance + (0.0 if agreed else spread * spread / 4.0),
+        c.slew * c.slew / 9.0,
     )
     habits.start(s.habits, n, y)
     s.started = 1
-    s.source = AGREED if spread <= c.agree else SINGLE
-    s.sure = 1 if spread <= c.agree else 0
+    s.source = AGREED if agreed else SINGLE
+    s.sure = 1 if agreed else 0
     s.used = bits
     s.anchor = s.motion.x
     s.value = min(max(s.motion.x, c.low), c.high)
