@@ -5,14 +5,24 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 TESTS = Path(__file__).parent
 
 
-def test_engine_and_monitors_run_uncompiled():
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ["engine", "signals/test_random_databases.py", "signals/test_crc_and_codec.py"],
+        ["monitors"],
+        ["fdi"],
+    ],
+    ids=lambda parts: parts[0],
+)
+def test_kernels_run_uncompiled(parts):
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "engine", "fdi", "monitors", "signals/test_random_databases.py",
-         "signals/test_crc_and_codec.py"],
+         "-W", "error::RuntimeWarning", *parts],
         cwd=TESTS,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         capture_output=True,

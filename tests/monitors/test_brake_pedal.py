@@ -278,6 +278,18 @@ def test_readings_become_per_cent_of_the_travel_by_each_channels_slope():
     assert engine.readout()["pedal"]["value"] == pytest.approx(10, abs=0.1)
 
 
+def test_channels_may_come_in_different_messages():
+    """It steps with the message of the last one, once all have come; the others' readings are the newest."""
+    row = {"at_rest": 0.5, "at_full": 4.5, "low": 0.25, "high": 4.75, "noise": 0.002}
+    own = [{**row, "signal": "PED_Brake.Ch1"}, {**row, "signal": "PED_Brake3.Ch1"}]
+    engine = engine_of(channel=own)
+    raw(engine, [(2.5, 2.5)] * 5)
+    assert engine.readout()["pedal"]["samples"] == 0
+    raw(engine, [(2.5, 2.5, 2.5)] * 3, "PED_Brake3")
+    assert engine.readout()["pedal"]["samples"] == 3
+    assert engine.readout()["pedal"]["value"] == pytest.approx(50, abs=0.05)
+
+
 ROW = {"signal": "M.S", "at_rest": 0.5, "at_full": 4.5, "low": 0.2, "high": 4.8}
 
 

@@ -36,6 +36,9 @@ TRUSTED, IMPLAUSIBLE, FROZEN, DRIFTED = range(4)
 #: Where the value comes from.
 NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 
+#: ``floor``, ``ceiling``: where readings are clipped; ``variance``: of a reading; ``agree``: largest difference of
+#: readings that agree; ``straight``: largest second difference on a line; ``noise_gate``: largest change of a parity
+#: that is noise; ``silent``: repetitions that no live channel makes; ``widest``: largest deviation of the level.
 CONST = record(
     channels=i8,
     low=f8,
@@ -58,8 +61,8 @@ CONST = record(
 #: ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
 #: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings, NaN
 #: for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``: what the
-#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample; ``met``: they have agreed
-#: before.
+#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample;
+#: ``met``: they have agreed before.
 STATE = record(
     value=f8,
     used=i8,
