@@ -42,6 +42,7 @@ def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
         motion.correct(m, innovation, c.variance / count)
         track.accept(s, c, bits, AGREED)
         s.sure = min(s.sure + 1, SUREST)
+        s.met = 1
         s.old_age = 0
         for i in range(c.channels):
             if bits & (1 << i):
@@ -76,8 +77,9 @@ def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
 def _smooth(s: Any, c: Any, trusted: int, alone: bool, dt: float) -> int:
     """Return the channel whose line goes on from where the track was lost; -1: none.
 
-    A foot changes its speed, not its place: a line that does not lead back to the last sure level is an offset. Only
-    after long coasting, when nothing better has come, is such a line followed.
+    A foot changes its speed, not its place: a line that does not lead back to the last sure level is an offset. It is
+    followed only after long coasting, when nothing better has come, or where there is no other channel; so is a
+    channel that was rejected more often than another.
     """
     m, h = s.motion, s.habits
     if m.coasted < 2.0:
@@ -209,7 +211,6 @@ def decide(s: Any, c: Any, y: Any, trusted: int, dt: float) -> None:
         if members == 2:
             s.parity = parity
             s.apart = 0.0
-            s.met = 1
         else:
             s.apart += dt
         s.lately = parity
