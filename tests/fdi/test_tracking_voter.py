@@ -312,6 +312,17 @@ def test_two_channels_that_stand_still_are_not_frozen_by_a_third_that_moves():
     assert np.abs(result["value"] - 3.0).max() < 0.005
 
 
+def test_a_frozen_channel_is_no_witness_against_a_moving_one():
+    """0 V from the start, and impulses in every third sample of the other: no line proves which one is right."""
+    y = np.zeros((200, 2))
+    y[:, 1] = stroke(200)
+    y[1:90:3, 1] += 0.4
+    result = run(*voter(noise=0.0, step=0.0), y)
+    assert (result["isolated"].astype(int) & 0b10 == 0).all()
+    assert result["isolated"][-1] == 0b01
+    assert np.abs(result["value"] - stroke(200))[100:].max() < 0.01
+
+
 def stroke(n=1000):
     return 5 * exponential(np.arange(n) * 1e-3)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,17 +31,8 @@ SWEEP = tuple(k / 100 for k in range(5, 16))
 RATES = tuple(Case("impulses", rate, 0.10) for rate in SWEEP)
 VALUES = tuple(Case("impulses", 0.10, value) for value in SWEEP)
 ONSETS = (0, 100, 300, 500, 650)
-_OTHERS: tuple[Kind, ...] = (
-    "stuck",
-    "stuck on plateau",
-    "stuck + impulses",
-    "offset",
-    "offset + impulses",
-    "drift",
-    "common mode",
-    "both garbage",
-    "both dead",
-)
+#: Kinds of fault that are no case of the paper's.
+_OTHERS = [k for k in get_args(Kind) if k not in ("none", "impulses", "clean + impulses", "dead")]
 FAULTS = (
     Case("none"),
     Case("clean + impulses"),
