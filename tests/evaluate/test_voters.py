@@ -210,7 +210,7 @@ def test_hardly_any_false_isolation_with_impulses_on_both_channels():
 
 
 def test_a_constant_channel_without_noise_is_not_taken_for_frozen():
-    """10 bit, the other channel with impulses: PKV, the note's voter, isolated it in a quarter of 600 runs."""
+    """10 bit, the other channel with impulses: only noise tells a frozen channel from a resting pedal."""
     print("seeds 110000 to 110599")
     assert isolated(CLEAN, TEN_BIT, range(110_000, 110_600)) == []
 
