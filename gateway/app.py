@@ -1,70 +1,44 @@
-"""Composition root: a configuration becomes a running gateway.
+"""A running gateway: frames and time go in, events and frames come out.
 
-Only this module knows every part. :class:`Gateway` does no waiting and reads no clock: frames and
-time go in, events and frames come out. ``gateway run``, ``gateway replay``, ``gateway demo`` and the
+:class:`Gateway` does no waiting and reads no clock. ``gateway run``, ``gateway replay``, ``gateway demo`` and the
 tests all drive this same class.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cantools.database.can import Message
 
-from gateway.bus.frames import Frames
-from gateway.config import Config, MonitorConfig, monitor_of
-from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
-from gateway.engine.core import Engine
-from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
+from gateway.assemble import Parts, assemble, identifiers_of, outputs_of
+from gateway.bus.frames import Frames, empty
+from gateway.config import Config
+from gateway.controls import Controls
+from gateway.engine.events import (
+    CYCLE_BEGAN,
+    CYCLE_ENDED,
+    QUALIFIED_FAILED,
+    QUALIFIED_PASSED,
+    Events,
+)
 from gateway.errors import InputError, InputErrors
-from gateway.faults.catalogue import Catalogue, FaultDefinition, debounce_of, define
-from gateway.faults.memory import DtcChange, FaultMemory
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.entries import DtcChange
+from gateway.faults.memory import FaultMemory, Observed
+from gateway.faults.recorder import Recorder
+from gateway.faults.status import Status
 from gateway.faults.store import Store
-from gateway.monitors.shape import FAILED, PASSED, Monitor, MonitorParams
-from gateway.outputs.dtc_frame import DtcFrameOutput, message_of
+from gateway.monitors.shape import FAILED, PASSED
+from gateway.outputs.base import NEVER, Output
+from gateway.outputs.dtc_frame import message_of
 from gateway.resources import shipped
-from gateway.signals.database import Database, load_database
-from gateway.signals.tables import SignalRef
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
 
-#: Databases of messages that the gateway itself sends.
-OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")
-
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
-
-
-def load_databases(config: Config, file: Path | None = None) -> list[tuple[int, Database]]:
-    """Load the databases of every bus.
-
-    Raises:
-        InputErrors: every database that cannot be loaded.
-    """
-    loaded, wrong = [], []
-    for index, bus in enumerate(config.bus):
-        try:
-            loaded.append((index, load_database(bus.database)))
-        except InputError as error:
-            wrong.append(error)
-        except InputErrors as errors:
-            wrong += errors.errors
-    if wrong:
-        raise InputErrors(wrong)
-    return loaded
-
-
-def _signal_ref(config: Config, name: str, bus: int) -> SignalRef:
-    """Read ``Bus.Message.Signal``, or ``Message.Signal`` on a given bus."""
-    parts = name.split(".")
-    if len(parts) == 3:
-        return SignalRef(config.bus_index(parts[0]), parts[1], parts[2])
-    if len(parts) == 2:
-        return SignalRef(bus, parts[0], parts[1])
-    raise InputError('a signal is named "Message.Signal" or "bus.Message.Signal"', value=name)
 
 
 class Gateway:
@@ -84,35 +58,37 @@ class Gateway:
     ) -> None:
         self.config = config
         try:
-            self.databases = load_databases(config)
-            self.engine, self.catalogue, self._frozen = _assemble(config, self.databases)
+            self._parts: Parts = assemble(config)
         except InputError as error:
             raise error.within(file) from error
         except InputErrors as errors:
             raise InputErrors([error.within(file) for error in errors.errors]) from errors
+        self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
         self.engine.warm()
-        self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self.store = Store(memory_path)
-        self.memory = FaultMemory(self.catalogue, self.store)
-        frame = config.output.dtc_frame
-        self._dtc_frame = (
-            None
-            if frame is None
-            else DtcFrameOutput(
-                frame,
-                shipped("dbc/gateway.dbc"),
-                config.bus_index(frame.bus),
-                self._fault_detection_counter,
-            )
+        recording = config.memory.recording
+        names = tuple(bus.name for bus in config.bus)
+        self._recorder = None if recording is None else Recorder(recording, names)
+        self.memory = FaultMemory(
+            self.catalogue,
+            self.store,
+            size=config.memory.entries,
+            recordings=1 if recording is None else recording.most_per_fault,
+            statistics=self.engine.fold_statistics,
         )
+        self.controls = Controls(
+            self.engine, self.memory, self.store, self._recorder, self._parts.slots
+        )
+        self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
+        self._outputs = outputs_of(
+            config, self._parts, self.memory, self.controls, self.identifiers
+        )
+        self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
+        self._due = [output.next_ns for output in self._outputs]
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []
         self._uncommitted = False
         self.event_count = 0
-
-    def _fault_detection_counter(self, fault: str) -> int:
-        index = self._index.get(fault)
-        return 0 if index is None else self.engine.fault_detection_counter(index)
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
@@ -120,11 +96,12 @@ class Gateway:
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
-        self.memory.start_cycle(t_ns)
-        self.engine.reset_debounce()
+        self.controls.start_cycle(t_ns)
 
     def stop(self, t_ns: int) -> None:
         """End the operation cycle and keep everything."""
+        if self._recorder is not None:
+            self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self.memory.end_cycle(t_ns)
         self.memory.commit()
 
@@ -137,58 +114,153 @@ class Gateway:
 
         What the returned frames say is in the fault memory before they are returned.
         """
-        return self._outputs(self.engine.process(frames, self._on_events))
+        if self._recorder is not None:
+            self._recorder.on_frames(frames)
+        sent: list[Frames] = []
+        for piece, last, wanting in self._pieces(frames):
+            sent.append(self._emit(self._process(piece)))
+            for k in wanting:
+                output = self._outputs[k]
+                made = output.on_frame(last, self.engine.now_ns)
+                self._due[k] = output.next_ns
+                sent.append(self._allowed(output, made))
+        return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
+
+    def _pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
+        """Cut a batch behind each frame that is for an output, which sees the memory as it is then."""
+        masks = [(k, output.wanted(frames)) for k, output in enumerate(self._outputs)]
+        known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
+        start = 0
+        if known:
+            for stop in np.flatnonzero(np.logical_or.reduce([mask for _, mask in known])):
+                wanting = [k for k, mask in known if mask[stop]]
+                yield frames[start : stop + 1], frames[stop], wanting
+                start = int(stop) + 1
+        if start < len(frames) or not len(frames):
+            yield frames[start:], np.void(b""), []
+
+    def _process(self, frames: Frames) -> Frames:
+        if self.controls.receive:
+            return self.engine.process(frames, self._on_events)
+        return self.engine.advance(int(frames["t_ns"].max()), self._on_events)
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
-        return self._outputs(self.engine.advance(t_ns, self._on_events))
+        return self._emit(self.engine.advance(t_ns, self._on_events))
+
+    def poll(self, t_ns: int) -> Frames:
+        """Let time pass for the outputs that answer others, which the monitors' time lags behind.
+
+        Args:
+            t_ns: now, of the clock that stamps frames.
+        """
+        return self._on_time(t_ns, [output.prompt for output in self._outputs])
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`poll` has something to do."""
+        due = [at for at, output in zip(self._due, self._outputs, strict=True) if output.prompt]
+        return min(due, default=NEVER)
 
     @property
     def dtc_frame_id(self) -> int:
         """Identifier of the DTC frame."""
         return int(message_of(shipped("dbc/gateway.dbc")).frame_id)
 
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        found = self.engine.plan.identifiers(bus)
+        for output in self._outputs:
+            more = output.identifiers(bus)
+            if found is None or more is None:
+                return None
+            found = found + more
+        return found
+
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
-        cleared = self.memory.serve_requests()
-        self.engine.reset_debounce(self._index[name] for name in cleared if name in self._index)
+        self.controls.forget(self.memory.serve_requests())
 
     def _on_events(self, events: Events) -> None:
         self.event_count += len(events)
         for event in events:
-            if event["kind"] not in (QUALIFIED_FAILED, QUALIFIED_PASSED):
-                self._tell(self._monitor_event(event))
+            kind = int(event["kind"])
+            if kind in (CYCLE_BEGAN, CYCLE_ENDED):
+                self._on_cycle(event, began=kind == CYCLE_BEGAN)
                 continue
-            changes = self.memory.apply(events_of(event), self._snapshot)
+            changes = self.memory.apply(events_of(event), self._observe)
             self._uncommitted = self._uncommitted or bool(changes)
             told = [change for change in changes if change.concerns_fault]
             self._changes += told
             for change in told:
+                self._record(change)
                 self._tell(self._dtc_event(change, int(event["bus"])))
-            if not told:
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
                 self._tell(self._monitor_event(event))
 
-    def _outputs(self, sent: Frames) -> Frames:
-        """Return the frames to send: the monitors' own, then what the fault memory has to say."""
+    def _record(self, change: DtcChange) -> None:
+        if (
+            self._recorder is not None
+            and change.new_status & ~change.old_status & Status.TEST_FAILED
+        ):
+            self._recorder.on_failure(change.definition.id, change.t_ns)
+
+    def _on_cycle(self, event: np.void, *, began: bool) -> None:
+        name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
+        if began:
+            self.controls.begin(name, t_ns)
+        else:
+            self.controls.end(name, t_ns)
+        self._tell(
+            {
+                "event": "cycle",
+                "t_ns": t_ns,
+                "bus": self.config.bus[int(event["bus"])].name,
+                "cycle": name,
+                "state": "began" if began else "ended",
+                "number": self.memory.cycle_number(name),
+            }
+        )
+
+    def _emit(self, sent: Frames) -> Frames:
+        """Return the frames to send: the monitors' own, then what the outputs have to say."""
+        now = self.engine.now_ns
+        if self._recorder is not None:
+            made = self._recorder.on_time(now)
+            self.memory.add_recordings(made)
+            self._uncommitted = self._uncommitted or bool(made)
         if self._uncommitted:
             self.memory.commit()
             self._uncommitted = False
+        frames = [sent] if self.controls.send else [empty(0)]
         changes, self._changes = self._changes, []
-        if self._dtc_frame is None:
-            return sent
-        now = self.engine.now_ns
-        if not self._dtc_frame.due(changes, now):
-            return sent
-        return np.concatenate(
-            [
-                sent,
-                self._dtc_frame.on_changes(changes, self.memory, now),
-                self._dtc_frame.on_time(now, self.memory),
-            ]
-        )
+        if changes:
+            for k, output in enumerate(self._outputs):
+                frames.append(self._allowed(output, output.on_changes(changes, now)))
+                self._due[k] = output.next_ns
+        if now >= min(self._due, default=NEVER):
+            frames.append(self._on_time(now, [True] * len(self._outputs)))
+        return frames[0] if len(frames) == 1 else np.concatenate(frames)
 
-    def _snapshot(self, definition: FaultDefinition) -> Mapping[str, float]:
-        return {name: self.engine.value(slot) for name, slot in self._frozen[definition.id].items()}
+    def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
+        frames = []
+        for k, (output, asked) in enumerate(zip(self._outputs, which, strict=True)):
+            if asked and t_ns >= self._due[k]:
+                frames.append(self._allowed(output, output.on_time(t_ns)))
+                self._due[k] = output.next_ns
+        return np.concatenate(frames) if frames else empty(0)
+
+    def _allowed(self, output: Output, frames: Frames) -> Frames:
+        """Return frames, unless a tester has switched normal communication off."""
+        return frames if self.controls.send or not output.normal else empty(0)
+
+    def _observe(self, definition: FaultDefinition) -> Observed:
+        slots = self._parts.slots
+        inputs = self.engine.inputs_of(self._index[definition.id])
+        return Observed(
+            {name: self.engine.value(slots[name]) for name in self._parts.frozen[definition.id]},
+            {f"{ref.message}.{ref.signal}": value for ref, value in inputs.items()},
+        )
 
     def _tell(self, event: dict[str, Any]) -> None:
         for listener in self._listeners:
@@ -240,105 +312,6 @@ class Gateway:
         }
 
 
-def _frozen_refs(
-    config: Config, fault: str, names: tuple[str, ...], databases: Mapping[int, Database]
-) -> dict[str, SignalRef]:
-    """Find the signals of a fault's freeze frame; errors name the key."""
-    found = {}
-    for k, name in enumerate(names):
-        try:
-            ref = _signal_ref(config, name, 0)
-            databases[ref.bus].signal(ref.message, ref.signal)
-        except InputError as error:
-            raise InputError(
-                error.message, key=f'fault."{fault}".freeze_frame[{k}]', value=name
-            ) from error
-        found[name] = ref
-    return found
-
-
-def _emission(
-    entry: MonitorConfig, monitor: Monitor, params: MonitorParams, database: Database
-) -> Message:
-    """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
-
-    Raises:
-        InputError: the monitor has nothing to send, or its message is nowhere.
-    """
-    key = f'monitor "{entry.name}".send'
-    emission = monitor.emission_of(params)
-    if emission is None:
-        raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
-    name = entry.send if isinstance(entry.send, str) else emission.message
-    for known in (database, *(load_database([shipped(file)]) for file in OWN_DATABASES)):
-        if any(message.name == name for message in known):
-            found = known.message(name)
-            missing = set(emission.signals) - {signal.name for signal in found.signals}
-            if missing:
-                lacking = ", ".join(sorted(missing))
-                raise InputError(f"this message has no {lacking}", key=key, value=name)
-            return found
-    raise InputError("no database has this message", key=key, value=name)
-
-
 def events_of(event: np.void) -> Events:
     """Return one event as an array of one."""
     return np.asarray([event], dtype=event.dtype)
-
-
-def _assemble(
-    config: Config, databases: list[tuple[int, Database]]
-) -> tuple[Engine, Catalogue, dict[str, dict[str, int]]]:
-    """Build the engine, the catalogue in the engine's order, and each fault's frozen slots."""
-    monitors = []
-    for entry in config.monitor:
-        monitor, params = monitor_of(entry)
-        bus = config.bus_index(entry.bus)
-        monitors.append(
-            MonitorInstance(
-                entry.name,
-                monitor,
-                params,
-                bus,
-                entry.priority,
-                entry.signals,
-                _emission(entry, monitor, params, dict(databases)[bus]) if entry.send else None,
-            )
-        )
-    checks = [
-        CheckInstance(check, index, f"{bus.name}.{check.message}")
-        for index, bus in enumerate(config.bus)
-        for check in bus.check
-    ]
-    frozen = {
-        fault: _frozen_refs(config, fault, override.freeze_frame, dict(databases))
-        for fault, override in config.fault.items()
-    }
-    engine = build_engine(
-        databases,
-        monitors,
-        checks,
-        debounce=lambda name, fault: debounce_of(fault, config.fault.get(name)),
-        extra={ref for names in frozen.values() for ref in names.values()},
-        pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
-    )
-    known = {slot.id for slot in engine.faults}
-    unknown = [fault for fault in config.fault if fault not in known]
-    if unknown:
-        raise InputErrors(
-            [
-                InputError(
-                    f"no monitor reports this fault; known: {', '.join(sorted(known))}",
-                    key=f'fault."{fault}"',
-                )
-                for fault in unknown
-            ]
-        )
-    catalogue = Catalogue(
-        define(slot.id, slot.fault, config.fault.get(slot.id)) for slot in engine.faults
-    )
-    slots = {
-        slot.id: {name: engine.plan.slot(*ref) for name, ref in frozen.get(slot.id, {}).items()}
-        for slot in engine.faults
-    }
-    return engine, catalogue, slots

@@ -14,12 +14,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from gateway.errors import InputError, InputErrors
-from gateway.faults.catalogue import FaultOverride
+from gateway.faults.recorder import RecorderParams
+from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors import communication
 from gateway.monitors.registry import MONITORS
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameParams
-from gateway.tomlfile import StrictModel, input_errors, read_toml, validate
+from gateway.outputs.endpoints import share_address
+from gateway.outputs.identifiers import DidParams, check_unique
+from gateway.outputs.j1939.params import J1939Params
+from gateway.outputs.obd.params import ObdParams
+from gateway.outputs.uds.params import UdsParams
+from gateway.tomlfile import StrictModel, input_errors, load, read_toml, validate
 
 
 class BusConfig(StrictModel):
@@ -61,12 +67,28 @@ class MemoryConfig(StrictModel):
     path: Path = Field(
         Path("faults.sqlite"), description="SQLite file; relative to the work folder"
     )
+    entries: int | None = Field(
+        None, ge=1, le=10_000, description="entries there is room for; default: for every fault"
+    )
+    recording: RecorderParams | None = Field(
+        None, description="frames kept around each failure; none: nothing is recorded"
+    )
 
 
 class OutputConfig(StrictModel):
     """How faults leave the gateway."""
 
     dtc_frame: DtcFrameParams | None = Field(None, description="DTC message on a bus")
+    uds: UdsParams | None = Field(None, description="UDS server (ISO 14229-1) on ISO-TP")
+    obd: ObdParams | None = Field(None, description="OBD server (SAE J1979) on ISO-TP")
+    j1939: J1939Params | None = Field(None, description="J1939 diagnostic messages (J1939-73)")
+
+
+class CatalogueFile(StrictModel):
+    """A catalogue of faults in a file of its own."""
+
+    fault: dict[str, FaultOverride] = Field(default_factory=dict)
+    did: tuple[DidParams, ...] = ()
 
 
 class Config(BaseSettings):
@@ -82,6 +104,14 @@ class Config(BaseSettings):
     fault: dict[str, FaultOverride] = Field(
         default_factory=dict,
         description='settings of single faults, e.g. [fault."crank.added_pulse"]',
+    )
+    catalogue: tuple[Path, ...] = Field(
+        (), description="files with further tables fault and did; relative to this configuration"
+    )
+    did: tuple[DidParams, ...] = Field((), description="data identifiers")
+    cycle: dict[str, CycleSettings] = Field(
+        default_factory=dict,
+        description='operation cycles that signals begin and end; "power" is always there',
     )
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
@@ -154,12 +184,61 @@ def _cross_check(config: Config) -> Iterator[InputError]:
                     key=f"bus[{k}].check[{j}].message",
                     value=message,
                 )
-    frame = config.output.dtc_frame
-    if frame is not None:
+    for name in ("dtc_frame", "uds", "obd", "j1939"):
+        output = getattr(config.output, name)
+        if output is None:
+            continue
         try:
-            config.bus_index(frame.bus)
+            config.bus_index(output.bus)
         except InputError as error:
-            yield InputError(error.message, key="output.dtc_frame.bus", value=error.value)
+            yield InputError(error.message, key=f"output.{name}.bus", value=error.value)
+    if config.output.uds is not None and config.output.obd is not None:
+        try:
+            share_address(config.output.uds, config.output.obd)
+        except InputError as error:
+            yield error
+    yield from check_unique(config.did)
+    if POWER in config.cycle:
+        yield InputError("this cycle is always there: the gateway's run", key=f"cycle.{POWER}")
+    cycles = {POWER, *config.cycle}
+    for fault, settings in config.fault.items():
+        for key in ("cycle", "aging_cycle"):
+            cycle = getattr(settings, key)
+            if cycle is not None and cycle not in cycles:
+                known = ", ".join(sorted(cycles))
+                yield InputError(
+                    f"the cycles are {known}", key=f'fault."{fault}".{key}', value=cycle
+                )
+
+
+def _with_catalogues(config: Config, folder: Path) -> Config:
+    """Return the configuration with what its catalogue files say.
+
+    Raises:
+        InputErrors: a file that is wrong; a fault that two places set.
+    """
+    faults, dids = dict(config.fault), list(config.did)
+    wrong = []
+    for name in config.catalogue:
+        file = folder / name
+        try:
+            found = load(file, CatalogueFile)
+        except InputErrors as errors:
+            wrong += errors.errors
+            continue
+        except InputError as error:
+            wrong.append(error)
+            continue
+        wrong += [
+            InputError("this fault is set elsewhere already", file=file, key=f'fault."{fault}"')
+            for fault in found.fault
+            if fault in faults
+        ]
+        faults |= found.fault
+        dids += found.did
+    if wrong:
+        raise InputErrors(wrong)
+    return config.model_copy(update={"fault": faults, "did": tuple(dids)})
 
 
 def load_config(path: Path) -> Config:
@@ -174,13 +253,14 @@ def load_config(path: Path) -> Config:
         config = Config(**data)
     except ValidationError as error:
         raise input_errors(error, path, data=data) from error
+    folder = path.parent
+    config = _with_catalogues(config, folder)
     wrong = [
         InputError(error.message, file=path, key=error.key, value=error.value)
         for error in _cross_check(config)
     ]
     if wrong:
         raise InputErrors(wrong)
-    folder = path.parent
     buses = tuple(
         bus.model_copy(update={"database": tuple(folder / file for file in bus.database)})
         for bus in config.bus

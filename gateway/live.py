@@ -56,7 +56,8 @@ def run_live(
         for bus in buses:
             selector.register(bus.fileno(), selectors.EVENT_READ, bus)
         while not stop():
-            ready = selector.select(tick_s)
+            soon = (gateway.next_ns - clock_ns()) / 1e9
+            ready = selector.select(min(tick_s, max(soon, 0.0)))
             for key, _ in ready:
                 bus = key.data
                 count = BATCH
@@ -72,6 +73,7 @@ def run_live(
                 # Only now: frames that still wait in a queue must not be overtaken. With traffic,
                 # its own time stamps move the clock.
                 send(buses, gateway.advance(clock_ns() - GRACE_NS))
+            send(buses, gateway.poll(clock_ns()))
             if time.monotonic() >= poll:
                 gateway.serve_requests()
                 poll = time.monotonic() + POLL_S

@@ -318,4 +318,4 @@ def test_a_stalled_engine_is_neither_a_dead_ecu_nor_a_sensor_fault():
 def test_an_empty_log_is_no_cycle():
     gateway = Gateway(load_config(shipped("gateway.toml")))
     assert replay(gateway, [empty(0)]) == 0
-    assert gateway.memory.cycle_number == 0
+    assert gateway.memory.cycle_number() == 0

@@ -68,7 +68,7 @@ def run(
         gateway.listen(printer)
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         for opened in buses:
-            ids = gateway.engine.plan.identifiers(opened.index)
+            ids = gateway.identifiers_on(opened.index)
             if ids is not None and record is None:
                 opened.set_filters(ids)
         writer = None if record is None else stack.enter_context(open_writer(record))

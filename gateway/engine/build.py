@@ -14,6 +14,7 @@ from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.debounce import DEBOUNCE, configure
 from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT
+from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
 from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
 from gateway.errors import InputError
 from gateway.monitors import communication
@@ -63,6 +64,8 @@ def build_engine(
     checks: Sequence[CheckInstance],
     *,
     debounce: Callable[[str, Fault], Debounce] | None = None,
+    gates: Mapping[str, Gate] | None = None,
+    cycles: Sequence[CycleWatch] = (),
     extra: Collection[SignalRef] = (),
     pgn: Collection[int] = (),
     ring: int = 4096,
@@ -74,6 +77,8 @@ def build_engine(
         monitors: configured monitors.
         checks: communication checks.
         debounce: fault id, fault -> its debounce; default: the fault's own.
+        gates: by fault id, when its test results count; default: always.
+        cycles: operation cycles that signals begin and end; events name them by their index.
         extra: further signals to decode (freeze frames, identifiers).
         pgn: buses whose extended identifiers match by J1939 PGN.
         ring: events that one pass of the loop can hold.
@@ -87,7 +92,10 @@ def build_engine(
     by_bus = dict(databases)
     monitors = sorted(monitors, key=lambda m: m.priority)
     wirings = [_wire(m, by_bus[m.bus]) for m in monitors]
+    gates = gates or {}
     wanted: set[SignalRef] = set(extra)
+    wanted.update(c.signal for gate in gates.values() for c in gate.conditions)
+    wanted.update(c.signal for cycle in cycles for c in (cycle.begins, cycle.ends))
     watched: set[tuple[int, str]] = set()
     for m, (triggers, references, _) in zip(monitors, wirings, strict=True):
         wanted.update(SignalRef(m.bus, *reference) for reference in references)
@@ -145,10 +153,15 @@ def build_engine(
         faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
 
     debounces = table(len(faults), DEBOUNCE)
-    for k, slot in enumerate(faults):
+    own_gates = [gates.get(slot.id, Gate()) for slot in faults]
+    for k, (slot, gate) in enumerate(zip(faults, own_gates, strict=True)):
         asked = slot.fault.debounce if debounce is None else debounce(slot.id, slot.fault)
-        configure(debounces[k], asked)
+        configure(debounces[k], asked, trigger_fdc=gate.trigger_fdc)
         debounces[k]["bus"] = slot.bus
+    ids = {slot.id: k for k, slot in enumerate(faults)}
+    _refuse_unknown_roots(gates, ids)
+    conditions, roots = prepare_gates(own_gates, debounces, ids, plan)
+    watches = prepare_watches(cycles, vectors, plan)
     known = set(plan.message_names)
     emits, emit_signals = emission.prepare(
         emitted, [(entry.bus, entry.message.name) in known for entry in emitted]
@@ -157,6 +170,7 @@ def build_engine(
     out = table(1, RESULTS)
     clock = table(1, CLOCK)
     clock[0]["deadline_ns"] = NEVER
+    clock[0]["timed"] = bool(debounces["timed"].any())
     tables = Tables(
         plan.keys,
         plan.rows,
@@ -176,6 +190,10 @@ def build_engine(
         check_rows,
         np.stack([crc8_table(name) for name in ALGORITHMS]),
         debounces,
+        conditions,
+        roots,
+        watches,
+        np.zeros(max(len(cycles), 1), np.uint8),
         out,
         np.asarray([out.ctypes.data], np.int64),
         emits,
@@ -220,6 +238,17 @@ def _check_signals(check: CheckInstance, database: Database) -> list[SignalRef]:
     except InputError as error:
         raise InputError(error.message, key=f'check of "{p.message}"', value=error.value) from error
     return [SignalRef(check.bus, p.message, p.counter.signal)]
+
+
+def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> None:
+    for name, gate in gates.items():
+        for root in gate.roots:
+            if root not in ids or root == name:
+                raise InputError(
+                    f"the faults are {', '.join(sorted(set(ids) - {name}))}",
+                    key=f'fault."{name}".caused_by',
+                    value=root,
+                )
 
 
 def _vector_table(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any, list[int]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty
 from gateway.engine import loop
-from gateway.engine.debounce import fault_detection_counter, reset
+from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
 from gateway.monitors.shape import Fault
@@ -125,18 +125,45 @@ class Engine:
 
     def fault_detection_counter(self, fault: int) -> int:
         """Return the debounce counter of a fault, -128..127."""
-        return fault_detection_counter(self.tables.debounces[fault])
+        return int(fault_detection_counter(self.tables.debounces[fault], self.now_ns))
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""
         for index in range(len(self.faults)) if faults is None else faults:
             reset(self.tables.debounces[index])
 
+    def set_active(self, fault: int, active: bool) -> None:
+        """Say whether a fault is taken to be there before its test has said so (testFailed)."""
+        self.tables.debounces[fault]["active"] = active
+
+    def hold_results(self, held: bool) -> None:
+        """Let no test result count (True), or let them count again."""
+        self.tables.clock[0]["held"] = held
+
+    def fold_statistics(self, fault: int) -> tuple[int, int]:
+        """Return a fault's near misses and greatest detection counter since the last call."""
+        return fold(self.tables.debounces[fault])
+
+    def inputs_of(self, fault: int) -> dict[SignalRef, float]:
+        """Return what the monitor of a fault sees: the mailbox of its signals."""
+        for h in self.tables.handlers:
+            if h["fault"] <= fault < h["fault"] + h["faults"]:
+                first = int(h["first_slot"])
+                slots = self.tables.slots[first : first + int(h["slots"])]
+                return {self.plan.slot_names[slot]: self.value(slot) for slot in slots}
+        return {}
+
+    def end_cycles(self) -> None:
+        """Take every operation cycle to be over."""
+        self.tables.cycles[:] = 0
+        self.tables.watches["lowest"] = np.inf
+
     def counters(self) -> dict[str, int]:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
-        hidden = {"now_ns", "deadline_ns", "started", "stop", "events", "sent", "fed", "taken"}
+        hidden = {"now_ns", "deadline_ns", "started", "stop", "timed", "held"}
+        hidden |= {"events", "sent", "fed", "taken"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def readout(self) -> dict[str, dict[str, float]]:

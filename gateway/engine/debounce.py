@@ -1,9 +1,9 @@
-"""Counter debounce: many test results in, few qualified verdicts out.
+"""Debounce: many test results in, few qualified verdicts out.
 
 It runs inside the jitted loop because it sees every test result of every monitor; the fault memory
-sees only the changes. As in AUTOSAR DEM the internal counter runs between two thresholds, and the fault
-detection counter of ISO 14229-1 Annex D is that counter scaled: -128 qualified passed, +127 qualified
-failed, clamped at both ends.
+sees only the changes. As in AUTOSAR DEM the internal counter runs between two thresholds, in results or in
+nanoseconds, and the fault detection counter of ISO 14229-1 Annex D is that counter scaled: -128 qualified
+passed, +127 qualified failed, clamped at both ends.
 """
 
 from __future__ import annotations
@@ -12,37 +12,141 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
-from gateway.jit import i4, kernel, record, u1
-from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED, Debounce
+from gateway.engine.events import (
+    FDC_REACHED,
+    QUALIFIED_FAILED,
+    QUALIFIED_PASSED,
+    RESULT_CHANGED,
+)
+from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.monitors.shape import EVIDENCE, FAILED, NOT_TESTED, PASSED, Debounce
 
-#: Debounce of one fault: thresholds and jumps; counter, last result, last verdict.
+#: A deadline that never comes.
+NEVER = int(np.iinfo(np.int64).max)
+
+#: Debounce of one fault. Constants: thresholds (results, or ns if ``timed``), steps, jumps, the counter at
+#: which the freeze frame is wanted (0: never), what becomes of it while held (``resets``), and the gate:
+#: enable conditions and root causes, as places in the tables. State: counter, last result, last verdict;
+#: of a time debounce where it runs to and since when; whether the fault is there (``active``, like
+#: testFailed); the greatest counter and the near misses since :func:`fold`.
 DEBOUNCE = record(
-    failed_after=i4,
-    passed_after=i4,
-    counter=i4,
+    failed_after=i8,
+    passed_after=i8,
+    failed_step=i8,
+    passed_step=i8,
+    jump_up_to=i8,
+    jump_down_to=i8,
+    trigger=i8,
+    first_condition=i4,
+    conditions=i4,
+    first_root=i4,
+    roots=i4,
     jump_up=u1,
     jump_down=u1,
+    timed=u1,
+    gated=u1,
+    resets=u1,
+    bus=u1,
     last=u1,
     verdict=u1,
-    bus=u1,
+    direction=u1,
+    active=u1,
+    triggered=u1,
+    missed=u1,
+    counter=i8,
+    since_ns=i8,
+    deadline_ns=i8,
+    episode=i8,
+    peak=i8,
+    near=i8,
+    value=f8,
+    limit=f8,
+    evidence=(f8, EVIDENCE),
 )
 
 
-def configure(row: np.void, debounce: Debounce) -> None:
-    """Fill the constants of one row."""
-    row["failed_after"] = debounce.failed_after
-    row["passed_after"] = debounce.passed_after
-    row["jump_up"] = debounce.jump_up
-    row["jump_down"] = debounce.jump_down
+def configure(row: np.void, debounce: Debounce, *, trigger_fdc: int = 0) -> None:
+    """Fill the constants of one row.
+
+    Args:
+        row: of DEBOUNCE.
+        debounce: the fault's.
+        trigger_fdc: fault detection counter at which its freeze frame is wanted, 0: not before the verdict.
+    """
+    row["timed"] = debounce.timed
+    if debounce.failed_ms is not None and debounce.passed_ms is not None:
+        row["failed_after"] = max(round(debounce.failed_ms * 1e6), 1)
+        row["passed_after"] = max(round(debounce.passed_ms * 1e6), 1)
+    else:
+        row["failed_after"] = debounce.failed_after
+        row["passed_after"] = debounce.passed_after
+    row["failed_step"], row["passed_step"] = debounce.failed_step, debounce.passed_step
+    row["jump_up"], row["jump_up_to"] = debounce.jump_up, debounce.jump_up_to
+    row["jump_down"], row["jump_down_to"] = debounce.jump_down, debounce.jump_down_to
+    # The least counter whose scaled value is at least the one asked for.
+    row["trigger"] = -(-trigger_fdc * int(row["failed_after"]) // 127)
+    row["deadline_ns"] = NEVER
+    row["missed"] = 1
 
 
 @kernel
-def fault_detection_counter(d: Any) -> int:
-    """Return the counter scaled to -128..127: the ends mean a qualified verdict, and only they do."""
-    if d.counter >= 0:
-        return int(d.counter * 127 // d.failed_after)
-    return -int(-d.counter * 128 // d.passed_after)
+def _scaled(counter: int, failed_after: int, passed_after: int) -> int:
+    if counter >= 0:
+        return int(counter * 127 // failed_after)
+    return -int(-counter * 128 // passed_after)
+
+
+@kernel
+def fault_detection_counter(d: Any, t_ns: int) -> int:
+    """Return the counter at a time, scaled to -128..127: the ends mean a verdict, and only they do."""
+    return _scaled(_at(d, t_ns), d.failed_after, d.passed_after)
+
+
+@kernel
+def _at(d: Any, t_ns: int) -> int:
+    """Return the counter at a time."""
+    counter = d.counter
+    if d.timed == 1 and t_ns > d.since_ns:
+        if d.direction == FAILED:
+            counter = min(counter + (t_ns - d.since_ns), d.failed_after)
+        elif d.direction == PASSED:
+            counter = max(counter - (t_ns - d.since_ns), -d.passed_after)
+    return int(counter)
+
+
+@kernel
+def _remember(d: Any) -> None:
+    """Keep statistics: the greatest counter, and rises to half the way that came to nothing."""
+    if d.counter > 0:
+        d.peak = max(d.peak, d.counter)
+        d.episode = max(d.episode, d.counter)
+    else:
+        if d.episode * 2 >= d.failed_after and d.missed == 1:
+            d.near += 1
+        d.episode = 0
+        d.missed = 1
+        d.triggered = 0
+
+
+@kernel
+def _verdict(d: Any) -> int:
+    """Return the kind of event that the counter makes now: a verdict, its trigger, or 0."""
+    if d.counter == d.failed_after:
+        d.missed = 0
+        if d.verdict != FAILED:
+            d.verdict = FAILED
+            d.active = 1
+            d.triggered = 1
+            return QUALIFIED_FAILED
+    elif d.counter == -d.passed_after:
+        if d.verdict != PASSED:
+            d.verdict = PASSED
+            d.active = 0
+            return QUALIFIED_PASSED
+    elif d.trigger > 0 and d.counter >= d.trigger and d.triggered == 0:
+        d.triggered = 1
+        return FDC_REACHED
+    return 0
 
 
 @kernel
@@ -50,28 +154,76 @@ def count(d: Any, result: int) -> int:
     """Count one test result of a fault; returns the kind of event it makes, 0 for none.
 
     Args:
-        d: record of :data:`DEBOUNCE`.
+        d: record of :data:`DEBOUNCE`, counter based.
         result: PASSED or FAILED.
     """
     changed = d.last != result
     d.last = result
     if result == FAILED:
-        if d.jump_up == 1 and d.counter < 0:
-            d.counter = 0
-        if d.counter < d.failed_after:
-            d.counter += 1
-        if d.counter == d.failed_after and d.verdict != FAILED:
-            d.verdict = FAILED
-            return QUALIFIED_FAILED
+        if d.jump_up == 1:
+            d.counter = max(d.counter, d.jump_up_to)
+        d.counter = min(d.counter + d.failed_step, d.failed_after)
     else:
-        if d.jump_down == 1 and d.counter > 0:
-            d.counter = 0
-        if d.counter > -d.passed_after:
-            d.counter -= 1
-        if d.counter == -d.passed_after and d.verdict != PASSED:
-            d.verdict = PASSED
-            return QUALIFIED_PASSED
-    return RESULT_CHANGED if changed else 0
+        if d.jump_down == 1:
+            d.counter = min(d.counter, d.jump_down_to)
+        d.counter = max(d.counter - d.passed_step, -d.passed_after)
+    kind = _verdict(d)
+    _remember(d)
+    if kind == 0 and changed:
+        return RESULT_CHANGED
+    return kind
+
+
+@kernel
+def mature(d: Any, t_ns: int) -> int:
+    """Bring a time debounce up to a time; returns the kind of event it makes, 0 for none."""
+    d.counter = _at(d, t_ns)
+    d.since_ns = max(d.since_ns, t_ns)
+    kind = _verdict(d)
+    _remember(d)
+    d.deadline_ns = NEVER
+    if d.direction == FAILED and d.verdict != FAILED:
+        goal = d.failed_after if d.triggered == 1 or d.trigger == 0 else d.trigger
+        d.deadline_ns = d.since_ns + goal - d.counter
+    elif d.direction == PASSED and d.verdict != PASSED:
+        d.deadline_ns = d.since_ns + d.counter + d.passed_after
+    return kind
+
+
+@kernel
+def turn(d: Any, t_ns: int, result: int) -> int:
+    """Take one test result of a time debounce; returns the kind of event it makes, 0 for none."""
+    changed = d.last != result
+    d.last = result
+    kind = mature(d, t_ns)
+    if d.direction != result:
+        d.direction = result
+        if result == FAILED:
+            d.counter = max(d.counter, 0)
+        else:
+            d.counter = min(d.counter, 0)
+        d.since_ns = max(d.since_ns, t_ns)
+        if kind == 0:
+            kind = mature(d, t_ns)
+    if kind == 0 and changed:
+        return RESULT_CHANGED
+    return kind
+
+
+@kernel
+def hold(d: Any, t_ns: int) -> None:
+    """Stop counting; what has been counted is kept (freeze), or given up if the fault is set to (reset)."""
+    d.last = NOT_TESTED
+    if d.timed == 1:
+        d.counter = _at(d, t_ns)
+        d.since_ns = max(d.since_ns, t_ns)
+        d.direction = NOT_TESTED
+        d.deadline_ns = NEVER
+    if d.gated == 1 and d.resets == 1:
+        d.counter = 0
+        d.verdict = NOT_TESTED
+        d.episode = 0
+        d.triggered = 0
 
 
 @kernel
@@ -80,3 +232,16 @@ def reset(d: Any) -> None:
     d.counter = 0
     d.last = NOT_TESTED
     d.verdict = NOT_TESTED
+    d.direction = NOT_TESTED
+    d.deadline_ns = NEVER
+    d.episode = 0
+    d.triggered = 0
+    d.missed = 1
+
+
+def fold(d: np.void) -> tuple[int, int]:
+    """Return the near misses and the greatest fault detection counter since the last call."""
+    peak = int(d["peak"])
+    found = int(d["near"]), int(_scaled(peak, int(d["failed_after"]), int(d["passed_after"])))
+    d["near"], d["peak"] = 0, 0
+    return found

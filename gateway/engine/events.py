@@ -14,6 +14,10 @@ QUALIFIED_FAILED = 1
 QUALIFIED_PASSED = 2
 #: A test result differs from the last one of the same fault; not qualified yet.
 RESULT_CHANGED = 3
+#: The fault detection counter rose to the value at which the fault's freeze frame is wanted.
+FDC_REACHED = 4
+#: An operation cycle began, or ended; ``fault`` is the index of the cycle.
+CYCLE_BEGAN, CYCLE_ENDED = 5, 6
 
 #: One event. ``fault`` is the index in the engine's list of faults, ``result`` one of NOT_TESTED,
 #: PASSED, FAILED, ``fdc`` the fault detection counter, ``evidence`` named by the fault's definition.

@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.engine.debounce import count, fault_detection_counter
+from gateway.engine.debounce import count, fault_detection_counter, hold, mature, turn
 from gateway.engine.emission import emit
-from gateway.engine.events import RESULT_CHANGED
+from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, RESULT_CHANGED
+from gateway.engine.gate import closed, reached
 from gateway.engine.tables import NEVER, Tables, borrowed
 from gateway.jit import borrow, call_entry, kernel
 from gateway.monitors.communication import (
@@ -50,7 +51,7 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
     event.fault = fault
     event.kind = kind
     event.result = result
-    event.fdc = fault_detection_counter(d)
+    event.fdc = fault_detection_counter(d, t_ns)
     event.bus = d.bus
     event.value = value
     event.threshold = limit
@@ -65,19 +66,39 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
 @kernel
 def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
     """Debounce one test result; returns the place of the event it made, -1 for none."""
+    d = T.debounces[fault]
+    if (d.gated == 1 or T.clock[0].held == 1) and closed(T, t_ns, d):
+        not_tested(T, t_ns, fault)
+        return -1
     result = FAILED if failed else PASSED
-    kind = count(T.debounces[fault], result)
+    if d.timed == 1:
+        d.value, d.limit = value, limit
+        kind = turn(d, t_ns, result)
+        clock = T.clock[0]
+        clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)
+    else:
+        kind = count(d, result)
     if kind == 0:
         return -1
     return push(T, t_ns, fault, kind, result, value, limit)
 
 
 @kernel
+def witness(T: Any, fault: int, place: int, k: int, value: float) -> None:
+    """Keep evidence value ``k`` of a result: with its event, and for one that time makes of it later."""
+    if place >= 0:
+        T.ring[place].evidence[k] = value
+    if T.debounces[fault].timed == 1:
+        T.debounces[fault].evidence[k] = value
+
+
+@kernel
 def not_tested(T: Any, t_ns: int, fault: int) -> None:
-    """Note that a fault's test could not run; its counter and state are held."""
+    """Note that a fault's test could not run, or does not count; its counter is held."""
     d = T.debounces[fault]
-    if d.last != NOT_TESTED:
-        d.last = NOT_TESTED
+    changed = d.last != NOT_TESTED
+    hold(d, t_ns)
+    if changed:
         push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0)
 
 
@@ -95,13 +116,8 @@ def skip(T: Any, t_ns: int, h: Any) -> None:
 def fresh(T: Any, t_ns: int, h: Any) -> bool:
     """Tell whether every message that feeds a monitor has arrived and is not overdue."""
     for k in range(h.first_source, h.first_source + h.sources):
-        v = T.vectors[T.sources[k]]
-        if v.arrived_ns < 0:
+        if not reached(T, t_ns, T.sources[k]):
             return False
-        if v.check >= 0:
-            timeout = T.checks[v.check].timeout_ns
-            if timeout > 0 and t_ns - v.arrived_ns > timeout:
-                return False
     return True
 
 
@@ -129,11 +145,11 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
         emit(T, t_ns, T.emits[h.emit])
     for k in range(out.n):
         r = out.results[k]
-        place = tested(T, t_ns, h.fault + r.fault, r.result == FAILED, r.value, r.threshold)
-        if place >= 0:
-            evidence = T.ring[place].evidence
-            for e in range(evidence.shape[0]):
-                evidence[e] = r.evidence[e]
+        fault = h.fault + r.fault
+        place = tested(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
+        if place >= 0 or T.debounces[fault].timed == 1:
+            for e in range(r.evidence.shape[0]):
+                witness(T, fault, place, e, r.evidence[e])
 
 
 @kernel
@@ -143,8 +159,7 @@ def time_out(T: Any, due: int, c: Any) -> None:
     c.deadline_ns += c.timeout_ns
     c.silent_ns += c.timeout_ns
     place = tested(T, due, c.fault[TIMEOUT], True, c.silent_ns * 1e-6, c.timeout_ns * 1e-6)
-    if place >= 0:
-        T.ring[place].evidence[0] = c.silent_ns * 1e-6
+    witness(T, c.fault[TIMEOUT], place, 0, c.silent_ns * 1e-6)
 
 
 @kernel
@@ -154,7 +169,8 @@ def pass_over(T: Any, t_ns: int, c: Any) -> None:
     A jump of the clock by years must not cost a step for each timeout in it.
     """
     d = T.debounces[c.fault[TIMEOUT]]
-    if d.counter == d.failed_after and c.deadline_ns <= t_ns:
+    settled = d.timed == 1 or d.counter == d.failed_after or d.last == NOT_TESTED
+    if settled and c.deadline_ns <= t_ns:
         skipped = (t_ns - c.deadline_ns) // c.timeout_ns + 1
         T.clock[0].timeouts += skipped
         c.deadline_ns += skipped * c.timeout_ns
@@ -162,27 +178,76 @@ def pass_over(T: Any, t_ns: int, c: Any) -> None:
 
 
 @kernel
+def ripen(T: Any, due: int, fault: int) -> None:
+    """Let time qualify the verdict of a fault; if its gate is closed by now, its time starts anew."""
+    d = T.debounces[fault]
+    if (d.gated == 1 or T.clock[0].held == 1) and closed(T, due, d):
+        d.since_ns = due
+    kind = mature(d, due)
+    if kind != 0:
+        place = push(T, due, fault, kind, d.last, d.value, d.limit)
+        if place >= 0:
+            for e in range(d.evidence.shape[0]):
+                T.ring[place].evidence[e] = d.evidence[e]
+
+
+@kernel
 def run_timers(T: Any, t_ns: int) -> None:
     """Run every timer due at or before ``t_ns``, in order of deadline, each at its own time."""
     clock = T.clock[0]
     while clock.deadline_ns <= t_ns:
-        due, check, handler = NEVER, -1, -1
+        due, check, handler, fault = NEVER, -1, -1, -1
         for k in range(T.checks.shape[0]):
             if T.checks[k].deadline_ns < due:
                 due, check = T.checks[k].deadline_ns, k
         for k in range(T.handlers.shape[0]):
             if T.handlers[k].wake_ns < due:
                 due, check, handler = T.handlers[k].wake_ns, -1, k
+        if clock.timed == 1:
+            for k in range(T.debounces.shape[0]):
+                if T.debounces[k].deadline_ns < due:
+                    due, check, handler, fault = T.debounces[k].deadline_ns, -1, -1, k
         clock.deadline_ns = due
         if due > t_ns:
             return
-        if check >= 0:
+        if fault >= 0:
+            ripen(T, due, fault)
+        elif check >= 0:
             time_out(T, due, T.checks[check])
             pass_over(T, t_ns, T.checks[check])
         else:
             h = T.handlers[handler]
             h.wake_ns = NEVER
             step(T, due, TIMER, h)
+
+
+@kernel
+def watch(T: Any, t_ns: int, w: Any) -> None:
+    """Begin or end an operation cycle by the value of a signal."""
+    value = T.mailbox[w.slot]
+    w.lowest = min(w.lowest, value)
+    is_open = T.cycles[w.cycle]
+    if is_open == w.begins or not w.low <= value <= w.high or value - w.lowest < w.rise:
+        return
+    T.cycles[w.cycle] = w.begins
+    w.lowest = value
+    clock = T.clock[0]
+    clock.stop = 1
+    if clock.events >= T.ring.shape[0]:
+        clock.events_lost += 1
+        return
+    event = T.ring[clock.events]
+    event.t_ns = t_ns
+    event.fault = w.cycle
+    event.kind = CYCLE_BEGAN if w.begins == 1 else CYCLE_ENDED
+    event.result = NOT_TESTED
+    event.fdc = 0
+    event.bus = w.bus
+    event.value = value
+    event.threshold = w.low
+    for k in range(event.evidence.shape[0]):
+        event.evidence[k] = 0.0
+    clock.events += 1
 
 
 @kernel
@@ -205,17 +270,15 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
         tested(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
         place = tested(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
-        if place >= 0:
-            T.ring[place].evidence[0] = length
+        witness(T, c.fault[LENGTH], place, 0, length)
     if status != OK:
         c.unread += 1
         return REJECT
     if c.fault[CRC] >= 0:
         received, computed = check_crc(c, words, length, T.crc_tables)
         place = tested(T, t_ns, c.fault[CRC], received != computed, received, computed)
-        if place >= 0:
-            T.ring[place].evidence[0] = received
-            T.ring[place].evidence[1] = computed
+        witness(T, c.fault[CRC], place, 0, received)
+        witness(T, c.fault[CRC], place, 1, computed)
         if received != computed:
             clock.crc_failed += 1
             c.unread += 1
@@ -227,10 +290,9 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
         wrong = step_by == 0 or step_by > c.max_step + c.unread
         c.unread = 0
         place = tested(T, t_ns, c.fault[COUNTER], wrong, step_by, c.max_step)
-        if place >= 0:
-            T.ring[place].evidence[0] = step_by
-            T.ring[place].evidence[1] = c.last_counter
-            T.ring[place].evidence[2] = received
+        witness(T, c.fault[COUNTER], place, 0, step_by)
+        witness(T, c.fault[COUNTER], place, 1, c.last_counter)
+        witness(T, c.fault[COUNTER], place, 2, received)
         c.last_counter = received
         c.seen = 1
         if step_by == 0:
@@ -269,6 +331,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
     clock.decoded += 1
     commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
     v.arrived_ns = t_ns
+    for k in range(v.first_watch, v.first_watch + v.watches):
+        watch(T, t_ns, T.watches[k])
     for k in range(v.first, v.first + v.count):
         h = T.handlers[T.triggers[k]]
         if fresh(T, t_ns, h):

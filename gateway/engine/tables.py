@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.engine.debounce import NEVER
 from gateway.jit import COMPILED, borrow, i4, i8, kernel, record, u1
 
+__all__ = ["CLOCK", "HANDLER", "NEVER", "VECTOR", "Tables", "borrowed", "table"]
+
 #: One row of the vector table, for each message of the decode plan: the monitors it triggers
-#: (``handlers[first:first + count]``, by priority), its communication check (-1: none), and when
-#: its data were last accepted [ns, -1: never].
-VECTOR = record(first=i4, count=i4, check=i4, arrived_ns=i8)
+#: (``handlers[first:first + count]``, by priority), its communication check (-1: none), the operation
+#: cycles it may begin or end (``watches[first_watch:+watches]``), and when its data were last accepted
+#: [ns, -1: never].
+VECTOR = record(first=i4, count=i4, check=i4, first_watch=i4, watches=i4, arrived_ns=i8)
 
 #: One configured monitor: addresses of its kernel and records, its inputs
 #: (``slots[first_slot:+slots]`` to ``pool[inputs:]``, in 8-byte cells), the messages its inputs
@@ -38,13 +42,15 @@ HANDLER = record(
     skipped=i8,
 )
 
-#: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline. Of the outbox's ``sent``
-#: frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
+#: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline; ``timed`` tells whether a
+#: fault is debounced by time, ``held`` whether test results count at present. Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
 CLOCK = record(
     now_ns=i8,
     deadline_ns=i8,
     started=u1,
     stop=u1,
+    timed=u1,
+    held=u1,
     events=i8,
     events_lost=i8,
     frames=i8,
@@ -65,9 +71,6 @@ CLOCK = record(
     sent_lost=i8,
 )
 
-#: A deadline that never comes.
-NEVER = int(np.iinfo(np.int64).max)
-
 
 class Tables(NamedTuple):
     """All arrays of the loop, in one argument.
@@ -75,6 +78,8 @@ class Tables(NamedTuple):
     Decode plan: ``keys``, ``rows``, ``messages``, ``signals``, ``mux_ids`` (see signals.tables).
     Scratch: ``values`` float64 and ``present`` uint8, shape (most signals of a message,).
     Outbox: ``emits``, ``emit_signals``, ``outbox`` and the same memory in cells (see engine.emission).
+    Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
+    engine.gate).
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
 
@@ -96,6 +101,10 @@ class Tables(NamedTuple):
     checks: NDArray[np.void]
     crc_tables: NDArray[np.uint8]
     debounces: NDArray[np.void]
+    conditions: NDArray[np.void]
+    roots: NDArray[np.int32]
+    watches: NDArray[np.void]
+    cycles: NDArray[np.uint8]
     out: NDArray[np.void]
     out_address: NDArray[np.int64]
     emits: NDArray[np.void]
@@ -128,6 +137,10 @@ def borrowed(T: Tables) -> Tables:
         borrow(T.checks),
         borrow(T.crc_tables),
         borrow(T.debounces),
+        borrow(T.conditions),
+        borrow(T.roots),
+        borrow(T.watches),
+        borrow(T.cycles),
         borrow(T.out),
         borrow(T.out_address),
         borrow(T.emits),

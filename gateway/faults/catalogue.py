@@ -3,51 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Annotated
-
-from pydantic import AfterValidator, Field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from gateway.errors import InputError, InputErrors
-from gateway.faults.dtc import ALL_DTCS, NO_DTC, Dtc
+from gateway.faults.dtc import NO_DTC, Dtc, is_group
+from gateway.faults.settings import POWER, SEVERITIES, FaultOverride
+from gateway.faults.status import Rules
 from gateway.monitors.shape import Debounce, Fault
-from gateway.tomlfile import StrictModel
-
-
-def _dtc_text(text: str) -> str:
-    try:
-        return str(Dtc.parse(text))
-    except InputError as error:
-        raise ValueError(error.message) from error
-
-
-#: A DTC in TOML: checked, and brought into its usual form.
-DtcText = Annotated[str, AfterValidator(_dtc_text)]
-
-
-class DebounceOverride(StrictModel):
-    """Counter debounce: how many results in a row qualify a verdict."""
-
-    failed_after: int | None = Field(None, ge=1, le=32767, description="failed results")
-    passed_after: int | None = Field(None, ge=1, le=32767, description="passed results")
-    jump_up: bool | None = Field(None, description="a failed result leaves the passed side at once")
-    jump_down: bool | None = Field(
-        None, description="a passed result leaves the failed side at once"
-    )
-
-
-class FaultOverride(StrictModel):
-    """Settings of one fault that differ from its monitor's."""
-
-    dtc: DtcText | None = Field(None, description='e.g. "P0336-29"')
-    debounce: DebounceOverride = DebounceOverride()
-    confirm_cycles: int = Field(
-        1, ge=1, le=255, description="operation cycles with a failure that confirm the DTC"
-    )
-    indicator: bool = Field(False, description="a confirmed DTC asks for the warning indicator")
-    freeze_frame: tuple[str, ...] = Field(
-        (), description='signals stored at a failure: "Message.Signal" or "bus.Message.Signal"'
-    )
 
 
 @dataclass(frozen=True)
@@ -63,6 +26,22 @@ class FaultDefinition:
         confirm_cycles: operation cycles with a failure that confirm it.
         indicator: whether it asks for the warning indicator.
         freeze_frame: names of the signals stored at a failure.
+        freeze_frames: records kept.
+        freeze_frame_at: "failed", "pending", "confirmed", or a fault detection counter.
+        spn: J1939 suspect parameter number, None: not shown there.
+        fmi: J1939 failure mode identifier.
+        severity: byte of ISO 14229-1, Annex D.3.
+        functional_unit: byte of ISO 14229-1.
+        priority: 1 is the most important.
+        emission_related: whether OBD shows it.
+        readiness: monitor whose readiness it belongs to.
+        lamp: which lamp its indicator is.
+        permanent: whether it survives a clear until its test has passed.
+        cycle: name of its operation cycle.
+        healing_cycles: passed cycles that end the warning indicator.
+        aging_cycle: name of the cycle that ages it.
+        aging_cycles: how many of them delete it.
+        caused_by: ids of the faults that may cause it.
     """
 
     id: str
@@ -73,37 +52,71 @@ class FaultDefinition:
     confirm_cycles: int = 1
     indicator: bool = False
     freeze_frame: tuple[str, ...] = ()
+    freeze_frames: int = 2
+    freeze_frame_at: str | int = "failed"
+    spn: int | None = None
+    fmi: int | None = None
+    severity: int = 0
+    functional_unit: int = 0
+    priority: int = 100
+    emission_related: bool = True
+    readiness: str = "components"
+    lamp: str = "malfunction"
+    permanent: bool = False
+    cycle: str = POWER
+    healing_cycles: int = 3
+    aging_cycle: str = POWER
+    aging_cycles: int = 40
+    caused_by: tuple[str, ...] = ()
+
+    @property
+    def rules(self) -> Rules:
+        """What its status byte goes by."""
+        return Rules(self.confirm_cycles, self.healing_cycles, self.aging_cycles, self.indicator)
 
 
 def debounce_of(fault: Fault, override: FaultOverride | None) -> Debounce:
     """Return a fault's debounce: its monitor's, with what the configuration sets."""
     if override is None:
         return fault.debounce
-    base = fault.debounce
     asked = override.debounce.model_dump(exclude_none=True)
-    return Debounce(
-        **{
-            "failed_after": base.failed_after,
-            "passed_after": base.passed_after,
-            "jump_up": base.jump_up,
-            "jump_down": base.jump_down,
-            **asked,
-        }
-    )
+    base = asdict(fault.debounce)
+    if asked and "failed_ms" not in asked:  # counter settings end a debounce by time
+        base["failed_ms"] = base["passed_ms"] = None
+    return Debounce(**{**base, **asked})
 
 
 def define(fault_id: str, fault: Fault, override: FaultOverride | None = None) -> FaultDefinition:
     """Return a fault's definition: its monitor's, with what the configuration sets."""
     settings = override or FaultOverride()
+    permanent = settings.permanent
     return FaultDefinition(
-        fault_id,
-        Dtc.parse(settings.dtc or fault.dtc),
-        fault.description,
-        fault.evidence,
-        debounce_of(fault, override),
-        settings.confirm_cycles,
-        settings.indicator,
-        settings.freeze_frame,
+        id=fault_id,
+        dtc=Dtc.parse(settings.dtc or fault.dtc),
+        description=settings.description or fault.description,
+        evidence=fault.evidence,
+        debounce=debounce_of(fault, override),
+        confirm_cycles=settings.confirm_cycles,
+        indicator=settings.indicator,
+        freeze_frame=settings.freeze_frame,
+        freeze_frames=settings.freeze_frames,
+        freeze_frame_at=settings.freeze_frame_at,
+        spn=settings.spn,
+        fmi=settings.fmi,
+        severity=SEVERITIES[settings.severity],
+        functional_unit=settings.functional_unit,
+        priority=settings.priority,
+        emission_related=settings.emission_related,
+        readiness=settings.readiness,
+        lamp=settings.lamp,
+        permanent=settings.indicator and settings.emission_related
+        if permanent is None
+        else permanent,
+        cycle=settings.cycle,
+        healing_cycles=settings.healing_cycles,
+        aging_cycle=settings.aging_cycle or settings.cycle,
+        aging_cycles=settings.aging_cycles,
+        caused_by=settings.caused_by,
     )
 
 
@@ -111,24 +124,24 @@ class Catalogue:
     """The faults of a gateway, in the engine's order.
 
     Raises:
-        InputErrors: two faults with one id or one DTC, or a code that stands for none or all DTCs.
+        InputErrors: two faults with one id, one DTC or one SPN and FMI, a code that stands for a group.
     """
 
     def __init__(self, definitions: Iterable[FaultDefinition]) -> None:
         self._all = tuple(definitions)
+        self._by_id = {definition.id: definition for definition in self._all}
+        wrong = [
+            InputError("two faults have this id", key="fault", value=definition.id)
+            for k, definition in enumerate(self._all)
+            if definition.id in (other.id for other in self._all[:k])
+        ]
         by_dtc: dict[Dtc, FaultDefinition] = {}
-        ids: set[str] = set()
-        wrong = []
+        by_spn: dict[tuple[int, int | None], FaultDefinition] = {}
         for definition in self._all:
-            if definition.id in ids:
-                wrong.append(
-                    InputError("two faults have this id", key="fault", value=definition.id)
-                )
-            ids.add(definition.id)
-            if definition.dtc.value in (NO_DTC, ALL_DTCS):
+            if definition.dtc.value == NO_DTC or is_group(definition.dtc.value):
                 wrong.append(
                     InputError(
-                        "this code stands for no DTC or for all of them; take another",
+                        "this code stands for no DTC or for a group of them; take another",
                         key=f'fault."{definition.id}".dtc',
                         value=str(definition.dtc),
                     )
@@ -142,6 +155,16 @@ class Catalogue:
                         value=str(definition.dtc),
                     )
                 )
+            if definition.spn is not None:
+                other = by_spn.setdefault((definition.spn, definition.fmi), definition)
+                if other is not definition:
+                    wrong.append(
+                        InputError(
+                            f"{other.id} has this SPN and FMI; give one of them another",
+                            key=f'fault."{definition.id}".spn',
+                            value=definition.spn,
+                        )
+                    )
         if wrong:
             raise InputErrors(wrong)
 
@@ -153,3 +176,17 @@ class Catalogue:
 
     def __getitem__(self, index: int) -> FaultDefinition:
         return self._all[index]
+
+    def get(self, fault: str) -> FaultDefinition | None:
+        """Return the definition of a fault by its id, None if it is not in the catalogue."""
+        return self._by_id.get(fault)
+
+
+def as_dict(definition: FaultDefinition) -> dict[str, Any]:
+    """Return a definition for JSON."""
+    shown = asdict(definition)
+    shown["dtc"] = str(definition.dtc)
+    shown["debounce"] = {
+        name: value for name, value in shown["debounce"].items() if value is not None
+    }
+    return shown

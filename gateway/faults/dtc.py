@@ -14,6 +14,26 @@ _LETTERS = "PCBU"
 NO_DTC = 0x000000
 #: The group of all DTCs (ISO 14229-1, 0x14).
 ALL_DTCS = 0xFFFFFF
+#: The group of all emission related DTCs (ISO 14229-1, Annex D.1; ISO 27145-3, functional group 0x33).
+EMISSION_DTCS = 0xFFFF33
+#: The groups of the letters P, C, B, U: the first code of each.
+LETTER_GROUPS = (0x000000, 0x400000, 0x800000, 0xC00000)
+
+
+def is_group(value: int) -> bool:
+    """Tell whether a number names a group of DTCs, or may by the standards (0xFFFF00 and above)."""
+    return value in LETTER_GROUPS or value >= 0xFFFF00
+
+
+def in_group(value: int, group: int, *, emission_related: bool) -> bool:
+    """Tell whether a DTC belongs to a group, or is the one that is named."""
+    if group == ALL_DTCS:
+        return True
+    if group == EMISSION_DTCS:
+        return emission_related
+    if group in LETTER_GROUPS:
+        return value >> 22 == group >> 22
+    return value == group
 
 
 @dataclass(frozen=True, order=True)

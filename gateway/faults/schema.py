@@ -26,5 +26,41 @@ INSERT INTO cycle VALUES (0, 0, 0);
 CREATE TABLE request (id INTEGER PRIMARY KEY, kind TEXT NOT NULL, argument TEXT NOT NULL, done INTEGER);
 """
 
+# Healing, aging and the order of failures; several operation cycles; permanent DTCs; recorded frames; values that
+# testers wrote. What a file of version 1 says is kept: the order of its failures is that of their times.
+_SECOND = """
+ALTER TABLE fault ADD COLUMN passed_cycles INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE fault ADD COLUMN aged_cycles INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE fault ADD COLUMN inputs TEXT NOT NULL DEFAULT '{}';
+ALTER TABLE fault ADD COLUMN peak_fdc INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE fault ADD COLUMN near_misses INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE fault ADD COLUMN first_failed INTEGER;
+ALTER TABLE fault ADD COLUMN last_failed INTEGER;
+ALTER TABLE fault ADD COLUMN first_confirmed INTEGER;
+ALTER TABLE fault ADD COLUMN last_confirmed INTEGER;
+UPDATE fault SET
+    first_failed = (SELECT count(*) FROM fault AS f WHERE f.first_ns < fault.first_ns) + 1,
+    last_failed = (SELECT count(*) FROM fault AS f WHERE f.last_ns < fault.last_ns) + 1
+    WHERE occurrence > 0;
+UPDATE fault SET first_confirmed = first_failed, last_confirmed = last_failed WHERE status & 8;
+CREATE TABLE operation_cycle (
+    name TEXT PRIMARY KEY, number INTEGER NOT NULL, open INTEGER NOT NULL, t_ns INTEGER NOT NULL
+);
+INSERT INTO operation_cycle SELECT 'power', number, open, t_ns FROM cycle;
+DROP TABLE cycle;
+CREATE TABLE permanent (fault TEXT PRIMARY KEY, dtc INTEGER NOT NULL, t_ns INTEGER NOT NULL);
+CREATE TABLE recording (
+    id INTEGER PRIMARY KEY,
+    fault TEXT NOT NULL,
+    t_ns INTEGER NOT NULL,
+    frames INTEGER NOT NULL,
+    dropped INTEGER NOT NULL,
+    log BLOB NOT NULL
+);
+CREATE INDEX recording_of_fault ON recording (fault, id);
+CREATE TABLE identifier (did INTEGER PRIMARY KEY, data BLOB NOT NULL);
+CREATE TABLE fact (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST,)
+MIGRATIONS = (_FIRST, _SECOND)

@@ -9,10 +9,12 @@ from typing import Any
 from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
+from gateway.faults.entries import Entry, entry_of
 from gateway.faults.lock import InUseError
-from gateway.faults.memory import Entry, FaultMemory, entry_of
+from gateway.faults.memory import FaultMemory
+from gateway.faults.records import Recording
 from gateway.faults.status import Status
-from gateway.faults.store import Store
+from gateway.faults.store import OutdatedError, Store
 
 
 def as_dict(entry: Entry) -> dict[str, Any]:
@@ -30,7 +32,21 @@ def as_dict(entry: Entry) -> dict[str, Any]:
             for frame in entry.freeze_frames
         ],
         "evidence": dict(entry.evidence),
+        "inputs": dict(entry.inputs),
+        "failed_cycles": entry.failed_cycles,
+        "aged_cycles": entry.aged_cycles,
+        "peak_fdc": entry.peak_fdc,
+        "near_misses": entry.near_misses,
     }
+
+
+def _reader(path: Path) -> Store:
+    """Open a fault memory for reading; one of an earlier version is brought up to date first."""
+    try:
+        return Store(path, write=False)
+    except OutdatedError:
+        Store(path).close()
+        return Store(path, write=False)
 
 
 def list_entries(path: Path) -> list[dict[str, Any]]:
@@ -39,9 +55,55 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is none at this path.
     """
-    store = Store(path, write=False)
+    store = _reader(path)
     try:
-        return [as_dict(entry_of(record)) for record in store.load() if record.occurrence > 0]
+        permanent = {entry.fault for entry in store.permanent()}
+        recorded = [recording.fault for recording in store.recordings()]
+        return [
+            {
+                **as_dict(entry_of(record)),
+                "permanent": record.id in permanent,
+                "recordings": recorded.count(record.id),
+            }
+            for record in store.load()
+            if record.occurrence > 0
+        ]
+    finally:
+        store.close()
+
+
+def near_misses(path: Path) -> list[dict[str, Any]]:
+    """Return the faults that came near a failure, or had one: how often, and how near.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    store = _reader(path)
+    try:
+        return [
+            {
+                "fault": record.id,
+                "dtc": str(Dtc(record.dtc)),
+                "near_misses": record.near_misses,
+                "peak_fdc": record.peak_fdc,
+            }
+            for record in store.load()
+            if record.near_misses or record.peak_fdc > 0
+        ]
+    finally:
+        store.close()
+
+
+def recordings(path: Path, dtc: str) -> list[Recording]:
+    """Return the frames recorded around the failures of one DTC, the oldest recording first.
+
+    Raises:
+        InputError: it is not a DTC, or there is no entry of it.
+    """
+    fault = str(show(path, dtc)["fault"])
+    store = _reader(path)
+    try:
+        return store.recordings(fault)
     finally:
         store.close()
 

@@ -1,12 +1,18 @@
 """The DTC status byte (ISO 14229-1, Annex D.2): its bits and how they change. There is no other.
 
-Each transition is a total function of the status and what happened; counters that it needs (cycles with
-a failure) are handed in and out, so that a store can keep them.
+Each transition is a total function of the status, its counters of cycles, and what happened; a store keeps both.
+Healing and aging as AUTOSAR DEM has them: the warning indicator goes out after passed cycles in a row, and only
+then cycles without a failure count towards aging, which ends the confirmed state.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from enum import IntFlag
+from typing import NamedTuple
+
+#: Counters of cycles stop here.
+MOST_CYCLES = 255
 
 
 class Status(IntFlag):
@@ -28,24 +34,43 @@ NOT_COMPLETED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYC
 CLEARED = NOT_COMPLETED
 
 
+class Rules(NamedTuple):
+    """How many cycles confirm, heal and age a DTC, and whether it asks for the warning indicator."""
+
+    confirm_cycles: int = 1
+    healing_cycles: int = 3
+    aging_cycles: int = 40
+    indicator: bool = False
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """Counters of cycles that the transitions need.
+
+    Attributes:
+        failed: cycles in a row, among the completed ones, that failed.
+        passed: completed cycles in a row, since the last failure, that did not fail.
+        aged: cycles counted towards aging.
+    """
+
+    failed: int = 0
+    passed: int = 0
+    aged: int = 0
+
+
 def on_passed(status: Status) -> Status:
     """Return the status after a qualified pass: the test is complete and does not fail now."""
     return status & ~(NOT_COMPLETED | Status.TEST_FAILED)
 
 
-def on_failed(
-    status: Status, failed_cycles: int, *, confirm_cycles: int, indicator: bool
-) -> tuple[Status, int]:
-    """Return the status and the failed-cycle counter after a qualified failure.
+def on_failed(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles]:
+    """Return the status and the counters after a qualified failure.
 
-    Args:
-        status: before.
-        failed_cycles: consecutive completed cycles that failed, this one not counted yet.
-        confirm_cycles: failed cycles that confirm the DTC; 1 confirms at the first failure.
-        indicator: whether a confirmed DTC asks for the warning indicator.
+    ``rules.confirm_cycles`` 1 confirms at the first failure.
     """
+    failed = cycles.failed
     if not status & Status.TEST_FAILED_THIS_CYCLE:
-        failed_cycles += 1
+        failed = min(failed + 1, MOST_CYCLES)
     status &= ~NOT_COMPLETED
     status |= (
         Status.TEST_FAILED
@@ -53,11 +78,11 @@ def on_failed(
         | Status.PENDING_DTC
         | Status.FAILED_SINCE_CLEAR
     )
-    if failed_cycles >= confirm_cycles:
+    if failed >= rules.confirm_cycles:
         status |= Status.CONFIRMED_DTC
-        if indicator:
+        if rules.indicator:
             status |= Status.WARNING_INDICATOR
-    return status, failed_cycles
+    return status, Cycles(failed=failed)
 
 
 def on_cycle_start(status: Status) -> Status:
@@ -69,13 +94,39 @@ def on_cycle_start(status: Status) -> Status:
     return (status & ~Status.TEST_FAILED_THIS_CYCLE) | Status.NOT_COMPLETED_THIS_CYCLE
 
 
-def on_cycle_end(status: Status, failed_cycles: int) -> tuple[Status, int]:
-    """Return the status and the failed-cycle counter at the end of an operation cycle.
+def _passed_this_cycle(status: Status) -> bool:
+    return not status & (Status.NOT_COMPLETED_THIS_CYCLE | Status.TEST_FAILED_THIS_CYCLE)
 
-    A cycle in which the test completed and never failed ends the pending state; one in which it did not
-    complete changes nothing.
+
+def on_cycle_end(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles]:
+    """Return the status and the counters at the end of an operation cycle.
+
+    A cycle in which the test completed and never failed ends the pending state and counts towards healing; one
+    in which it did not complete changes nothing.
     """
-    completed = not status & Status.NOT_COMPLETED_THIS_CYCLE
-    if completed and not status & Status.TEST_FAILED_THIS_CYCLE:
-        return status & ~Status.PENDING_DTC, 0
-    return status, failed_cycles
+    if not _passed_this_cycle(status):
+        return status, cycles
+    passed = min(cycles.passed + 1, MOST_CYCLES)
+    if passed >= rules.healing_cycles:
+        status &= ~Status.WARNING_INDICATOR
+    return status & ~Status.PENDING_DTC, replace(cycles, failed=0, passed=passed)
+
+
+def on_aging_cycle_end(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles, bool]:
+    """Return the status, the counters, and whether the DTC has aged away, at the end of an aging cycle.
+
+    Judged by the status before :func:`on_cycle_end` of the same moment, so that the cycle that heals does not
+    age: a cycle counts if its test passed in it and the DTC was neither pending nor lit before.
+    """
+    lit = status & (Status.WARNING_INDICATOR | Status.PENDING_DTC | Status.TEST_FAILED)
+    if lit or not _passed_this_cycle(status):
+        return status, cycles, False
+    aged = cycles.aged + 1
+    if aged < rules.aging_cycles:
+        return status, replace(cycles, aged=aged), False
+    return status & ~Status.CONFIRMED_DTC, Cycles(), True
+
+
+def on_displaced(status: Status) -> Status:
+    """Return the status of a DTC whose entry had to give way to another: it is no longer in the memory."""
+    return status & ~(Status.PENDING_DTC | Status.CONFIRMED_DTC | Status.WARNING_INDICATOR)

@@ -9,49 +9,25 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import fields
 from pathlib import Path
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults.lock import take_lock
+from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 
 _MAGIC = b"SQLite format 3\0"
 
-
-@dataclass
-class FreezeFrame:
-    """Signals at a failure. Record 1 is of the first failure, record 2 of the latest."""
-
-    number: int
-    t_ns: int
-    content: dict[str, float | None]
+#: Columns of the table of faults, named as in :class:`Record`; these two hold JSON.
+_COLUMNS = tuple(f.name for f in fields(Record) if f.name != "freeze_frames")
+_JSON = ("evidence", "inputs")
 
 
-@dataclass
-class Record:
-    """What the memory keeps of one fault."""
-
-    id: str
-    dtc: int
-    status: int
-    failed_cycles: int = 0
-    occurrence: int = 0
-    first_ns: int | None = None
-    last_ns: int | None = None
-    evidence: dict[str, float | None] = field(default_factory=dict)
-    freeze_frames: dict[int, FreezeFrame] = field(default_factory=dict)
-
-
-@dataclass
-class Cycle:
-    """The operation cycle: its number, and whether it was ended."""
-
-    number: int
-    open: bool
-    t_ns: int
+class OutdatedError(InputError):
+    """The file is of an earlier version, and was opened for reading only."""
 
 
 class Store:
@@ -110,6 +86,12 @@ class Store:
         if not write:
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
+            if version < len(MIGRATIONS):
+                raise OutdatedError(
+                    f"written by an earlier gateway: version {version}, this one knows"
+                    f" {len(MIGRATIONS)}",
+                    file=self.path,
+                )
             return
         self._refuse_damaged()
         self._db.execute("PRAGMA journal_mode = WAL")
@@ -128,6 +110,20 @@ class Store:
         found = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
             raise InputError(f"a damaged fault memory: {found}", file=self.path)
+
+    def compact(self) -> None:
+        """Check the file whole, and give back what it does not use.
+
+        Raises:
+            GatewayError: it is damaged, or cannot be written.
+        """
+        try:
+            found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            if found != "ok":
+                raise GatewayError(f"{self.path}: a damaged fault memory: {found}")
+            self._db.execute("VACUUM")
+        except sqlite3.Error as error:
+            raise GatewayError(f"{self.path}: fault memory not compacted: {error}") from error
 
     def close(self) -> None:
         """Close the file."""
@@ -161,91 +157,138 @@ class Store:
                 raise GatewayError(f"{self.path}: fault memory not written: {error}") from error
             raise
 
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """See the file as of one commit of its writer.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        nested = self._db.in_transaction
+        try:
+            if not nested:
+                self._db.execute("BEGIN")
+            try:
+                yield
+            finally:
+                if not nested:
+                    self._db.execute("ROLLBACK")
+        except (sqlite3.Error, ValueError) as error:
+            raise InputError(f"a damaged fault memory: {error}", file=self.path) from error
+
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
 
         Raises:
             InputError: the file is damaged.
         """
-        try:
-            self._db.execute("BEGIN")  # else a commit could fall between records and freeze frames
-            try:
-                return self._load()
-            finally:
-                self._db.execute("ROLLBACK")
-        except (sqlite3.Error, ValueError) as error:
-            raise InputError(f"a damaged fault memory: {error}", file=self.path) from error
-
-    def _load(self) -> list[Record]:
-        records = {
-            row[0]: Record(
-                id=row[0],
-                dtc=row[1],
-                status=row[2],
-                failed_cycles=row[3],
-                occurrence=row[4],
-                first_ns=row[5],
-                last_ns=row[6],
-                evidence=json.loads(row[7]),
-            )
-            for row in self._db.execute(
-                "SELECT id, dtc, status, failed_cycles, occurrence, first_ns, last_ns, evidence"
-                " FROM fault ORDER BY dtc, id"
-            )
-        }
-        for fault, number, t_ns, content in self._db.execute(
-            "SELECT fault, number, t_ns, content FROM freeze_frame ORDER BY number"
-        ):
-            frame = FreezeFrame(number, t_ns, json.loads(content))
-            records[fault].freeze_frames[number] = frame
+        records = {}
+        columns = ", ".join(_COLUMNS)
+        with self._reading():  # else a commit could fall between records and freeze frames
+            for row in self._db.execute(f"SELECT {columns} FROM fault ORDER BY dtc, id"):  # noqa: S608 - our own names
+                values = dict(zip(_COLUMNS, row, strict=True))
+                for name in _JSON:
+                    values[name] = json.loads(values[name])
+                records[values["id"]] = Record(**values)
+            for fault, number, t_ns, content in self._db.execute(
+                "SELECT fault, number, t_ns, content FROM freeze_frame ORDER BY number"
+            ):
+                frame = FreezeFrame(number, t_ns, json.loads(content))
+                records[fault].freeze_frames[number] = frame
         return list(records.values())
 
-    def cycle(self) -> Cycle:
-        """Return the last operation cycle."""
-        number, opened, t_ns = self._db.execute("SELECT number, open, t_ns FROM cycle").fetchone()
-        return Cycle(number, bool(opened), t_ns)
+    def cycles(self) -> dict[str, Cycle]:
+        """Return the last operation cycle of each name."""
+        with self._reading():
+            rows = list(self._db.execute("SELECT name, number, open, t_ns FROM operation_cycle"))
+        return {name: Cycle(number, bool(opened), t_ns) for name, number, opened, t_ns in rows}
 
-    def save(
-        self,
-        records: Iterable[Record],
-        cycle: Cycle | None = None,
-        answered: dict[int, int] | None = None,
-    ) -> None:
-        """Write records, and the cycle and answered requests, in one transaction; durable on return."""
+    def permanent(self) -> list[Permanent]:
+        """Return the permanent DTCs, the oldest first."""
+        with self._reading():
+            rows = list(self._db.execute("SELECT fault, dtc, t_ns FROM permanent ORDER BY rowid"))
+        return [Permanent(*row) for row in rows]
+
+    def recordings(self, fault: str | None = None) -> list[Recording]:
+        """Return the recordings of a fault, or of all, the oldest first."""
+        with self._reading():
+            rows = list(
+                self._db.execute(
+                    "SELECT fault, t_ns, frames, dropped, log FROM recording"
+                    " WHERE ?1 IS NULL OR fault = ?1 ORDER BY id",
+                    (fault,),
+                )
+            )
+        return [Recording(*row) for row in rows]
+
+    def identifiers(self) -> dict[int, bytes]:
+        """Return the values that testers wrote, by data identifier."""
+        with self._reading():
+            return dict(self._db.execute("SELECT did, data FROM identifier"))
+
+    def facts(self) -> dict[str, int]:
+        """Return numbers by name."""
+        with self._reading():
+            return dict(self._db.execute("SELECT name, value FROM fact"))
+
+    def save(self, changes: Changes) -> None:
+        """Write changes in one transaction; durable on return.
+
+        Raises:
+            GatewayError: they could not be written; nothing of them was.
+        """
         with self.transaction():
-            for r in records:
-                self._db.execute(
-                    "INSERT INTO fault VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
-                    " dtc = excluded.dtc, status = excluded.status,"
-                    " failed_cycles = excluded.failed_cycles, occurrence = excluded.occurrence,"
-                    " first_ns = excluded.first_ns, last_ns = excluded.last_ns,"
-                    " evidence = excluded.evidence",
-                    (
-                        r.id,
-                        r.dtc,
-                        int(r.status),
-                        r.failed_cycles,
-                        r.occurrence,
-                        r.first_ns,
-                        r.last_ns,
-                        json.dumps(r.evidence),
-                    ),
-                )
-                self._db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
+            for record in changes.records:
+                self._save_record(record)
+            self._db.executemany(
+                "INSERT OR REPLACE INTO operation_cycle VALUES (?, ?, ?, ?)",
+                [(name, c.number, c.open, c.t_ns) for name, c in changes.cycles.items()],
+            )
+            if changes.permanent is not None:
+                self._db.execute("DELETE FROM permanent")
                 self._db.executemany(
-                    "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
-                    [
-                        (r.id, frame.number, frame.t_ns, json.dumps(frame.content))
-                        for frame in r.freeze_frames.values()
-                    ],
+                    "INSERT INTO permanent VALUES (?, ?, ?)",
+                    [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
                 )
-            if cycle is not None:
+            for r in changes.recordings:
                 self._db.execute(
-                    "UPDATE cycle SET number = ?, open = ?, t_ns = ?",
-                    (cycle.number, cycle.open, cycle.t_ns),
+                    "INSERT INTO recording (fault, t_ns, frames, dropped, log) VALUES (?, ?, ?, ?, ?)",
+                    (r.fault, r.t_ns, r.frames, r.dropped, r.log),
                 )
-            for request, done in (answered or {}).items():
+                self._db.execute(
+                    "DELETE FROM recording WHERE fault = ?1 AND id NOT IN"
+                    " (SELECT id FROM recording WHERE fault = ?1 ORDER BY id DESC LIMIT ?2)",
+                    (r.fault, changes.kept_recordings),
+                )
+            self._db.executemany(
+                "INSERT OR REPLACE INTO identifier VALUES (?, ?)", changes.identifiers.items()
+            )
+            self._db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
+            for request, done in changes.answered.items():
                 self._db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
+
+    def _save_record(self, r: Record) -> None:
+        values = [
+            json.dumps(value) if name in _JSON else value
+            for name, value in ((name, getattr(r, name)) for name in _COLUMNS)
+        ]
+        marks = ", ".join("?" * len(_COLUMNS))
+        update = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[1:])
+        self._db.execute(
+            f"INSERT INTO fault ({', '.join(_COLUMNS)}) VALUES ({marks})"  # noqa: S608 - our own names
+            f" ON CONFLICT (id) DO UPDATE SET {update}",
+            values,
+        )
+        self._db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
+        self._db.executemany(
+            "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
+            [
+                (r.id, frame.number, frame.t_ns, json.dumps(frame.content))
+                for frame in r.freeze_frames.values()
+            ],
+        )
+        if r.occurrence == 0:
+            self._db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""

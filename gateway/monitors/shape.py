@@ -85,12 +85,31 @@ ParamsClass = type[MonitorParams]
 
 @dataclass(frozen=True)
 class Debounce:
-    """Counter debounce (AUTOSAR DEM, counter based): how many results qualify a verdict."""
+    """How test results become a qualified verdict (AUTOSAR DEM, counter based or time based).
+
+    Counter based: a failed result adds ``failed_step``, a passed one takes ``passed_step`` away; +failed_after
+    qualifies a failure, -passed_after a pass. Before it counts, a result lifts (lowers) the counter to
+    ``jump_up_to`` (``jump_down_to``) if that jump is on.
+
+    Time based, if ``failed_ms`` and ``passed_ms`` are set: a verdict is qualified when results have said the
+    same for that long, whether they are repeated or not; a result of the other kind starts the other time.
+    """
 
     failed_after: int = 1
     passed_after: int = 1
     jump_up: bool = True
     jump_down: bool = False
+    failed_step: int = 1
+    passed_step: int = 1
+    jump_up_to: int = 0
+    jump_down_to: int = 0
+    failed_ms: float | None = None
+    passed_ms: float | None = None
+
+    @property
+    def timed(self) -> bool:
+        """Whether it is time based."""
+        return self.failed_ms is not None and self.passed_ms is not None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,9 @@ from pydantic import Field
 
 from gateway.bus.frames import Frames, empty, payload, put
 from gateway.faults.dtc import Dtc
-from gateway.faults.memory import DtcChange, FaultMemory
+from gateway.faults.entries import DtcChange
+from gateway.faults.memory import FaultMemory
+from gateway.outputs.base import Output
 from gateway.signals.database import load_database
 from gateway.tomlfile import StrictModel
 
@@ -76,20 +78,27 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
-class DtcFrameOutput:
+class DtcFrameOutput(Output):
     """Makes the DTC frames; driven by the time it is given.
 
     Args:
         params: settings.
         database: dbc/gateway.dbc.
         bus: index of the bus.
+        memory: the fault memory.
         counter_of: fault id -> its fault detection counter now.
     """
 
     def __init__(
-        self, params: DtcFrameParams, database: Path, bus: int, counter_of: Callable[[str], int]
+        self,
+        params: DtcFrameParams,
+        database: Path,
+        bus: int,
+        memory: FaultMemory,
+        counter_of: Callable[[str], int],
     ) -> None:
         self._params = params
+        self._memory = memory
         self._message = message_of(database)
         self._bus = bus
         self._next_ns: int | None = None
@@ -97,15 +106,21 @@ class DtcFrameOutput:
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
 
-    def due(self, changes: Sequence[DtcChange], t_ns: int) -> bool:
-        """Tell whether the other two may have frames to send: cheap, for every batch."""
-        return bool(changes or self._held) or self._next_ns is None or t_ns >= self._next_ns
+    @property
+    def next_ns(self) -> int:
+        """When a held change or the cyclic list is due."""
+        if self._next_ns is None:
+            return 0
+        interval = round(self._params.min_interval_ms * 1e6)
+        held = [self._sent_ns.get(name, -interval) + interval for name in self._held]
+        return min([self._next_ns, *held])
 
-    def on_changes(self, changes: Sequence[DtcChange], memory: FaultMemory, t_ns: int) -> Frames:
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Return the frames for changes that are durable.
 
         A DTC that chatters is sent at most once in ``min_interval_ms``, its latest state always.
         """
+        memory = self._memory
         for change in changes:
             self._held[change.definition.id] = change
         interval = self._params.min_interval_ms * 1e6
@@ -139,8 +154,12 @@ class DtcFrameOutput:
             )
         return frames
 
-    def on_time(self, t_ns: int, memory: FaultMemory) -> Frames:
-        """Return the cyclic list when it is due, else nothing."""
+    def on_time(self, t_ns: int) -> Frames:
+        """Return changes that were held back, and the cyclic list when it is due."""
+        return np.concatenate([self.on_changes([], t_ns), self._list(t_ns)])
+
+    def _list(self, t_ns: int) -> Frames:
+        memory = self._memory
         if self._next_ns is not None and t_ns < self._next_ns:
             return empty(0)
         cycle = round(self._params.cycle_ms * 1e6)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from gateway.faults.catalogue import DtcText
+from gateway.faults.settings import DtcText
 from gateway.tomlfile import StrictModel, load
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pedal_params import PedalParams, SensorFault

@@ -24,12 +24,12 @@ def test_counter_reaches_the_limits_in_the_asked_number_of_results():
         kinds = [count(rows[0], FAILED) for _ in range(number)]
         assert kinds[-1] == QUALIFIED_FAILED
         assert QUALIFIED_FAILED not in kinds[:-1]
-        assert fault_detection_counter(rows[0]) == 127
+        assert fault_detection_counter(rows[0], 0) == 127
         reset(rows[0])
         kinds = [count(rows[0], PASSED) for _ in range(number)]
         assert kinds[-1] == QUALIFIED_PASSED
         assert QUALIFIED_PASSED not in kinds[:-1]
-        assert fault_detection_counter(rows[0]) == -128
+        assert fault_detection_counter(rows[0], 0) == -128
 
 
 class Reference:
@@ -78,7 +78,7 @@ def test_counter_follows_the_reference(debounce, results):
         if expected == 0 and failed != last:
             expected = RESULT_CHANGED
         assert kind == expected
-        fdc = fault_detection_counter(rows[0])
+        fdc = fault_detection_counter(rows[0], 0)
         assert fdc == reference.fdc()
         assert -128 <= fdc <= 127
         last = failed
@@ -90,4 +90,4 @@ def test_reset_starts_anew():
     reset(rows[0])
     assert rows[0]["counter"] == 0
     assert count(rows[0], FAILED) == QUALIFIED_FAILED
-    assert fault_detection_counter(rows[0]) == 127
+    assert fault_detection_counter(rows[0], 0) == 127

@@ -5,6 +5,7 @@ import numpy as np
 from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
+from gateway.faults.memory import Observed
 
 
 def catalogue(confirm=(1, 2, 3)):
@@ -27,3 +28,13 @@ def event(fault, failed, t_ns=0, value=1.5, evidence=(7.0, 3.0)):
     made["threshold"] = 1.0
     made["evidence"][0, : len(evidence)] = evidence
     return made
+
+
+def nothing(_definition):
+    """See nothing at a failure."""
+    return Observed()
+
+
+def frame(content, inputs=None):
+    """See these signals at a failure."""
+    return lambda _definition: Observed(content, inputs or {})

@@ -1,7 +1,7 @@
 """The status byte against a reference model written from the bits' definitions, not from our code."""
 
 import pytest
-from fault_examples import catalogue, event
+from fault_examples import catalogue, event, nothing
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
@@ -93,7 +93,7 @@ class MemoryAgainstModel(RuleBasedStateMachine):
         if not self.running:
             return
         self.t_ns += 1
-        self.memory.apply(event(fault, failed, self.t_ns), lambda _: {})
+        self.memory.apply(event(fault, failed, self.t_ns), nothing)
         self.models[fault].history.append("F" if failed else "P")
 
     @rule()
@@ -158,16 +158,16 @@ def test_a_failure_and_its_healing_by_hand():
     assert memory.status("m.f0") == CLEARED == 0x50
     memory.start_cycle(0)
     assert memory.status("m.f0") == 0x50
-    memory.apply(event(0, False), lambda _: {})
+    memory.apply(event(0, False), nothing)
     assert memory.status("m.f0") == 0x00
-    memory.apply(event(0, True), lambda _: {})
+    memory.apply(event(0, True), nothing)
     assert memory.status("m.f0") == 0x2F
-    memory.apply(event(0, False), lambda _: {})
+    memory.apply(event(0, False), nothing)
     assert memory.status("m.f0") == 0x2E
     memory.end_cycle(1)
     memory.start_cycle(2)
     assert memory.status("m.f0") == 0x6C
-    memory.apply(event(0, False), lambda _: {})
+    memory.apply(event(0, False), nothing)
     memory.end_cycle(3)
     assert memory.status("m.f0") == 0x28
     memory.clear()
@@ -180,8 +180,8 @@ def test_confirmation_takes_failed_cycles(confirm):
     for cycle in range(1, confirm + 1):
         memory.start_cycle(cycle)
         for _ in range(5):
-            memory.apply(event(0, True), lambda _: {})
-            memory.apply(event(0, False), lambda _: {})
+            memory.apply(event(0, True), nothing)
+            memory.apply(event(0, False), nothing)
         confirmed = bool(memory.status("m.f0") & Status.CONFIRMED_DTC)
         assert confirmed == (cycle == confirm)
         memory.end_cycle(cycle)
@@ -192,6 +192,6 @@ def test_a_good_cycle_starts_the_count_anew():
     for results in ([True], [False], [True]):
         memory.start_cycle(0)
         for failed in results:
-            memory.apply(event(0, failed), lambda _: {})
+            memory.apply(event(0, failed), nothing)
         memory.end_cycle(0)
     assert not memory.status("m.f0") & Status.CONFIRMED_DTC

@@ -1,0 +1,115 @@
+"""What testers ask of the gateway, whichever protocol they speak."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from gateway.engine.core import Engine
+from gateway.faults.memory import FaultMemory
+from gateway.faults.recorder import Recorder
+from gateway.faults.status import Status
+from gateway.faults.store import Store
+
+
+class Controls:
+    """Does what testers ask, on engine, fault memory and recorder together.
+
+    Args:
+        engine: the engine.
+        memory: the fault memory.
+        store: its file.
+        recorder: of frames around failures, if there is one.
+        slots: mailbox slots of signals by name.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        memory: FaultMemory,
+        store: Store,
+        recorder: Recorder | None,
+        slots: Mapping[str, int],
+    ) -> None:
+        self._engine = engine
+        self._memory = memory
+        self._store = store
+        self._recorder = recorder
+        self._slots = slots
+        self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
+        self._dtcs_on = True
+        self.receive = True
+        self.send = True
+
+    def fault_detection_counter(self, fault: str) -> int:
+        """Return a fault's detection counter now, -128..127; 0 for one that is not monitored any more."""
+        index = self._index.get(fault)
+        return 0 if index is None else self._engine.fault_detection_counter(index)
+
+    def value(self, name: str) -> float:
+        """Return a signal's value now in its unit, NaN before the first."""
+        slot = self._slots.get(name)
+        return math.nan if slot is None else self._engine.value(slot)
+
+    def clear(self, group: int) -> bool:
+        """Clear one DTC or a group, durable on return; False if there is no such DTC or group."""
+        if not self._memory.knows(group):
+            return False
+        self.forget(self._memory.clear(group))
+        return True
+
+    def forget(self, cleared: Iterable[str]) -> None:
+        """Start the debounce of cleared faults anew."""
+        names = list(cleared)
+        for index in (self._index[name] for name in names if name in self._index):
+            self._engine.reset_debounce([index])
+            self._engine.set_active(index, False)
+        if self._recorder is not None:
+            self._recorder.forget(names)
+
+    def set_dtcs(self, on: bool) -> None:
+        """Let test results count, or not."""
+        self._dtcs_on = on
+        self._hold()
+
+    def set_communication(self, *, receive: bool, send: bool) -> None:
+        """Switch normal communication; without reception no result counts."""
+        self.receive, self.send = receive, send
+        self._hold()
+
+    def _hold(self) -> None:
+        self._engine.hold_results(not (self._dtcs_on and self.receive))
+
+    def start_cycle(self, t_ns: int) -> None:
+        """Start the operation cycle of the gateway itself."""
+        self._memory.start_cycle(t_ns)
+        self._engine.reset_debounce()
+        self._engine.end_cycles()
+        for fault, index in self._index.items():
+            failing = self._memory.status(fault) & Status.TEST_FAILED
+            self._engine.set_active(index, bool(failing))
+
+    def restart_cycle(self) -> None:
+        """End the operation cycle and begin the next one, as at key off and on."""
+        now = self._engine.now_ns
+        self._memory.end_cycle(now)
+        self.start_cycle(now)
+
+    def begin(self, cycle: str, t_ns: int) -> None:
+        """Begin an operation cycle that signals define; its faults are tested anew."""
+        self._memory.start_cycle(t_ns, cycle)
+        mine = [d.id for d in self._memory.catalogue if d.cycle == cycle]
+        self._engine.reset_debounce(self._index[fault] for fault in mine)
+
+    def end(self, cycle: str, t_ns: int) -> None:
+        """End an operation cycle that signals define."""
+        self._memory.end_cycle(t_ns, cycle)
+
+    def compact(self) -> None:
+        """Check and compact the fault memory's file.
+
+        Raises:
+            GatewayError: it is damaged, or cannot be written.
+        """
+        self._memory.commit()
+        self._store.compact()

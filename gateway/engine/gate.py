@@ -1,0 +1,140 @@
+"""Gates: whether a fault's test results count, and what begins and ends an operation cycle.
+
+A gate is closed while an enable condition is not met, its signal is unknown or overdue, or while a root cause
+is there or on its way (its fault detection counter above 0): so a broken sensor's own fault comes first, and the
+faults of what is computed from it stay quiet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gateway.engine.debounce import fault_detection_counter
+from gateway.engine.tables import table
+from gateway.jit import f8, i4, kernel, record, u1
+from gateway.signals.tables import DecodePlan, SignalRef
+
+#: One enable condition: a mailbox slot, the row of its message, and the closed range it must be in.
+CONDITION = record(slot=i4, row=i4, low=f8, high=f8)
+
+#: Begins (``begins`` 1) or ends (0) operation cycle ``cycle`` when the slot is in the closed range and has
+#: risen by ``rise`` above its lowest value since the cycle's last change.
+WATCH = record(cycle=i4, slot=i4, begins=u1, bus=u1, low=f8, high=f8, rise=f8, lowest=f8)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A signal in a closed range, in its own unit; ``rise``: and so much above its lowest value."""
+
+    signal: SignalRef
+    low: float = -np.inf
+    high: float = np.inf
+    rise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gate:
+    """When a fault's test results count.
+
+    Attributes:
+        conditions: all must be met.
+        roots: ids of faults that may cause this one.
+        resets: whether closing resets what was counted; else it is frozen.
+        trigger_fdc: fault detection counter at which the freeze frame is wanted, 0: at a verdict only.
+    """
+
+    conditions: tuple[Condition, ...] = ()
+    roots: tuple[str, ...] = ()
+    resets: bool = False
+    trigger_fdc: int = 0
+
+
+@dataclass(frozen=True)
+class CycleWatch:
+    """What begins and what ends an operation cycle."""
+
+    begins: Condition
+    ends: Condition
+
+
+@kernel
+def reached(T: Any, t_ns: int, row: int) -> bool:
+    """Tell whether a message has arrived and is not overdue."""
+    v = T.vectors[row]
+    if v.arrived_ns < 0:
+        return False
+    if v.check >= 0:
+        timeout = T.checks[v.check].timeout_ns
+        if timeout > 0 and t_ns - v.arrived_ns > timeout:
+            return False
+    return True
+
+
+@kernel
+def closed(T: Any, t_ns: int, d: Any) -> bool:
+    """Tell whether the gate of a fault is closed.
+
+    Args:
+        T: the tables.
+        t_ns: now.
+        d: the fault's record of DEBOUNCE.
+    """
+    if T.clock[0].held == 1:
+        return True
+    for k in range(d.first_condition, d.first_condition + d.conditions):
+        c = T.conditions[k]
+        if not reached(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
+            return True
+    for k in range(d.first_root, d.first_root + d.roots):
+        root = T.debounces[T.roots[k]]
+        if root.active == 1 or fault_detection_counter(root, t_ns) > 0:
+            return True
+    return False
+
+
+def prepare_gates(
+    gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan
+) -> tuple[Any, Any]:
+    """Fill the gates of all faults; returns the tables of conditions and of roots."""
+    conditions: list[Condition] = []
+    roots: list[int] = []
+    for row, gate in zip(debounces, gates, strict=True):
+        row["first_condition"], row["conditions"] = len(conditions), len(gate.conditions)
+        row["first_root"], row["roots"] = len(roots), len(gate.roots)
+        row["gated"] = bool(gate.conditions or gate.roots)
+        row["resets"] = gate.resets
+        conditions += gate.conditions
+        roots += [ids[name] for name in gate.roots]
+    made = table(max(len(conditions), 1), CONDITION)
+    for row, condition in zip(made, conditions, strict=False):
+        slot = plan.slot(*condition.signal)
+        row["slot"], row["row"] = slot, plan.slot_message[slot]
+        row["low"], row["high"] = condition.low, condition.high
+    return made, np.asarray(roots or [0], np.int32)
+
+
+def prepare_watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> Any:
+    """Fill what begins and ends the operation cycles, in order of the messages; returns the table."""
+    asked = [
+        (int(plan.slot_message[plan.slot(*condition.signal)]), begins, index, condition)
+        for index, cycle in enumerate(cycles)
+        for begins, condition in ((1, cycle.begins), (0, cycle.ends))
+    ]
+    # An end before a beginning: a cycle that one frame both ends and begins starts anew.
+    asked.sort(key=lambda entry: entry[:3])
+    watches = table(max(len(asked), 1), WATCH)
+    for k, (row, begins, index, condition) in enumerate(asked):
+        w = watches[k]
+        w["cycle"], w["begins"] = index, begins
+        w["slot"] = plan.slot(*condition.signal)
+        w["bus"] = condition.signal.bus
+        w["low"], w["high"], w["rise"] = condition.low, condition.high, condition.rise
+        w["lowest"] = np.inf
+        if vectors[row]["watches"] == 0:
+            vectors[row]["first_watch"] = k
+        vectors[row]["watches"] += 1
+    return watches

@@ -1,0 +1,72 @@
+"""What the fault memory tells: changes of status bytes, and entries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.dtc import Dtc
+from gateway.faults.records import FreezeFrame, Record
+from gateway.faults.status import NOT_COMPLETED, Status
+
+
+@dataclass(frozen=True)
+class DtcChange:
+    """A status byte that changed."""
+
+    definition: FaultDefinition
+    old_status: Status
+    new_status: Status
+    fdc: int
+    occurrence: int
+    t_ns: int
+    evidence: Mapping[str, float | None]
+
+    @property
+    def dtc(self) -> Dtc:
+        """The fault's DTC."""
+        return self.definition.dtc
+
+    @property
+    def concerns_fault(self) -> bool:
+        """Whether more changed than that the test is complete now."""
+        return bool((self.old_status ^ self.new_status) & ~NOT_COMPLETED)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the memory knows of one DTC, for readers."""
+
+    dtc: Dtc
+    fault: str
+    status: Status
+    occurrence: int
+    first_ns: int | None
+    last_ns: int | None
+    evidence: Mapping[str, float | None]
+    inputs: Mapping[str, float | None]
+    freeze_frames: tuple[FreezeFrame, ...]
+    failed_cycles: int
+    aged_cycles: int
+    peak_fdc: int
+    near_misses: int
+
+
+def entry_of(record: Record) -> Entry:
+    """Return a stored record as an entry."""
+    return Entry(
+        Dtc(record.dtc),
+        record.id,
+        Status(record.status),
+        record.occurrence,
+        record.first_ns,
+        record.last_ns,
+        record.evidence,
+        record.inputs,
+        tuple(record.freeze_frames[number] for number in sorted(record.freeze_frames)),
+        record.failed_cycles,
+        record.aged_cycles,
+        record.peak_fdc,
+        record.near_misses,
+    )

@@ -1,0 +1,126 @@
+"""Frames around a failure: what the bus said before and after, kept with the fault.
+
+Driven by the frames' own clock, so that a replay keeps what the live run kept. Bounded three ways: frames of one
+recording, recordings of one fault, and how soon after one the same fault may have another.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from gateway.bus.candump import format_frame
+from gateway.bus.frames import Frames
+from gateway.faults.records import Recording
+from gateway.tomlfile import StrictModel
+
+
+class RecorderParams(StrictModel):
+    """What is recorded around a failure."""
+
+    before_ms: float = Field(
+        1000.0, ge=0, le=6e4, allow_inf_nan=False, description="time before it [ms]"
+    )
+    after_ms: float = Field(
+        500.0, ge=0, le=6e4, allow_inf_nan=False, description="time after it [ms]"
+    )
+    most_frames: int = Field(
+        4000,
+        ge=1,
+        le=200_000,
+        description="frames of one recording; those nearest the failure stay",
+    )
+    most_per_fault: int = Field(3, ge=1, le=100, description="recordings kept of one fault")
+    cooldown_s: float = Field(
+        60.0,
+        ge=0,
+        le=1e6,
+        allow_inf_nan=False,
+        description="least time between two of one fault [s]",
+    )
+
+
+@dataclass
+class _Trigger:
+    fault: str
+    t_ns: int
+    due_ns: int
+
+
+class Recorder:
+    """Keeps the latest frames, and cuts recordings out of them.
+
+    Args:
+        params: settings.
+        channels: names of the buses, by index.
+    """
+
+    def __init__(self, params: RecorderParams, channels: tuple[str, ...]) -> None:
+        self._params = params
+        self._channels = channels
+        self._before_ns = round(params.before_ms * 1e6)
+        self._after_ns = round(params.after_ms * 1e6)
+        self._batches: deque[Frames] = deque()
+        self._triggers: list[_Trigger] = []
+        self._last_ns: dict[str, int] = {}
+        self.refused = 0
+
+    def on_frames(self, frames: Frames) -> None:
+        """Take a batch before the engine gets it."""
+        if len(frames):
+            self._batches.append(frames.copy())
+
+    def on_failure(self, fault: str, t_ns: int) -> None:
+        """Note a failure; refused (and counted) while the fault's last one is too young."""
+        last = self._last_ns.get(fault)
+        if last is not None and 0 <= t_ns - last < self._params.cooldown_s * 1e9:
+            self.refused += 1
+            return
+        self._last_ns[fault] = t_ns
+        self._triggers.append(_Trigger(fault, t_ns, t_ns + self._after_ns))
+
+    def forget(self, faults: list[str]) -> None:
+        """Give up what belongs to cleared faults; they may be recorded again at once."""
+        self._triggers = [trigger for trigger in self._triggers if trigger.fault not in faults]
+        for fault in faults:
+            self._last_ns.pop(fault, None)
+
+    def on_time(self, t_ns: int, *, final: bool = False) -> list[Recording]:
+        """Return the recordings that are complete at a time; ``final``: also those that are not."""
+        done = [trigger for trigger in self._triggers if final or trigger.due_ns < t_ns]
+        made = [self._cut(trigger) for trigger in done]
+        self._triggers = [trigger for trigger in self._triggers if trigger not in done]
+        self._trim(t_ns)
+        return made
+
+    def _trim(self, t_ns: int) -> None:
+        oldest = min([t_ns, *(trigger.t_ns for trigger in self._triggers)]) - self._before_ns
+        while self._batches and int(self._batches[0]["t_ns"].max()) < oldest:
+            self._batches.popleft()
+        if self._triggers:
+            return
+        # A flood of frames must not fill the memory: what no recording could hold goes.
+        kept = sum(len(batch) for batch in self._batches)
+        while self._batches and kept - len(self._batches[0]) >= self._params.most_frames:
+            kept -= len(self._batches.popleft())
+
+    def _cut(self, trigger: _Trigger) -> Recording:
+        frames = np.concatenate(list(self._batches)) if self._batches else np.zeros(0, "i8")
+        times = frames["t_ns"]
+        inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)
+        frames, times = frames[inside], times[inside]
+        most = self._params.most_frames
+        dropped = max(len(frames) - most, 0)
+        if dropped:
+            nearest = np.sort(np.argsort(np.abs(times - trigger.t_ns), kind="stable")[:most])
+            frames = frames[nearest]
+        text = "".join(
+            f"{format_frame(frame, self._channels[int(frame['bus'])])}\n" for frame in frames
+        )
+        return Recording(
+            trigger.fault, trigger.t_ns, len(frames), dropped, zlib.compress(text.encode())
+        )

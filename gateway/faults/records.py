@@ -1,0 +1,109 @@
+"""What the fault memory keeps, as its store writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+
+@dataclass
+class FreezeFrame:
+    """Signals at a failure. Record 1 is of the first failure, the others of the latest ones."""
+
+    number: int
+    t_ns: int
+    content: dict[str, float | None]
+
+
+@dataclass
+class Record:
+    """What the memory keeps of one fault.
+
+    Attributes:
+        id: of the fault.
+        dtc: its code.
+        status: status byte.
+        failed_cycles, passed_cycles, aged_cycles: counters of its status byte.
+        occurrence: failures since the entry was made; 0: there is no entry.
+        first_ns, last_ns: times of the first and the latest of them.
+        evidence: of the latest one: value, threshold, and the values that the monitor names.
+        inputs: what the monitor saw then.
+        peak_fdc: greatest fault detection counter since the last clear.
+        near_misses: rises of that counter to half the way or more that came to nothing.
+        first_failed, last_failed, first_confirmed, last_confirmed: places in the order of all failures
+            since the last clear.
+        freeze_frames: by record number.
+    """
+
+    id: str
+    dtc: int
+    status: int
+    failed_cycles: int = 0
+    occurrence: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    evidence: dict[str, float | None] = field(default_factory=dict)
+    passed_cycles: int = 0
+    aged_cycles: int = 0
+    inputs: dict[str, float | None] = field(default_factory=dict)
+    peak_fdc: int = 0
+    near_misses: int = 0
+    first_failed: int | None = None
+    last_failed: int | None = None
+    first_confirmed: int | None = None
+    last_confirmed: int | None = None
+    freeze_frames: dict[int, FreezeFrame] = field(default_factory=dict)
+
+
+@dataclass
+class Cycle:
+    """An operation cycle: its number, and whether it was ended."""
+
+    number: int
+    open: bool
+    t_ns: int
+
+
+@dataclass(frozen=True)
+class Permanent:
+    """A permanent DTC."""
+
+    fault: str
+    dtc: int
+    t_ns: int
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Frames around a failure: a candump log, compressed."""
+
+    fault: str
+    t_ns: int
+    frames: int
+    dropped: int
+    log: bytes
+
+
+@dataclass
+class Changes:
+    """What one commit writes; everything in it is durable together.
+
+    Attributes:
+        records: faults that changed.
+        cycles: operation cycles that changed, by name.
+        answered: requests of other processes, with their answers.
+        permanent: permanent DTCs, all of them; None: not changed.
+        recordings: new ones.
+        kept_recordings: how many are kept of each fault.
+        identifiers: values that testers wrote.
+        facts: numbers by name.
+    """
+
+    records: Sequence[Record] = ()
+    cycles: Mapping[str, Cycle] = field(default_factory=dict)
+    answered: Mapping[int, int] = field(default_factory=dict)
+    permanent: Sequence[Permanent] | None = None
+    recordings: Sequence[Recording] = ()
+    kept_recordings: int = 1
+    identifiers: Mapping[int, bytes] = field(default_factory=dict)
+    facts: Mapping[str, int] = field(default_factory=dict)

@@ -1,0 +1,48 @@
+"""What every way out of the gateway can do: take changes and frames, let time pass, give frames to send."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import Frames, empty
+from gateway.faults.entries import DtcChange
+
+#: A time that never comes.
+NEVER = int(np.iinfo(np.int64).max)
+
+
+class Output:
+    """One way out. It reads no clock: times come with the calls and never go back."""
+
+    #: Whether it is normal communication, which a tester can switch off (ISO 14229-1, 0x28).
+    normal = True
+    #: Whether its time is that of the bus (answers, separation times) rather than that of the monitors.
+    prompt = False
+
+    def identifiers(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) it listens to on a bus; None: to anything."""
+        return []
+
+    def wanted(self, frames: Frames) -> NDArray[np.bool_] | None:
+        """Return which frames of a batch are for it, shape (n,); None: none ever are."""
+        return None
+
+    def on_frame(self, frame: np.void, t_ns: int) -> Frames:
+        """Take a frame that it wanted; returns frames to send."""
+        return empty(0)
+
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
+        """Take changes that are durable; returns frames to send."""
+        return empty(0)
+
+    def on_time(self, t_ns: int) -> Frames:
+        """Let time pass; returns frames to send."""
+        return empty(0)
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`on_time` has something to do next."""
+        return NEVER

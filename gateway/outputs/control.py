@@ -1,0 +1,30 @@
+"""What a diagnostic tester may ask of the gateway, whichever protocol it speaks."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Control(Protocol):
+    """The gateway, as its servers see it."""
+
+    def clear(self, group: int) -> bool:
+        """Clear one DTC or a group, durable on return; False if there is no such DTC or group."""
+
+    def set_dtcs(self, on: bool) -> None:
+        """Let test results count, or not (ISO 14229-1, 0x85)."""
+
+    def set_communication(self, *, receive: bool, send: bool) -> None:
+        """Switch normal communication (ISO 14229-1, 0x28)."""
+
+    def restart_cycle(self) -> None:
+        """End the operation cycle and begin the next one, as at key off and on."""
+
+    def compact(self) -> None:
+        """Check and compact the fault memory's file."""
+
+    def fault_detection_counter(self, fault: str) -> int:
+        """Return a fault's detection counter now, -128..127."""
+
+    def value(self, name: str) -> float:
+        """Return a signal's value now in its unit, NaN before the first."""

@@ -1,0 +1,63 @@
+"""Identifiers and parameter groups (SAE J1939-21)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.bus.frames import EXTENDED, Frames, empty, payload, put
+
+GLOBAL, NULL = 0xFF, 0xFE
+
+ACKNOWLEDGMENT = 0xE800
+REQUEST = 0xEA00
+TP_DT = 0xEB00
+TP_CM = 0xEC00
+ADDRESS_CLAIMED = 0xEE00
+
+
+@dataclass(frozen=True)
+class Pdu:
+    """One frame: parameter group, who sent it to whom, up to 8 bytes."""
+
+    pgn: int
+    source: int
+    destination: int
+    data: bytes
+    priority: int = 6
+
+    @property
+    def can_id(self) -> int:
+        """Identifier, with EXTENDED."""
+        number = self.priority << 26 | self.pgn << 8 | self.source
+        if (self.pgn >> 8) & 0xFF < 240:  # PDU1: to an address
+            number |= self.destination << 8
+        return number | EXTENDED
+
+
+def read_pdu(frame: np.void) -> Pdu:
+    """Return an extended frame as a PDU."""
+    can_id = int(frame["can_id"])
+    number, source = (can_id >> 8) & 0x3FFFF, can_id & 0xFF
+    to_one = (number >> 8) & 0xFF < 240
+    return Pdu(
+        number & 0x3FF00 if to_one else number,
+        source,
+        number & 0xFF if to_one else GLOBAL,
+        payload(frame),
+        (can_id >> 26) & 7,
+    )
+
+
+def to_frames(pdus: list[Pdu], bus: int, t_ns: int) -> Frames:
+    """Return PDUs as frames of a bus."""
+    frames = empty(len(pdus))
+    for k, pdu in enumerate(pdus):
+        put(frames, k, t_ns, pdu.can_id, pdu.data, bus=bus)
+    return frames
+
+
+def pgn_bytes(pgn: int) -> bytes:
+    """Return a parameter group number as the transport protocol has it: low byte first."""
+    return pgn.to_bytes(3, "little")

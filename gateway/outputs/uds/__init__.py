@@ -1,0 +1,1 @@
+"""UDS server (ISO 14229-1): a handler for each service, over one fault memory."""

@@ -1,0 +1,55 @@
+"""Negative response codes (ISO 14229-1, Annex A.1)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Nrc(IntEnum):
+    """The codes that this server uses."""
+
+    SERVICE_NOT_SUPPORTED = 0x11
+    SUB_FUNCTION_NOT_SUPPORTED = 0x12
+    INCORRECT_LENGTH = 0x13
+    RESPONSE_TOO_LONG = 0x14
+    CONDITIONS_NOT_CORRECT = 0x22
+    REQUEST_SEQUENCE_ERROR = 0x24
+    REQUEST_OUT_OF_RANGE = 0x31
+    SECURITY_ACCESS_DENIED = 0x33
+    INVALID_KEY = 0x35
+    EXCEEDED_NUMBER_OF_ATTEMPTS = 0x36
+    REQUIRED_TIME_DELAY_NOT_EXPIRED = 0x37
+    GENERAL_PROGRAMMING_FAILURE = 0x72
+    RESPONSE_PENDING = 0x78
+    SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION = 0x7E
+    SERVICE_NOT_SUPPORTED_IN_SESSION = 0x7F
+
+
+#: What is not answered to a functional request (ISO 14229-1, 7.5): that this server is not meant.
+SILENT_WHEN_FUNCTIONAL = frozenset(
+    {
+        Nrc.SERVICE_NOT_SUPPORTED,
+        Nrc.SUB_FUNCTION_NOT_SUPPORTED,
+        Nrc.REQUEST_OUT_OF_RANGE,
+        Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION,
+        Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
+    }
+)
+
+
+class NegativeError(Exception):
+    """A request that is answered with a negative response."""
+
+    def __init__(self, nrc: Nrc) -> None:
+        self.nrc = nrc
+        super().__init__(nrc.name)
+
+
+def refuse_unless(good: bool, nrc: Nrc) -> None:
+    """Refuse a request with a code unless something holds.
+
+    Raises:
+        NegativeError: it does not.
+    """
+    if not good:
+        raise NegativeError(nrc)

@@ -1,0 +1,22 @@
+"""0x14 ClearDiagnosticInformation (ISO 14229-1, 11.2): all DTCs, a group, or one."""
+
+from __future__ import annotations
+
+from gateway.outputs.uds.context import Context, Service
+from gateway.outputs.uds.nrc import Nrc, refuse_unless
+
+
+def _handle(c: Context, request: bytes) -> bytes:
+    group = int.from_bytes(request[1:4], "big")
+    refuse_unless(c.control.clear(group), Nrc.REQUEST_OUT_OF_RANGE)
+    return b""
+
+
+SERVICE = Service(
+    0x14,
+    "ClearDiagnosticInformation",
+    _handle,
+    shortest=4,
+    longest=4,
+    access=lambda params: params.clear,
+)
