@@ -24,7 +24,7 @@ from gateway.engine.events import (
     Events,
 )
 from gateway.errors import InputError, InputErrors
-from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory, Observed
 from gateway.faults.recorder import Recorder
@@ -33,6 +33,7 @@ from gateway.faults.store import Store
 from gateway.monitors.shape import FAILED, PASSED
 from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
+from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA
 from gateway.resources import shipped
 
 #: Takes one event of the JSON contract.
@@ -290,6 +291,18 @@ class Gateway:
             "fdc": change.fdc,
             "occurrence": change.occurrence,
             "evidence": dict(change.evidence),
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """Return what testers and other programs need to know: faults, identifiers, extended data."""
+        return {
+            "name": self.config.name,
+            "faults": [as_dict(definition) for definition in self.catalogue],
+            "identifiers": self.identifiers.describe(),
+            "extended_data": [
+                {"record": number, "name": kind.name, "length": kind.length}
+                for number, kind in EXTENDED_DATA.items()
+            ],
         }
 
     def summary(self, seconds: float) -> dict[str, Any]:

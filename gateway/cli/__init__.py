@@ -274,6 +274,41 @@ def faults_clear(
     raise typer.Exit(work(dtc, config, memory=memory, json=json))
 
 
+@faults_app.command("near-misses")
+def faults_near_misses(
+    memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False
+) -> None:
+    """List how often faults came near a failure, and how near."""
+    from gateway.cli.faults import near_misses as work
+
+    raise typer.Exit(work(config, memory=memory, json=json))
+
+
+@faults_app.command("recordings")
+def faults_recordings(
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    memory: MemoryOption = None,
+    config: ConfigArgument = None,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for the logs.")] = Path(),
+    json: Json = False,
+) -> None:
+    """Write the frames recorded around a DTC's failures as candump logs."""
+    from gateway.cli.faults import recordings as work
+
+    raise typer.Exit(work(dtc, config, memory=memory, folder=folder, json=json))
+
+
+@faults_app.command("export")
+def faults_export(
+    config: ConfigArgument = None,
+    out: Annotated[Path | None, typer.Option(help="File; default: standard output.")] = None,
+) -> None:
+    """Write the catalogue as JSON: faults, data identifiers, extended data records."""
+    from gateway.cli.export import export as work
+
+    raise typer.Exit(work(config, out=out))
+
+
 @convert_app.command("teeth")
 def convert_teeth(
     capture: Annotated[Path, typer.Argument(help="Logic-analyser CSV: time [s], level[, ...].")],

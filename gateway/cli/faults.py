@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
+import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from gateway.cli.present import find_config, print_json, status_text
+from gateway.cli.present import find_config, print_json, status_text, wide_console
 from gateway.config import load_config
 from gateway.faults import service
 
@@ -62,11 +63,66 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
     print("evidence of the latest failure")
     for name, value in entry["evidence"].items():
         print(f"  {name:20} {'-' if value is None else format(value, '.6g')}")
+    if entry["inputs"]:
+        print("what its monitor saw then")
+        for name, value in entry["inputs"].items():
+            print(f"  {name:40} {'-' if value is None else format(value, '.6g')}")
+    print(
+        f"cycles      {entry['failed_cycles']} failed in a row, {entry['aged_cycles']} of aging"
+        f"{', permanent' if entry['permanent'] else ''}"
+    )
+    print(f"near misses {entry['near_misses']}, greatest detection counter {entry['peak_fdc']}")
+    print(f"recordings  {entry['recordings']}")
     for frame in entry["freeze_frames"]:
-        which = "first" if frame["record"] == 1 else "latest"
+        which = {1: "first", 2: "latest"}.get(frame["record"], "an earlier")
         print(f"freeze frame {frame['record']} ({which} failure), {_time(frame['t_ns'])}")
         for name, value in frame["signals"].items():
             print(f"  {name:40} {'-' if value is None else format(value, '.6g')}")
+    return 0
+
+
+def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
+    """List faults that came near a failure; returns the exit code."""
+    found = service.near_misses(_path(config, memory))
+    if json:
+        print_json(found)
+        return 0
+    table = Table("DTC", "fault", "near misses", "greatest detection counter", box=None)
+    for entry in found:
+        table.add_row(
+            entry["dtc"], entry["fault"], str(entry["near_misses"]), str(entry["peak_fdc"])
+        )
+    wide_console().print(table if found else "nothing came near a failure")
+    return 0
+
+
+def recordings(
+    dtc: str, config: Path | None, *, memory: Path | None, folder: Path, json: bool
+) -> int:
+    """Write the frames recorded around a DTC's failures as logs; returns the exit code."""
+    found = service.recordings(_path(config, memory), dtc)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for number, recording in enumerate(found, start=1):
+        file = folder / f"{dtc.upper()}-{number}.log"
+        file.write_bytes(zlib.decompress(recording.log))
+        written.append(
+            {
+                "file": str(file),
+                "fault": recording.fault,
+                "t_ns": recording.t_ns,
+                "frames": recording.frames,
+                "dropped": recording.dropped,
+            }
+        )
+    if json:
+        print_json(written)
+        return 0
+    for entry in written:
+        lost = f", {entry['dropped']} more were too many" if entry["dropped"] else ""
+        print(f"{entry['file']}: {entry['frames']} frames around {_time(entry['t_ns'])}{lost}")  # type: ignore[arg-type]
+    if not written:
+        print("no frames were recorded around its failures ([memory.recording])")
     return 0
 
 

@@ -218,7 +218,6 @@ class FaultMemory:
         status, cycles = transition.on_failed(old, _cycles(record), definition.rules)
         if not record.occurrence and not self._make_room(definition):
             _set(record, transition.on_displaced(status), Cycles())
-            self._pending.facts = {**self._pending.facts, OVERFLOW: 1}
             return
         _set(record, status, cycles)
         risen = status & ~old
@@ -249,8 +248,7 @@ class FaultMemory:
     ) -> None:
         t_ns = int(event["t_ns"])
         sequence = self._facts.get(SEQUENCE, 0) + 1
-        self._facts[SEQUENCE] = sequence
-        self._pending.facts = {**self._pending.facts, SEQUENCE: sequence}
+        self._set_fact(SEQUENCE, sequence)
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
         record.first_ns = t_ns if record.first_ns is None else record.first_ns
         record.last_ns = t_ns
@@ -278,12 +276,16 @@ class FaultMemory:
         if self._size is None or len(stored) < self._size:
             return True
         found = victim(definition, [(self._definitions[r.id], r) for r in stored])
-        self._pending.facts = {**self._pending.facts, OVERFLOW: 1}
+        self._set_fact(OVERFLOW, 1)
         if found is None:
             return False
         found.status = int(transition.on_displaced(Status(found.status)))
         self._remove_entry(found)
         return True
+
+    def _set_fact(self, name: str, value: int) -> None:
+        self._facts[name] = value
+        self._pending.facts = {**self._pending.facts, name: value}
 
     def _remove_entry(self, record: Record) -> None:
         """Remove what is stored of a fault; its status byte stays."""
@@ -381,8 +383,7 @@ class FaultMemory:
                 cleared.append(record.id)
         self._pending.recordings = [r for r in self._pending.recordings if r.fault not in cleared]
         if group == ALL_DTCS and self._facts.get(OVERFLOW):
-            self._facts[OVERFLOW] = 0
-            self._pending.facts = {**self._pending.facts, OVERFLOW: 0}
+            self._set_fact(OVERFLOW, 0)
         return cleared
 
     def serve_requests(self) -> list[str]:

@@ -6,7 +6,16 @@ from math import ceil, floor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.engine.debounce import DEBOUNCE, configure, count, fault_detection_counter, reset
+from gateway.engine.debounce import (
+    DEBOUNCE,
+    configure,
+    count,
+    fault_detection_counter,
+    hold,
+    mature,
+    reset,
+    turn,
+)
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
 from gateway.engine.tables import table
 from gateway.monitors.shape import FAILED, PASSED, Debounce
@@ -41,10 +50,15 @@ class Reference:
         self.verdict = None
 
     def take(self, failed):
-        jump = self.d.jump_up if failed else self.d.jump_down
-        sign = 1 if failed else -1
-        start = 0 if jump and self.counter * sign < 0 else self.counter
-        self.counter = max(-self.d.passed_after, min(self.d.failed_after, start + sign))
+        d, start = self.d, self.counter
+        if failed:
+            if d.jump_up and start < d.jump_up_to:
+                start = d.jump_up_to
+            self.counter = min(d.failed_after, start + d.failed_step)
+        else:
+            if d.jump_down and start > d.jump_down_to:
+                start = d.jump_down_to
+            self.counter = max(-d.passed_after, start - d.passed_step)
         ends = {self.d.failed_after: "failed", -self.d.passed_after: "passed"}
         verdict = ends.get(self.counter, self.verdict)
         changed = verdict != self.verdict
@@ -64,6 +78,10 @@ class Reference:
         passed_after=st.integers(1, 130),
         jump_up=st.booleans(),
         jump_down=st.booleans(),
+        failed_step=st.integers(1, 7),
+        passed_step=st.integers(1, 7),
+        jump_up_to=st.integers(-5, 5),
+        jump_down_to=st.integers(-5, 5),
     ),
     st.lists(st.booleans(), max_size=300),
 )
@@ -82,6 +100,46 @@ def test_counter_follows_the_reference(debounce, results):
         assert fdc == reference.fdc()
         assert -128 <= fdc <= 127
         last = failed
+
+
+@given(
+    st.integers(1, 1000),
+    st.integers(1, 1000),
+    st.lists(st.tuples(st.integers(0, 300), st.sampled_from("FPHN")), max_size=60),
+)
+def test_time_debounce_follows_a_reference(failed_ms, passed_ms, steps):
+    """Results F and P, a hold H, nothing N; the reference adds up the time that each result has lasted."""
+    rows = row(Debounce(failed_ms=failed_ms, passed_ms=passed_ms))
+    d, now = rows[0], 0
+    counter, direction, verdict = 0, None, None
+    for wait, what in steps:
+        end = now + wait * 10**6
+        while d["deadline_ns"] <= end:
+            due = int(d["deadline_ns"])
+            kind = mature(d, due)
+            assert kind == (QUALIFIED_FAILED if direction == "F" else QUALIFIED_PASSED)
+            verdict = direction
+        if direction == "F":
+            counter = min(counter + end - now, failed_ms * 10**6)
+        elif direction == "P":
+            counter = max(counter - (end - now), -passed_ms * 10**6)
+        now = end
+        expected = {failed_ms * 10**6: "F", -passed_ms * 10**6: "P"}.get(counter, verdict)
+        assert verdict == expected, "a verdict comes exactly when its time is over"
+        if what == "H":
+            hold(d, now)
+            direction = None
+        elif what in "FP":
+            turn(d, now, FAILED if what == "F" else PASSED)
+            if direction != what:
+                counter = max(counter, 0) if what == "F" else min(counter, 0)
+                if counter == {"F": failed_ms, "P": -passed_ms}[what] * 10**6:
+                    verdict = what
+            direction = what
+        fdc = fault_detection_counter(d, now)
+        scale = Fraction(127, failed_ms) if counter >= 0 else Fraction(128, passed_ms)
+        exact = Fraction(counter, 10**6) * scale
+        assert fdc == (floor(exact) if counter >= 0 else ceil(exact))
 
 
 def test_reset_starts_anew():

@@ -6,16 +6,38 @@ from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
 from gateway.faults.memory import Observed
+from gateway.faults.status import Rules
+
+#: Rules of the three faults: they differ in every number.
+RULES = (Rules(1, 3, 2, False), Rules(2, 2, 3, True), Rules(3, 1, 4, False))
 
 
-def catalogue(confirm=(1, 2, 3)):
+def catalogue(confirm=None, **settings):
+    """Three faults by RULES; or as many as there are numbers of cycles that confirm, the second lit.
+
+    Args:
+        confirm: cycles that confirm each.
+        settings: name -> value of each fault, by its place.
+    """
+    rules = (
+        RULES
+        if confirm is None
+        else tuple(Rules(n, indicator=k == 1) for k, n in enumerate(confirm))
+    )
     return Catalogue(
         FaultDefinition(
-            f"m.f{k}", Dtc.parse(f"P030{k}-11"), f"fault {k}", ("residual", "tooth"), confirm_cycles=n,
-            indicator=k == 1,
+            f"m.f{k}",
+            Dtc.parse(f"P030{k}-11"),
+            f"fault {k}",
+            ("residual", "tooth"),
+            confirm_cycles=rule.confirm_cycles,
+            healing_cycles=rule.healing_cycles,
+            aging_cycles=rule.aging_cycles,
+            indicator=rule.indicator,
+            **{name: values[k] for name, values in settings.items()},
         )
-        for k, n in enumerate(confirm)
-    )  # fmt: skip
+        for k, rule in enumerate(rules)
+    )
 
 
 def event(fault, failed, t_ns=0, value=1.5, evidence=(7.0, 3.0)):

@@ -84,6 +84,7 @@ class Service:
         longest: bytes of the longest one, None: no limit.
         sessions: in which it is allowed.
         access: settings of the session and security that it needs, if they are configured.
+        offered: whether there is anything to it in this configuration; else it is not supported.
     """
 
     sid: int
@@ -94,3 +95,4 @@ class Service:
     longest: int | None = None
     sessions: Collection[int] = ANY_SESSION
     access: Callable[[UdsParams], Access] | None = None
+    offered: Callable[[Context], bool] = lambda _: True

@@ -48,8 +48,8 @@ class UdsServer:
         sid = request[0]
         service = SERVICES.get(sid)
         try:
-            refuse_unless(service is not None, Nrc.SERVICE_NOT_SUPPORTED)
-            assert service is not None
+            if service is None or not service.offered(c):
+                raise NegativeError(Nrc.SERVICE_NOT_SUPPORTED)
             found = self._serve(service, request)
         except NegativeError as error:
             if functional and error.nrc in SILENT_WHEN_FUNCTIONAL:

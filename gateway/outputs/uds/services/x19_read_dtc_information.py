@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 from gateway.faults.entries import Entry
 from gateway.outputs.uds.context import ANY_SESSION, Context, Service
@@ -118,17 +119,25 @@ def _numbers(values: Iterable[float | None]) -> bytes:
     return b"".join(struct.pack(">d", math.nan if value is None else value) for value in values)
 
 
+class ExtendedData(NamedTuple):
+    """One extended data record: name, bytes (None: as many as there are values), how it is made."""
+
+    name: str
+    length: int | None
+    encode: Callable[[Entry], bytes]
+
+
 #: Extended data records by number.
-EXTENDED_DATA: Mapping[int, Callable[[Entry], bytes]] = {
-    0x01: lambda entry: _clipped(entry.occurrence),
-    0x02: lambda entry: _clipped(entry.aged_cycles),
-    0x03: lambda entry: struct.pack(">b", entry.peak_fdc),
-    0x04: lambda entry: _clipped(entry.failed_cycles),
-    0x05: lambda entry: _clipped(entry.near_misses),
-    0x10: lambda entry: _time(entry.first_ns),
-    0x11: lambda entry: _time(entry.last_ns),
-    0x20: lambda entry: _numbers(entry.evidence.values()),
-    0x21: lambda entry: _numbers(entry.inputs.values()),
+EXTENDED_DATA: Mapping[int, ExtendedData] = {
+    0x01: ExtendedData("occurrence", 1, lambda entry: _clipped(entry.occurrence)),
+    0x02: ExtendedData("aged_cycles", 1, lambda entry: _clipped(entry.aged_cycles)),
+    0x03: ExtendedData("peak_fdc", 1, lambda entry: struct.pack(">b", entry.peak_fdc)),
+    0x04: ExtendedData("failed_cycles", 1, lambda entry: _clipped(entry.failed_cycles)),
+    0x05: ExtendedData("near_misses", 1, lambda entry: _clipped(entry.near_misses)),
+    0x10: ExtendedData("first_ns", 8, lambda entry: _time(entry.first_ns)),
+    0x11: ExtendedData("last_ns", 8, lambda entry: _time(entry.last_ns)),
+    0x20: ExtendedData("evidence", None, lambda entry: _numbers(entry.evidence.values())),
+    0x21: ExtendedData("inputs", None, lambda entry: _numbers(entry.inputs.values())),
 }
 
 
@@ -140,8 +149,8 @@ def _extended_data(c: Context, rest: bytes) -> bytes:
     made = _with_status(c, [entry])
     if not entry.occurrence:
         return made
-    for number, encode in EXTENDED_DATA.items():
-        data = encode(entry)
+    for number, kind in EXTENDED_DATA.items():
+        data = kind.encode(entry)
         if data and record in (number, ALL_RECORDS):
             made += bytes([number]) + data
     return made

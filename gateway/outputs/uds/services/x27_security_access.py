@@ -23,4 +23,12 @@ def _handle(c: Context, request: bytes) -> bytes:
     return bytes([number])
 
 
-SERVICE = Service(0x27, "SecurityAccess", _handle, _sub_functions, 2, sessions=NOT_DEFAULT)
+SERVICE = Service(
+    0x27,
+    "SecurityAccess",
+    _handle,
+    _sub_functions,
+    shortest=2,
+    sessions=NOT_DEFAULT,
+    offered=lambda c: bool(c.security.levels),
+)

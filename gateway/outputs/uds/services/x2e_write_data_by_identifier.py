@@ -22,4 +22,5 @@ SERVICE = Service(
     _handle,
     shortest=4,
     access=lambda params: params.write,
+    offered=lambda c: any(did.writable for did in c.identifiers.table.values()),
 )
