@@ -25,7 +25,7 @@ from gateway.faults.store import Store
 MOST_OCCURRENCES = 255
 FIRST_FAILURE, LATEST_FAILURE = 1, 2
 
-#: Number in the store: how many failures the memory has ordered; whether an entry had to be given up.
+#: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
 SEQUENCE, OVERFLOW = "sequence", "overflow"
 
 
@@ -226,7 +226,7 @@ class FaultMemory:
             self._note_failure(definition, record, event, snapshot)
             risen |= Status.TEST_FAILED
         if risen & Status.CONFIRMED_DTC:
-            record.last_confirmed = record.last_failed
+            record.last_confirmed = self._next_in_order()
             if record.first_confirmed is None:
                 record.first_confirmed = record.last_confirmed
         at = definition.freeze_frame_at
@@ -247,8 +247,7 @@ class FaultMemory:
         self, definition: FaultDefinition, record: Record, event: Any, snapshot: Snapshot
     ) -> None:
         t_ns = int(event["t_ns"])
-        sequence = self._facts.get(SEQUENCE, 0) + 1
-        self._set_fact(SEQUENCE, sequence)
+        sequence = self._next_in_order()
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
         record.first_ns = t_ns if record.first_ns is None else record.first_ns
         record.last_ns = t_ns
@@ -282,6 +281,10 @@ class FaultMemory:
         found.status = int(transition.on_displaced(Status(found.status)))
         self._remove_entry(found)
         return True
+
+    def _next_in_order(self) -> int:
+        self._set_fact(SEQUENCE, self._facts.get(SEQUENCE, 0) + 1)
+        return self._facts[SEQUENCE]
 
     def _set_fact(self, name: str, value: int) -> None:
         self._facts[name] = value

@@ -145,12 +145,12 @@ class Identifiers:
 
         Signals that the configuration no longer has are left out.
         """
-        found = []
+        found: dict[int, bytes] = {}
         for name, value in content.items():
             did = self._by_source.get(name)
-            if did is not None:
-                found.append((did.id, did.encode(value) if did.signal else did.constant))
-        return found
+            if did is not None:  # a signal and the name of its identifier are one
+                found.setdefault(did.id, did.encode(value))
+        return list(found.items())
 
     def describe(self) -> list[dict[str, Any]]:
         """Return the table for people and programs."""

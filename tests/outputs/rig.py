@@ -124,6 +124,8 @@ class Rig:
 class Tester:
     """A tester's ISO-TP, by can-isotp itself, on the rig's bus and clock."""
 
+    __test__ = False
+
     def __init__(self, rig, request=REQUEST, response=RESPONSE, **params):
         self.rig = rig
         self.inbox = []
@@ -139,32 +141,41 @@ class Tester:
             params={"tx_padding": 0x55, "blocksize": 0, "stmin": 0, **params},
         )
 
-    def _take(self, frames):
+    def hear(self, frames):
+        """Take frames that the gateway sent, as seen on the bus."""
         for can_id, data in frames:
             if can_id & 0x1FFFFFFF == self.response_id:
                 self.inbox.append(
                     isotp.CanMessage(self.response_id, len(data), data, can_id > 0x7FF)
                 )
 
+    def listen(self, patience=20):
+        """Return what comes by itself."""
+        return self._collect(patience)
+
     def exchange(self, request, *, functional=None, patience=40):
         """Send a request; returns all responses that come within some steps of a millisecond."""
-        answers = []
         extended = EXTENDED if self.request_id > 0x7FF else 0
         if functional is not None:
             frame = bytes([len(request)]) + request
-            self._take(self.rig.feed((functional | extended, frame.ljust(8, b"\x55"))))
+            self.hear(self.rig.feed((functional | extended, frame.ljust(8, b"\x55"))))
         else:
             self.layer.send(bytes(request))
+        return self._collect(patience)
+
+    def _collect(self, patience):
+        answers = []
+        extended = EXTENDED if self.request_id > 0x7FF else 0
         for _ in range(patience):
             self.layer.process()
             busy = bool(self.outbox or self.inbox)
             while self.outbox:
                 message = self.outbox.pop(0)
-                self._take(self.rig.feed((message.arbitration_id | extended, bytes(message.data))))
+                self.hear(self.rig.feed((message.arbitration_id | extended, bytes(message.data))))
             while self.layer.available():
                 answers.append(bytes(self.layer.recv()))
             if not busy:
-                self._take(self.rig.wait(1, step=1))
+                self.hear(self.rig.wait(1, step=1))
         return answers
 
     def ask(self, request, **options):
