@@ -1,0 +1,156 @@
+"""OBD on CAN, asked functionally and physically; expected bytes written by hand from SAE J1979."""
+
+import pytest
+from rig import FUNCTIONAL, Rig, Tester, write_config
+
+EXTRA = """
+[output.obd]
+vin = "1HGCM82633A004352"
+calibration = "GW-1"
+calibration_check = 0x1234ABCD
+ecu_name = "GATEWAY"
+pid = [
+    { id = 0x0C, signal = "M0.Value" },
+    { id = 0x05, signal = "M1.Value" },
+    { id = 0x0D, signal = "M2.Value" },
+    { id = 0x2F, signal = "M2.Value" },
+    { id = 0xA6, signal = "M2.Value", length = 4, scale = 0.1, offset = 0.0 },
+]
+"""
+
+FAULTS = {
+    0: "indicator = true\n",
+    1: "confirm_cycles = 2\n",
+    2: "emission_related = false\n",
+}
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA, faults=FAULTS))
+    yield rig
+    rig.close()
+
+
+@pytest.fixture
+def ask(rig):
+    tester = Tester(rig)
+
+    def send(request, functional=True):
+        answers = tester.exchange(
+            bytes.fromhex(request), functional=FUNCTIONAL if functional else None
+        )
+        return " ".join(answer.hex() for answer in answers)
+
+    return send
+
+
+def test_mode_01_supported_pids(ask):
+    def bits(answer):
+        base = int(answer[2:4], 16)
+        number = int(answer[4:12], 16)
+        return [base + k + 1 for k in range(32) if number >> (31 - k) & 1]
+
+    assert bits(ask("0100")) == [0x01, 0x05, 0x0C, 0x0D, 0x1C, 0x20]
+    assert bits(ask("0120")) == [0x2F, 0x40]
+    assert bits(ask("0140")) == [0x41, 0x60]
+    assert bits(ask("0180")) == [0xA0]
+    assert bits(ask("01a0")) == [0xA6]
+    assert ask("01c0") == ""
+
+
+def test_mode_01_values(rig, ask):
+    rig.value(0, 812.5)
+    rig.value(1, 90)
+    rig.value(2, 50)
+    assert ask("010c") == "410c0cb2"
+    assert ask("0105") == "410582"
+    assert ask("010c050d") == "410c0cb205820d32", "several in the order asked"
+    assert ask("012f") == "412f80"
+    assert ask("01a6") == "41a6000001f4"
+    assert ask("010b") == "", "not there: no answer"
+    assert ask("010b", functional=False) == "7f0112"
+    assert ask("010c0b") == "410c0cb2", "of several, those that are there"
+    assert ask("011c") == "411c05"
+    assert ask("01", functional=False) == "7f0112"
+
+
+def test_mode_01_mil_count_and_readiness(rig, ask):
+    assert ask("0101") == "410100440000"
+    rig.fail(0)
+    rig.fail(2)
+    rig.heal(1)
+    assert ask("0101") == "410181440000", "the lamp is on, one DTC that OBD knows, one test to go"
+    rig.heal(3)
+    rig.heal(0)
+    assert ask("0101") == "410181040000"
+    rig.cycle()
+    assert ask("0101") == "410181040000"
+    assert ask("0141") == "414100440000", "in this cycle none has run"
+
+
+def test_modes_03_07_0a_and_04(rig, ask):
+    assert (ask("03"), ask("07"), ask("0a")) == ("4300", "4700", "4a00")
+    for k in range(4):
+        rig.fail(k)
+    assert ask("03") == "4302" + "1000" + "d003", "confirmed and emission related"
+    assert ask("07") == "4703" + "1000" + "5001" + "d003"
+    assert ask("0a") == "4a01" + "1000", "only one asks for the indicator"
+    assert ask("04") == "44"
+    assert (ask("03"), ask("07")) == ("4300", "4700")
+    assert ask("0a") == "4a011000"
+    assert rig.status(2) == 0x2F, "what is not emission related is not cleared by OBD"
+    assert ask("0300") == ""
+
+
+def test_many_dtcs_come_in_several_frames(tmp_path):
+    rig = Rig(write_config(tmp_path, 60, extra=EXTRA))
+    tester = Tester(rig)
+    for k in range(60):
+        rig.fail(k)
+    (answer,) = tester.exchange(b"\x03", functional=FUNCTIONAL)
+    assert answer[:2] == b"\x43\x3c"
+    codes = [answer[k : k + 2].hex() for k in range(2, len(answer), 2)]
+    assert len(codes) == 60
+    assert codes == sorted(codes)
+    rig.close()
+
+
+def test_mode_02_shows_the_frame_of_the_first_failure(rig, ask):
+    assert ask("020200") == "4202000000", "no freeze frame"
+    rig.value(0, 800)
+    rig.value(2, 33)
+    rig.fail(1)  # pending: shown, as it is all there is
+    rig.value(0, 900)
+    rig.fail(0)
+    assert ask("020200") == "4202005001"
+    assert ask("020c00") == "420c000c80", "as it was then"
+    assert ask("020d00") == "420d0021"
+    assert ask("020d01") == "", "there is one frame, number 0"
+    assert ask("020000") == "420000" + "48180001"
+    rig.gateway.controls.clear(0xFFFF33)
+    assert ask("020200") == "4202000000"
+
+
+def test_mode_09(ask):
+    assert ask("0900") == "490054400000"
+    assert ask("0902") == "490201" + b"1HGCM82633A004352".hex()
+    assert ask("0904") == "490401" + b"GW-1".ljust(16, b"\0").hex()
+    assert ask("0906") == "4906011234abcd"
+    assert ask("090a") == "490a01" + b"GATEWAY".ljust(20, b"\0").hex()
+    assert ask("0908") == ""
+
+
+def test_modes_that_there_are_not(ask):
+    assert ask("05") == ""
+    assert ask("0501", functional=False) == "7f0511"
+    assert ask("22f190", functional=False) == "7f2211", "there is no UDS server behind this address"
+
+
+def test_29_bit_identifiers(tmp_path):
+    ids = "request = 0x18DA10F1\nfunctional = 0x18DB33F1\nresponse = 0x18DAF110\n"
+    rig = Rig(write_config(tmp_path, extra=EXTRA.replace("[output.obd]\n", f"[output.obd]\n{ids}")))
+    tester = Tester(rig, 0x18DA10F1, 0x18DAF110)
+    (answer,) = tester.exchange(b"\x09\x02", functional=0x18DB33F1)
+    assert answer == b"\x49\x02\x011HGCM82633A004352"
+    rig.close()
