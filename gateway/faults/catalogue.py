@@ -8,7 +8,7 @@ from typing import Any
 
 from gateway.errors import InputError, InputErrors
 from gateway.faults.dtc import NO_DTC, Dtc, is_group
-from gateway.faults.settings import POWER, SEVERITIES, FaultOverride
+from gateway.faults.settings import CLASSES, POWER, SEVERITIES, FaultOverride
 from gateway.faults.status import Rules
 from gateway.monitors.shape import Debounce, Fault
 
@@ -30,7 +30,7 @@ class FaultDefinition:
         freeze_frame_at: "failed", "pending", "confirmed", or a fault detection counter.
         spn: J1939 suspect parameter number, None: not shown there.
         fmi: J1939 failure mode identifier.
-        severity: byte of ISO 14229-1, Annex D.3.
+        severity: byte of ISO 14229-1, Annex D.3: severity and class.
         functional_unit: byte of ISO 14229-1.
         priority: 1 is the most important.
         emission_related: whether OBD shows it.
@@ -56,7 +56,7 @@ class FaultDefinition:
     freeze_frame_at: str | int = "failed"
     spn: int | None = None
     fmi: int | None = None
-    severity: int = 0
+    severity: int = CLASSES["unclassified"]
     functional_unit: int = 0
     priority: int = 100
     emission_related: bool = True
@@ -103,7 +103,7 @@ def define(fault_id: str, fault: Fault, override: FaultOverride | None = None) -
         freeze_frame_at=settings.freeze_frame_at,
         spn=settings.spn,
         fmi=settings.fmi,
-        severity=SEVERITIES[settings.severity],
+        severity=SEVERITIES[settings.severity] | CLASSES[settings.dtc_class],
         functional_unit=settings.functional_unit,
         priority=settings.priority,
         emission_related=settings.emission_related,

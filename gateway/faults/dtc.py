@@ -16,8 +16,9 @@ NO_DTC = 0x000000
 ALL_DTCS = 0xFFFFFF
 #: The group of all emission related DTCs (ISO 14229-1, Annex D.1; ISO 27145-3, functional group 0x33).
 EMISSION_DTCS = 0xFFFF33
-#: The groups of the letters P, C, B, U: the first code of each.
-LETTER_GROUPS = (0x000000, 0x400000, 0x800000, 0xC00000)
+#: The groups of the letters C, B, U: the first code of each. That of P would be 0x000000, which ISO 14229-1
+#: reserves, and which scanners send to see what happens: it clears nothing.
+LETTER_GROUPS = (0x400000, 0x800000, 0xC00000)
 
 
 def is_group(value: int) -> bool:

@@ -26,6 +26,8 @@ POWER = "power"
 
 #: Severity of a DTC (ISO 14229-1, Annex D.3): upper three bits of its byte.
 SEVERITIES = {"none": 0x00, "maintenance": 0x20, "next_halt": 0x40, "immediately": 0x80}
+#: Class of a DTC (global technical regulation 5, WWH-OBD): lower five bits of that byte.
+CLASSES = {"unclassified": 0x01, "a": 0x02, "b1": 0x04, "b2": 0x08, "c": 0x10}
 
 #: Monitors of which legislation wants to know whether they have run (J1979 PID 01, J1939-73 DM5).
 Readiness = Literal[
@@ -115,6 +117,9 @@ class FaultOverride(StrictModel):
     fmi: int | None = Field(None, ge=0, le=31, description="J1939 failure mode identifier")
     severity: Literal["none", "maintenance", "next_halt", "immediately"] = Field(
         "none", description="when to have it checked (ISO 14229-1, DTC severity)"
+    )
+    dtc_class: Literal["unclassified", "a", "b1", "b2", "c"] = Field(
+        "unclassified", description="class of WWH-OBD"
     )
     functional_unit: int = Field(0, ge=0, le=255, description="DTC functional unit")
     priority: int = Field(

@@ -393,10 +393,10 @@ def test_groups_of_dtcs():
     )
     for fault in range(3):
         fail(memory, fault)
-    assert memory.knows(0x000000)
+    assert not memory.knows(0x000000)
     assert not memory.knows(0x400000)
     assert not memory.knows(0x123456)
     memory.clear(0xFFFF33)
     assert stored(memory) == ["m.f1"]
     memory.clear(0x000000)
-    assert stored(memory) == []
+    assert stored(memory) == ["m.f1"]

@@ -117,6 +117,7 @@ def make(tmp_path):
         ("3e00", "7e00", "good"),
         ("14ffff", "7f1413", "too short"),
         ("14123456", "7f1431", "no such DTC"),
+        ("14000000", "7f1431", "reserved: clears nothing"),
         ("14fffffe", "7f1431", "a group that we do not have"),
     ],
 )
@@ -357,9 +358,9 @@ def test_every_sub_function(make):
     assert ask(f"1906{a}99") == "7f1931"
     assert ask("1907e0ff") == "5907ff000002"
     assert ask("190780ff") == "5907ff000001"
-    assert ask("190880ff") == f"5908ff8007{a}2f"
-    assert ask("190820ff") == f"5908ff2000{b}27"
-    assert ask(f"1909{a}") == f"5909ff8007{a}2f"
+    assert ask("190880ff") == f"5908ff8107{a}2f"
+    assert ask("190820ff") == f"5908ff2100{b}27"
+    assert ask(f"1909{a}") == f"5909ff8107{a}2f"
     assert ask("1909123456") == "7f1931"
     assert ask("190a") == f"590aff{a}2f{b}27{c}50"
     assert ask("190b") == f"590bff{b}27"
@@ -368,8 +369,8 @@ def test_every_sub_function(make):
     assert ask("190e") == f"590eff{a}2f"
     assert ask("1914") == f"5914{c}3f"
     assert ask("1915") == "5915ff"
-    assert ask("194233ff80") == f"594233ffe00480{a}2f"
-    assert ask("1942ffffe0") == f"5942ffffe00480{a}2f20{b}27"
+    assert ask("194233ff80") == f"594233ffff0481{a}2f"
+    assert ask("1942ffffe0") == f"5942ffffff0481{a}2f21{b}27"
     assert ask("194212ffe0") == "7f1931"
     assert ask("195533") == "595533ff04"
     rig.cycle(1)

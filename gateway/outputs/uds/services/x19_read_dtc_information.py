@@ -35,8 +35,8 @@ WWH_FORMAT = 0x04
 ALL_RECORDS = 0xFF
 #: Functional groups of WWH-OBD (ISO 27145-3): emission system, all of them.
 EMISSION_GROUP, ALL_GROUPS = 0x33, 0xFF
-#: Bits of the severity byte that are filled here.
-SEVERITY_MASK = 0xE0
+#: Bits of the severity byte that are filled: severity and class.
+SEVERITY_MASK = 0xFF
 
 #: Handler of one sub-function: takes what follows the sub-function, returns what follows its echo.
 Report = Callable[[Context, bytes], bytes]
@@ -157,12 +157,7 @@ def _extended_data(c: Context, rest: bytes) -> bytes:
 
 
 def _by_severity(c: Context, severity: int, status: int) -> list[Entry]:
-    # Severity bits of a request are or-ed; none asked for means that they do not matter.
-    return [
-        entry
-        for entry in _matching(c, status)
-        if not severity & SEVERITY_MASK or _severity(c, entry) & severity
-    ]
+    return [entry for entry in _matching(c, status) if _severity(c, entry) & severity]
 
 
 def _number_by_severity(c: Context, rest: bytes) -> bytes:
@@ -212,7 +207,7 @@ def _fault_detection_counters(c: Context, _rest: bytes) -> bytes:
 
 def _permanent(c: Context) -> list[Entry]:
     faults = {permanent.fault for permanent in c.memory.permanent()}
-    return [c.memory.entry(fault) for fault in sorted(faults)]
+    return sorted((c.memory.entry(fault) for fault in faults), key=lambda entry: entry.dtc)
 
 
 def _permanent_status(c: Context, _rest: bytes) -> bytes:
