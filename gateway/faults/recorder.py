@@ -11,10 +11,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from gateway.bus.candump import format_frame
-from gateway.bus.frames import Frames
+from gateway.bus.frames import Frames, empty
 from gateway.faults.records import Recording
 from gateway.tomlfile import StrictModel
 
@@ -65,6 +66,7 @@ class Recorder:
         self._before_ns = round(params.before_ms * 1e6)
         self._after_ns = round(params.after_ms * 1e6)
         self._batches: deque[Frames] = deque()
+        self._gone: deque[NDArray[np.int64]] = deque()  # stamps of frames given up in a flood
         self._triggers: list[_Trigger] = []
         self._last_ns: dict[str, int] = {}
         self.refused = 0
@@ -101,21 +103,27 @@ class Recorder:
         oldest = min([t_ns, *(trigger.t_ns for trigger in self._triggers)]) - self._before_ns
         while self._batches and int(self._batches[0]["t_ns"].max()) < oldest:
             self._batches.popleft()
+        while self._gone and int(self._gone[0].max()) < oldest:
+            self._gone.popleft()
         if self._triggers:
             return
         # A flood of frames must not fill the memory: what no recording could hold goes.
         kept = sum(len(batch) for batch in self._batches)
         while self._batches and kept - len(self._batches[0]) >= self._params.most_frames:
-            kept -= len(self._batches.popleft())
+            given_up = self._batches.popleft()
+            self._gone.append(given_up["t_ns"].copy())
+            kept -= len(given_up)
 
     def _cut(self, trigger: _Trigger) -> Recording:
-        frames = np.concatenate(list(self._batches)) if self._batches else np.zeros(0, "i8")
+        frames = np.concatenate(list(self._batches)) if self._batches else empty(0)
         times = frames["t_ns"]
         inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)
         frames, times = frames[inside], times[inside]
         most = self._params.most_frames
-        dropped = max(len(frames) - most, 0)
-        if dropped:
+        first = trigger.t_ns - self._before_ns
+        dropped = sum(int((stamps >= first).sum()) for stamps in self._gone)
+        if len(frames) > most:
+            dropped += len(frames) - most
             nearest = np.sort(np.argsort(np.abs(times - trigger.t_ns), kind="stable")[:most])
             frames = frames[nearest]
         text = "".join(

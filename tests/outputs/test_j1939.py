@@ -3,6 +3,7 @@
 import struct
 from itertools import pairwise
 
+import j1939
 import pytest
 from rig import MS, Rig, write_config
 
@@ -123,10 +124,22 @@ def truck(make):
 def test_the_trucks_dm1_byte_for_byte(make):
     rig = truck(make)
     rig.wait(2000)
-    sent = rig.of(0xFECA, rig.wait(3000))
+    frames = rig.wait(3000)
+    sent = rig.of(0xFECA, frames)
     assert set(sent) == {TRUCK_DM1}
     assert len(TRUCK_DM1) == 18
     assert len(sent) == 3, "once a second"
+    # And as another library receives it, transport and all.
+    heard = []
+    ecu = j1939.ElectronicControlUnit(send_message=lambda *_: None)
+    dm1 = j1939.Dm1(ecu.add_ca(name=j1939.Name(identity_number=7), device_address=TOOL))
+    dm1.subscribe(lambda source, lamps, dtcs, t: heard.append((source, lamps, dtcs)))
+    for can_id, data in frames:
+        ecu.notify(can_id & 0x1FFFFFFF, bytearray(data), 0.0)
+    ecu.stop()
+    source, lamps, dtcs = heard[-1]
+    assert (source, lamps["mil"], lamps["rsl"]) == (ME, j1939.DtcLamp.ON, j1939.DtcLamp.OFF)
+    assert [(d["spn"], d["fmi"], d["oc"]) for d in dtcs] == list(TRUCK.values())
 
 
 def test_a_broadcast_keeps_its_gaps(make):

@@ -24,7 +24,7 @@ from testers import (
 )
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
-from udsoncan.services import ReadDTCInformation, RoutineControl
+from udsoncan.services import RoutineControl
 
 from gateway.faults.dtc import Dtc
 from gateway.resources import shipped
