@@ -94,7 +94,7 @@ def replay_path(frames, chunk=100_000):
     for k in range(1, len(frames), chunk):
         gateway.feed(frames[k : k + chunk])
     seconds = time.perf_counter() - begun
-    assert gateway.engine.counters()["decoded"] == len(frames)
+    assert gateway.engine.counters()["frames"] == len(frames)
     assert gateway.engine.readout()["crank"]["teeth"] == 4 * len(frames)
     assert gateway.engine.readout()["crank"]["missed"] == 0
     return seconds
@@ -120,7 +120,7 @@ def live_path(frames, batch):
         gateway.feed(out[:count])
         seconds += time.perf_counter() - begun
         assert count == len(part)
-    assert gateway.engine.counters()["decoded"] == len(frames)
+    assert gateway.engine.counters()["frames"] == len(frames)
     ours.close()
     theirs.close()
     return seconds

@@ -39,6 +39,9 @@ from gateway.resources import shipped
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
 
+#: Frames of a batch that is looked at one by one.
+FEW = 16
+_NOBODY = np.void(b"")
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 
@@ -86,6 +89,8 @@ class Gateway:
         )
         self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
         self._due = [output.next_ns for output in self._outputs]
+        self._next_due = min(self._due, default=NEVER)
+        self._heard = self._identifiers_of_outputs()
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []
         self._uncommitted = False
@@ -123,12 +128,17 @@ class Gateway:
             for k in wanting:
                 output = self._outputs[k]
                 made = output.on_frame(last, self.engine.now_ns)
-                self._due[k] = output.next_ns
+                self._set_due(k)
                 sent.append(self._allowed(output, made))
         return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
 
     def _pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch behind each frame that is for an output, which sees the memory as it is then."""
+        # Most batches have nothing for an output; a small one is told by its identifiers alone.
+        ids = self._heard
+        if ids is not None and len(frames) <= FEW and ids.isdisjoint(frames["can_id"].tolist()):
+            yield frames, _NOBODY, []
+            return
         masks = [(k, output.wanted(frames)) for k, output in enumerate(self._outputs)]
         known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
         start = 0
@@ -138,7 +148,18 @@ class Gateway:
                 yield frames[start : stop + 1], frames[stop], wanting
                 start = int(stop) + 1
         if start < len(frames) or not len(frames):
-            yield frames[start:], np.void(b""), []
+            yield frames[start:], _NOBODY, []
+
+    def _identifiers_of_outputs(self) -> frozenset[int] | None:
+        """Return the identifiers that outputs listen to on any bus; None: one listens to all."""
+        found: set[int] = set()
+        for bus in range(len(self.config.bus)):
+            for output in self._outputs:
+                ids = output.identifiers(bus)
+                if ids is None:
+                    return None
+                found.update(ids)
+        return frozenset(found)
 
     def _process(self, frames: Frames) -> Frames:
         if self.controls.receive:
@@ -226,7 +247,7 @@ class Gateway:
     def _emit(self, sent: Frames) -> Frames:
         """Return the frames to send: the monitors' own, then what the outputs have to say."""
         now = self.engine.now_ns
-        if self._recorder is not None:
+        if self._recorder is not None and self._recorder.busy:
             made = self._recorder.on_time(now)
             self.memory.add_recordings(made)
             self._uncommitted = self._uncommitted or bool(made)
@@ -238,8 +259,8 @@ class Gateway:
         if changes:
             for k, output in enumerate(self._outputs):
                 frames.append(self._allowed(output, output.on_changes(changes, now)))
-                self._due[k] = output.next_ns
-        if now >= min(self._due, default=NEVER):
+                self._set_due(k)
+        if now >= self._next_due:
             frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
 
@@ -248,8 +269,12 @@ class Gateway:
         for k, (output, asked) in enumerate(zip(self._outputs, which, strict=True)):
             if asked and t_ns >= self._due[k]:
                 frames.append(self._allowed(output, output.on_time(t_ns)))
-                self._due[k] = output.next_ns
+                self._set_due(k)
         return np.concatenate(frames) if frames else empty(0)
+
+    def _set_due(self, k: int) -> None:
+        self._due[k] = self._outputs[k].next_ns
+        self._next_due = min(self._due)
 
     def _allowed(self, output: Output, frames: Frames) -> Frames:
         """Return frames, unless a tester has switched normal communication off."""

@@ -65,7 +65,8 @@ class Recorder:
         self._channels = channels
         self._before_ns = round(params.before_ms * 1e6)
         self._after_ns = round(params.after_ms * 1e6)
-        self._batches: deque[Frames] = deque()
+        self._batches: deque[tuple[int, Frames]] = deque()  # with their latest stamps
+        self._kept = 0
         self._gone: deque[NDArray[np.int64]] = deque()  # stamps of frames given up in a flood
         self._triggers: list[_Trigger] = []
         self._last_ns: dict[str, int] = {}
@@ -73,8 +74,21 @@ class Recorder:
 
     def on_frames(self, frames: Frames) -> None:
         """Take a batch before the engine gets it."""
-        if len(frames):
-            self._batches.append(frames.copy())
+        count = len(frames)
+        if not count:
+            return
+        stamps = frames["t_ns"]
+        first, latest = (
+            (int(stamps[0]),) * 2 if count == 1 else (int(stamps.min()), int(stamps.max()))
+        )
+        # Not at each batch: up to twice of what can be asked for is kept. A failure in this batch may ask for
+        # what was before it, so that only what came before is given up.
+        window = 2 * self._before_ns + self._after_ns
+        full = self._kept >= 2 * self._params.most_frames
+        if full or (self._batches and self._batches[0][0] < first - window):
+            self._trim(first)
+        self._batches.append((latest, frames.copy()))
+        self._kept += count
 
     def on_failure(self, fault: str, t_ns: int) -> None:
         """Note a failure; refused (and counted) while the fault's last one is too young."""
@@ -91,31 +105,35 @@ class Recorder:
         for fault in faults:
             self._last_ns.pop(fault, None)
 
+    @property
+    def busy(self) -> bool:
+        """Whether :meth:`on_time` has something to do."""
+        return bool(self._triggers)
+
     def on_time(self, t_ns: int, *, final: bool = False) -> list[Recording]:
         """Return the recordings that are complete at a time; ``final``: also those that are not."""
         done = [trigger for trigger in self._triggers if final or trigger.due_ns < t_ns]
         made = [self._cut(trigger) for trigger in done]
         self._triggers = [trigger for trigger in self._triggers if trigger not in done]
-        self._trim(t_ns)
         return made
 
     def _trim(self, t_ns: int) -> None:
+        """Give up frames that no recording will ask for."""
         oldest = min([t_ns, *(trigger.t_ns for trigger in self._triggers)]) - self._before_ns
-        while self._batches and int(self._batches[0]["t_ns"].max()) < oldest:
-            self._batches.popleft()
+        batches = self._batches
+        while batches and batches[0][0] < oldest:
+            self._kept -= len(batches.popleft()[1])
         while self._gone and int(self._gone[0].max()) < oldest:
             self._gone.popleft()
-        if self._triggers:
-            return
         # A flood of frames must not fill the memory: what no recording could hold goes.
-        kept = sum(len(batch) for batch in self._batches)
-        while self._batches and kept - len(self._batches[0]) >= self._params.most_frames:
-            given_up = self._batches.popleft()
+        most = self._params.most_frames
+        while not self._triggers and batches and self._kept - len(batches[0][1]) >= most:
+            _, given_up = batches.popleft()
+            self._kept -= len(given_up)
             self._gone.append(given_up["t_ns"].copy())
-            kept -= len(given_up)
 
     def _cut(self, trigger: _Trigger) -> Recording:
-        frames = np.concatenate(list(self._batches)) if self._batches else empty(0)
+        frames = np.concatenate([empty(0), *(batch for _, batch in self._batches)])
         times = frames["t_ns"]
         inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)
         frames, times = frames[inside], times[inside]
