@@ -301,8 +301,11 @@ class FaultMemory:
         """Give up a permanent DTC whose test has passed in a whole cycle and whose lamp is out."""
         lit = Status.WARNING_INDICATOR if definition.indicator else Status.CONFIRMED_DTC
         failed = Status.NOT_COMPLETED_THIS_CYCLE | Status.TEST_FAILED_THIS_CYCLE
-        if not status & (lit | failed) and definition.id in self._permanent:
-            del self._permanent[definition.id]
+        if not status & (lit | failed):
+            self._give_up_permanent(definition.id)
+
+    def _give_up_permanent(self, fault: str) -> None:
+        if self._permanent.pop(fault, None) is not None:
             self._pending.permanent = list(self._permanent.values())
 
     # Durability
@@ -353,7 +356,7 @@ class FaultMemory:
     def clear(self, group: int = ALL_DTCS) -> list[str]:
         """Clear one DTC, a group, or all (ISO 14229-1, 0x14); durable on return.
 
-        Permanent DTCs stay until their test has passed.
+        Permanent DTCs stay until their test has passed; those of faults that nobody tests any more go.
 
         Args:
             group: a DTC's 24 bits, or a group (see :func:`gateway.faults.dtc.in_group`).
@@ -384,6 +387,8 @@ class FaultMemory:
                 self._prestored.pop(record.id, None)
                 self._dirty.add(record.id)
                 cleared.append(record.id)
+                if len(self.catalogue) and self.catalogue.get(record.id) is None:
+                    self._give_up_permanent(record.id)  # no test is left that could pass
         self._pending.recordings = [r for r in self._pending.recordings if r.fault not in cleared]
         if group == ALL_DTCS and self._facts.get(OVERFLOW):
             self._set_fact(OVERFLOW, 0)

@@ -253,6 +253,23 @@ def test_a_permanent_dtc_survives_a_clear_until_its_test_has_passed_in_a_whole_c
     store.close()
 
 
+def test_a_permanent_dtc_that_nobody_tests_any_more_goes_with_a_clear(tmp_path):
+    path = tmp_path / "f.sqlite"
+    store = Store(path)
+    memory = FaultMemory(catalogue(confirm=(1, 1), permanent=(False, True)), store)
+    fail(memory, 1)
+    memory.commit()
+    store.close()
+    assert service.clear(path) == 1
+    store = Store(path)
+    memory = FaultMemory(catalogue(confirm=(1,)), store)
+    assert permanent(memory) == ["m.f1"], "the command line does not know what is tested"
+    memory.clear()
+    assert permanent(memory) == []
+    store.close()
+    assert FaultMemory(catalogue(confirm=(1,)), Store(path)).permanent() == []
+
+
 def test_a_permanent_dtc_that_heals_by_itself_goes_with_its_lamp():
     memory = FaultMemory(catalogue(permanent=(False, True, False)), Store(None))
     for results in ((True,), (True,), (False,)):

@@ -6,7 +6,7 @@ import isotp
 import numpy as np
 
 from gateway.app import Gateway
-from gateway.bus.frames import EXTENDED, empty, payload, put
+from gateway.bus.frames import EXTENDED, FD, empty, payload, put
 from gateway.config import load_config
 
 MS = 1_000_000
@@ -130,6 +130,7 @@ class Tester:
         self.rig = rig
         self.inbox = []
         self.outbox = []
+        self.flags = FD if params.get("can_fd") else 0
         self.request_id, self.response_id = request, response
         mode = isotp.AddressingMode.Normal_11bits
         if request > 0x7FF:
@@ -171,7 +172,8 @@ class Tester:
             busy = bool(self.outbox or self.inbox)
             while self.outbox:
                 message = self.outbox.pop(0)
-                self.hear(self.rig.feed((message.arbitration_id | extended, bytes(message.data))))
+                frame = (message.arbitration_id | extended, bytes(message.data))
+                self.hear(self.rig.feed(frame, flags=self.flags))
             while self.layer.available():
                 answers.append(bytes(self.layer.recv()))
             if not busy:
