@@ -20,7 +20,7 @@ from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
 from gateway.outputs.dtc_frame import DtcFrameOutput
-from gateway.outputs.endpoints import DiagnosticServer, share_address
+from gateway.outputs.endpoints import DiagnosticServer
 from gateway.outputs.identifiers import Identifiers
 from gateway.outputs.isotp import IsoTpParams
 from gateway.outputs.j1939.output import J1939Output
@@ -320,7 +320,7 @@ def outputs_of(
     def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
         made.append(DiagnosticServer(params, config.bus_index(params.bus), uds, obd))
 
-    if asked.uds is not None and asked.obd is not None and share_address(asked.uds, asked.obd):
+    if asked.uds is not None and config.diagnostic_address_is_shared():
         server(asked.uds, uds, obd)
     else:
         if asked.uds is not None:

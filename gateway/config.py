@@ -141,6 +141,18 @@ class Config(BaseSettings):
             raise InputError(f"the buses are {', '.join(names)}", value=name or "(no bus named)")
         return names.index(name)
 
+    def diagnostic_address_is_shared(self) -> bool:
+        """Tell whether the UDS and the OBD server have one address.
+
+        Raises:
+            InputError: they share some of their identifiers, but not all.
+        """
+        uds, obd = self.output.uds, self.output.obd
+        if uds is None or obd is None:
+            return False
+        same_bus = self.bus_index(uds.bus) == self.bus_index(obd.bus)
+        return share_address(uds, obd, same_bus=same_bus)
+
 
 def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
     """Return the type and the parameters of a configured monitor.
@@ -192,9 +204,11 @@ def _cross_check(config: Config) -> Iterator[InputError]:
             config.bus_index(output.bus)
         except InputError as error:
             yield InputError(error.message, key=f"output.{name}.bus", value=error.value)
-    if config.output.uds is not None and config.output.obd is not None:
+    named = {bus.name for bus in config.bus}
+    servers = [entry for entry in (config.output.uds, config.output.obd) if entry is not None]
+    if all(entry.bus in named or (entry.bus is None and len(named) == 1) for entry in servers):
         try:
-            share_address(config.output.uds, config.output.obd)
+            config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
     yield from check_unique(config.did)

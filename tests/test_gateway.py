@@ -120,7 +120,7 @@ def test_the_freeze_frame_is_of_the_very_frame_that_failed(tmp_path):
     assert records[0] == records[1]
     (record,) = records[0]["freeze_frames"]
     at = player.frames[player.frames["t_ns"] == record["t_ns"]][0]
-    assert record["signals"]["powertrain.CTW_PT4.FrameCnt"] == int(at["data"][1])
+    assert record["signals"]["CTW_PT4.FrameCnt"] == int(at["data"][1])
 
 
 def random_frames(rng, count):
@@ -228,7 +228,7 @@ def config_error(tmp_path, *changes):
             'dtc = "P0336-2F"\nfreeze_frame = [',
             "crank.missed_pulse has this DTC",
         ),
-        ('"powertrain.CTW_PT4.Pt1"', '"powertrain.CTW_PT4.Pt9"', "no signal 'Pt9'"),
+        ('"CTW_PT4.FrameCnt"]', '"powertrain.CTW_PT4.Pt9"]', "no signal 'Pt9'"),
         ("engine.dbc", "motor.dbc", "No such file"),
         ('name = "bench"', 'name = "bench', "gateway.toml:3"),
         ("cycle_ms = 1000.0", 'cycle_ms = "x"', "output.dtc_frame.cycle_ms = 'x'"),

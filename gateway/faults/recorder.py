@@ -144,9 +144,11 @@ class Recorder:
             dropped += len(frames) - most
             nearest = np.sort(np.argsort(np.abs(times - trigger.t_ns), kind="stable")[:most])
             frames = frames[nearest]
-        text = "".join(
-            f"{format_frame(frame, self._channels[int(frame['bus'])])}\n" for frame in frames
-        )
+        text = "".join(f"{format_frame(frame, self._channel(frame))}\n" for frame in frames)
         return Recording(
             trigger.fault, trigger.t_ns, len(frames), dropped, zlib.compress(text.encode())
         )
+
+    def _channel(self, frame: np.void) -> str:
+        bus = int(frame["bus"])
+        return self._channels[bus] if bus < len(self._channels) else f"can{bus}"

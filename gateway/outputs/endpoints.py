@@ -46,19 +46,24 @@ class DiagnosticServer(IsoTpServer):
         return self.push([] if self._uds is None else self._uds.on_changes(changes, t_ns), t_ns)
 
 
-def share_address(one: IsoTpParams, other: IsoTpParams) -> bool:
+def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bool:
     """Tell whether two servers have one address.
+
+    Args:
+        one: of the UDS server.
+        other: of the OBD server.
+        same_bus: whether they are on one bus.
 
     Raises:
         InputError: they share some of their identifiers, but not all.
     """
-    names = ("bus", "request", "functional", "response")
-    if all(getattr(one, name) == getattr(other, name) for name in names):
+    names = ("request", "functional", "response")
+    if same_bus and all(getattr(one, name) == getattr(other, name) for name in names):
         return True
-    if one.bus == other.bus and {one.request, one.response} & {other.request, other.response}:
+    if same_bus and {one.request, one.response} & {other.request, other.response}:
         raise InputError(
             "output.uds and output.obd share some identifiers, but not all: give them the same"
-            " bus, request, functional and response, or different ones",
+            " request, functional and response, or different ones",
             key="output.obd",
         )
     return False

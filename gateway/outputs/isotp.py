@@ -27,7 +27,8 @@ MOST_WAITS = 16
 MOST_PUSHED = 32
 
 # What a tester sends wrongly is counted, not logged frame by frame.
-logging.getLogger(isotp.TransportLayerLogic.LOGGER_NAME).setLevel(logging.CRITICAL)
+_LOGGER = f"{__name__}.protocol"
+logging.getLogger(_LOGGER).setLevel(logging.CRITICAL)
 
 
 class IsoTpParams(StrictModel):
@@ -181,6 +182,7 @@ class IsoTpServer(Output):
                 "bitrate_switch": params.fd,
                 "wftmax": MOST_WAITS,
                 "max_frame_size": 4095,
+                "logger_name": _LOGGER,
             },
         )
 

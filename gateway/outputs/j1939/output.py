@@ -13,7 +13,7 @@ from gateway.faults.entries import DtcChange, Entry
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.status import Status
-from gateway.outputs.base import NEVER, Output
+from gateway.outputs.base import Output
 from gateway.outputs.control import Control
 from gateway.outputs.j1939 import messages as dm
 from gateway.outputs.j1939.claim import Claim
@@ -35,6 +35,8 @@ from gateway.outputs.j1939.transport import Transport
 _POSITIVE, _NEGATIVE, _DENIED = 0, 1, 2
 #: Least time between two messages for changes of one DTC (J1939-73, DM1).
 _CHANGE_NS = 1_000_000_000
+#: Not active, and long ago.
+_NEVER_TOLD = (False, -_CHANGE_NS)
 
 
 class J1939Output(Output):
@@ -211,7 +213,7 @@ class J1939Output(Output):
 
     def _is_news(self, fault: str) -> bool:
         """Tell whether a DTC became active or inactive, and was not told of in the last second."""
-        told, when = self._told.get(fault, (False, -_CHANGE_NS))
+        told, when = self._told.get(fault, _NEVER_TOLD)
         return self._is_active(fault) != told and self._now_ns - when >= _CHANGE_NS
 
     def _is_active(self, fault: str) -> bool:
@@ -239,17 +241,12 @@ class J1939Output(Output):
         """Time at which :meth:`on_time` has something to do."""
         if not self._claim.claimed:
             return self._claim.next_ns
-        waiting = self.transport.next_ns
-        if self._changed:
-            waiting = min(
-                [waiting]
-                + [
-                    self._told.get(fault, (False, -_CHANGE_NS))[1] + _CHANGE_NS
-                    for fault in self._changed
-                    if self._is_active(fault) != self._told.get(fault, (False, 0))[0]
-                ]
-            )
-        return min(waiting, self._next_dm1_ns or 0) if waiting != NEVER else self._next_dm1_ns or 0
+        waiting = [self.transport.next_ns, self._next_dm1_ns or 0]
+        for fault in self._changed:
+            told, when = self._told.get(fault, _NEVER_TOLD)
+            if self._is_active(fault) != told:
+                waiting.append(when + _CHANGE_NS)
+        return min(waiting)
 
     def _frames(self, made: list[Pdu]) -> Frames:
         return to_frames(made, self._bus, self._now_ns)

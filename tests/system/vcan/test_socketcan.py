@@ -9,6 +9,7 @@ import time
 
 import can
 import cantools
+import isotp
 import numpy as np
 import pytest
 
@@ -29,6 +30,20 @@ def take(bus, count):
     while got < count and select.select([bus.fileno()], [], [], 5)[0]:
         got += bus.receive(out[got:])
     return out[:got]
+
+
+def ask(request):
+    """Ask the daemon with can-isotp over python-can; returns the answer as hex digits."""
+    address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E0, rxid=0x7E8)
+    with can.Bus("vcan0", interface="socketcan") as bus:
+        stack = isotp.CanStack(bus, address=address)
+        stack.start()
+        try:
+            stack.send(bytes.fromhex(request))
+            answer = stack.recv(block=True, timeout=20)
+        finally:
+            stack.stop()
+    return "" if answer is None else answer.hex()
 
 
 def test_frames_of_all_kinds_both_ways():
@@ -96,6 +111,7 @@ def test_the_daemon_on_vcan0_seen_by_candump(tmp_path):
                 timeout=200,
                 check=False,
             )  # fmt: skip
+            answers = [ask(request) for request in ("3e00", "190208", "03")]
         finally:
             daemon.send_signal(signal.SIGTERM)
             code = daemon.wait(30)
@@ -103,6 +119,10 @@ def test_the_daemon_on_vcan0_seen_by_candump(tmp_path):
             dump.wait(10)
     assert drive.returncode == 0, drive.stdout + drive.stderr
     assert code == 0
+    assert answers[0] == "7e00"
+    assert answers[1].startswith("5902ff")
+    assert "033629" in answers[1], "over ISO-TP, on the kernel's own CAN"
+    assert "0336" in answers[2]
     lines = (tmp_path / "dtc.log").read_bytes().splitlines()
     frames, wrong = parse(lines, 1, tmp_path / "dtc.log", None)
     assert wrong is None
@@ -112,4 +132,5 @@ def test_the_daemon_on_vcan0_seen_by_candump(tmp_path):
     ).items()
     last = json.loads((tmp_path / "events").read_text().splitlines()[-1])
     assert last["event"] == "summary"
-    assert last["counters"]["unknown"] == 0, "kernel filters kept CTW_BASE and our own frames back"
+    # Three requests and a flow control: kernel filters kept CTW_BASE and our own frames back.
+    assert last["counters"]["unknown"] == 4
