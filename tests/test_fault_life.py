@@ -232,7 +232,7 @@ def test_a_replay_in_any_chunks_keeps_the_same_recordings(make, most):
     rows[200] = rows[201] = (256, b"\x01")
     frames = empty(len(rows))
     for t, (can_id, data) in enumerate(rows):
-        put(frames, t, t * MS, can_id, data)
+        put(frames, t, t // 2 * 2 * MS, can_id, data)  # two at each time
     kept = []
     for chunk in (1, 7, 400):
         rig = make(extra=RECORDING.replace("most_frames = 40", f"most_frames = {most}"))
@@ -252,6 +252,10 @@ def test_recordings_go_with_a_clear_and_an_unfinished_one_is_kept_at_the_end(mak
     rig.gateway.stop(rig.now)
     assert recorded(rig, tmp_path, 0) == []
     assert len(recorded(rig, tmp_path, 1)) == 1
+    rig.gateway.start(rig.now)
+    rig.fail(0)
+    rig.gateway.stop(rig.now)
+    assert len(recorded(rig, tmp_path, 0)) == 1, "a cleared fault is recorded at once again"
 
 
 def test_freeze_frames_survive_a_restart_and_go_with_a_clear(make, tmp_path):

@@ -29,7 +29,8 @@ def _time(t_ns: int | None) -> str:
 
 def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List the entries; returns the exit code."""
-    entries = service.list_entries(_path(config, memory))
+    path = _path(config, memory)
+    entries = service.list_entries(path)
     if json:
         print_json(entries)
         return 0
@@ -47,6 +48,8 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     # Off a terminal nothing is cut to 80 columns.
     console = Console() if sys.stdout.isatty() else Console(width=160)
     console.print(table if entries else "no DTCs")
+    if service.overflowed(path):
+        console.print("the memory was full: entries of less important faults gave way")
     return 0
 
 

@@ -11,7 +11,7 @@ from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
 from gateway.faults.lock import InUseError
-from gateway.faults.memory import FaultMemory
+from gateway.faults.memory import OVERFLOW, FaultMemory
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
@@ -68,6 +68,19 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
             for record in store.load()
             if record.occurrence > 0
         ]
+    finally:
+        store.close()
+
+
+def overflowed(path: Path) -> bool:
+    """Tell whether an entry had to be given up, or could not be made, since the last clear of all.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    store = _reader(path)
+    try:
+        return bool(store.facts().get(OVERFLOW, 0))
     finally:
         store.close()
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import InputError
-from gateway.faults.dtc import Dtc
+from gateway.faults.dtc import Dtc, in_group
 
 
 @given(st.integers(0, 0xFFFFFF))
@@ -36,3 +36,22 @@ def test_known_codes(text, data):
 def test_wrong_text_says_the_rule(text):
     with pytest.raises(InputError, match="a letter P, C, B or U"):
         Dtc.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "groups"),
+    [
+        ("P0336-29", {0xFFFFFF, 0xFFFF33}),
+        ("C0001-00", {0xFFFFFF, 0xFFFF33, 0x400000}),
+        ("C3FFF-FF", {0xFFFFFF, 0xFFFF33, 0x400000}),
+        ("B3000-11", {0xFFFFFF, 0xFFFF33, 0x800000}),
+        ("U0100-87", {0xFFFFFF, 0xFFFF33, 0xC00000}),
+    ],
+)
+def test_groups(text, groups):
+    value = Dtc.parse(text).value
+    known = (0xFFFFFF, 0xFFFF33, 0x400000, 0x800000, 0xC00000, 0x000000, 0xFFFFFE)
+    assert {g for g in known if in_group(value, g, emission_related=True)} == groups
+    assert in_group(value, value, emission_related=False)
+    assert not in_group(value, 0xFFFF33, emission_related=False)
+    assert not in_group(value, value ^ 1, emission_related=True)

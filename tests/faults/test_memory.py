@@ -12,6 +12,8 @@ from gateway.engine.events import FDC_REACHED
 from gateway.faults import service
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
+from gateway.faults.recorder import Recorder, RecorderParams
+from gateway.faults.records import Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 from gateway.faults.status import Status
 from gateway.faults.store import Store
@@ -118,6 +120,19 @@ def test_the_order_of_failures_and_confirmations():
     assert ids("first_failed") == []
 
 
+def test_a_recording_of_a_fault_that_is_cleared_before_it_is_written_is_not_kept():
+    store = Store(None)
+    memory = FaultMemory(catalogue(confirm=(1, 1)), store)
+    fail(memory, 0)
+    fail(memory, 1)
+    memory.add_recordings([Recording(f"m.f{k}", 0, 1, 0, b"x") for k in range(2)])
+    memory.clear(memory.catalogue[0].dtc.value)
+    assert [recording.fault for recording in store.recordings()] == ["m.f1"]
+    memory.add_recordings([Recording("m.f0", 0, 1, 0, b"late")])
+    memory.commit()
+    assert [recording.fault for recording in store.recordings()] == ["m.f1"]
+
+
 # Displacement
 
 
@@ -128,12 +143,14 @@ def full(size, count, **settings):
 
 
 def test_a_full_memory_keeps_the_more_important():
-    memory = full(2, 4, priority=(50, 100, 200, 100))
+    memory = full(2, 4, priority=(50, 100, 200, 100), emission_related=(False,) * 4)
     fail(memory, 1)
     fail(memory, 2)
     fail(memory, 0)
     assert stored(memory) == ["m.f0", "m.f1"], "the least important gave way"
     assert memory.overflowed
+    memory.commit()
+    assert memory._store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"
     fail(memory, 3)
     assert stored(memory) == ["m.f0", "m.f1"], (
@@ -334,7 +351,7 @@ def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
 
 
 def test_near_misses_add_up_over_cycles_and_go_with_a_clear():
-    told = deque([(2, 90), (1, 100), (0, 40)])
+    told = deque([(2, 100), (1, 90), (0, 40)])
     memory = FaultMemory(
         catalogue(confirm=(1,)),
         Store(None),
@@ -417,3 +434,11 @@ def test_groups_of_dtcs():
     assert stored(memory) == ["m.f1"]
     memory.clear(0x000000)
     assert stored(memory) == ["m.f1"]
+
+
+def test_the_cooldown_ends_when_it_says():
+    recorder = Recorder(RecorderParams(after_ms=0.0, cooldown_s=2.0), ("b",))
+    for t_s in (0, 1, 2, 3, 4):
+        recorder.on_failure("m.f0", t_s * 10**9)
+    assert recorder.refused == 2
+    assert [r.t_ns for r in recorder.on_time(10**10)] == [0, 2 * 10**9, 4 * 10**9]

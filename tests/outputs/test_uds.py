@@ -10,7 +10,8 @@ from rig import FUNCTIONAL, MS, Rig, Tester, dtc_text, write_config
 from uds.translator import BASE_TRANSLATOR_2020
 
 from gateway.faults.dtc import Dtc
-from gateway.outputs.uds.security import hmac_sha256
+from gateway.outputs.uds.params import SecurityLevel
+from gateway.outputs.uds.security import Security, hmac_sha256
 from gateway.outputs.uds.services import SERVICES
 
 EXTRA = """
@@ -75,8 +76,8 @@ class Asked(Tester):
 def make(tmp_path):
     rigs = []
 
-    def build(messages=3, uds="", memory=None, **options):
-        path = write_config(tmp_path, messages, extra=EXTRA.format(uds=uds), **options)
+    def build(messages=3, uds="", memory=None, more="", **options):
+        path = write_config(tmp_path, messages, extra=EXTRA.format(uds=uds) + more, **options)
         rigs.append(Rig(path, memory))
         return rigs[-1], Asked(rigs[-1])
 
@@ -202,6 +203,30 @@ def test_communication_control(make):
     assert rig.status(0) == 0x2F
 
 
+def test_communication_off_silences_what_the_gateway_says_by_itself(make):
+    rig, ask = make(
+        faults={0: "spn = 100\nfmi = 1\n"},
+        more="[output.dtc_frame]\ncycle_ms = 100.0\n[output.j1939]\n",
+    )
+    ours = {0x7E8}
+    rig.wait(1500)
+    assert {can_id for can_id, _ in rig.sent} - ours == {0x6F0, 0x98EEFFF9, 0x98FECAF9}
+    assert ask("1003")
+    assert ask("280101") == "6801"
+    rig.sent.clear()
+    rig.fail(0)
+    rig.wait(1500)
+    assert ask("3e00") == "7e00"
+    assert {can_id for can_id, _ in rig.sent} == ours
+    assert rig.status(0) == 0x2F, "what is received still counts"
+    rig.wait(5100)
+    rig.sent.clear()
+    rig.wait(1500)
+    assert {can_id for can_id, _ in rig.sent} == {0x6F0, 0x98FECAF9}, (
+        "the end of the session ends it"
+    )
+
+
 def test_ecu_reset_starts_the_next_operation_cycle(make):
     rig, ask = make()
     rig.fail(0)
@@ -244,6 +269,13 @@ def test_security_access(make):
     assert ask("14ffffff") == "7f1433", "a change of session locks again"
     assert ask("1001")
     assert ask("14ffffff") == "7f147f", "clearing is of the extended session here"
+
+
+def test_a_seed_is_never_all_zero():
+    """Zeros would say that the level is unlocked already."""
+    drawn = iter([bytes(4), bytes(4), b"\x00\x00\x00\x01"])
+    security = Security([SecurityLevel(level=1, secret="00")], random=lambda n: next(drawn))
+    assert security.seed(1, 0) == b"\x00\x00\x00\x01"
 
 
 def test_a_key_function_of_the_user(tmp_path, monkeypatch):

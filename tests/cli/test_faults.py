@@ -1,0 +1,80 @@
+"""``gateway faults``: what the commands print and write."""
+
+import json
+
+import pytest
+from rig import Rig, write_config
+from typer.testing import CliRunner
+
+from gateway.bus.logs import read_log
+from gateway.cli import app
+
+RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"
+
+
+@pytest.fixture
+def run(tmp_path):
+    rig = Rig(
+        write_config(
+            tmp_path,
+            2,
+            extra=RECORDING,
+            faults={
+                0: 'freeze_frame = ["M0.Value"]\n',
+                1: "debounce = { failed_after = 10, passed_after = 1, jump_down = true }\n",
+            },
+        ),
+        tmp_path / "f.sqlite",
+    )
+    rig.value(0, 2.5)
+    rig.fail(0)
+    for _ in range(3):
+        rig.fail(1)
+    rig.heal(1)
+    rig.gateway.stop(rig.now)
+    rig.close()
+
+    def command(*arguments):
+        made = CliRunner().invoke(app, ["faults", *map(str, arguments)])
+        assert made.exit_code == 0, made.output
+        return made.output
+
+    return command
+
+
+def test_show(run, tmp_path):
+    text = run("show", "P1000-11", "--memory", tmp_path / "f.sqlite")
+    assert "M0.Value" in text
+    assert "2.5" in text
+    assert "recordings  1" in text
+    shown = json.loads(run("show", "P1000-11", "--memory", tmp_path / "f.sqlite", "--json"))
+    assert (shown["recordings"], shown["permanent"], shown["peak_fdc"]) == (1, False, 127)
+
+
+def test_near_misses(run, tmp_path):
+    text = run("near-misses", "--memory", tmp_path / "f.sqlite")
+    assert "b.M1.length" in text
+    found = json.loads(run("near-misses", "--memory", tmp_path / "f.sqlite", "--json"))
+    assert {entry["fault"]: entry["near_misses"] for entry in found} == {
+        "b.M0.length": 0,
+        "b.M1.length": 1,
+    }
+
+
+def test_recordings_are_logs_that_can_be_read(run, tmp_path):
+    out = tmp_path / "logs"
+    (entry,) = json.loads(
+        run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out, "--json")
+    )
+    frames = [frame for batch in read_log(out / "P1000-11-1.log") for frame in batch]
+    assert len(frames) == entry["frames"] > 2
+    assert "P1000-11-1.log" in run(
+        "recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out
+    )
+
+
+def test_export(run, tmp_path):
+    run("export", tmp_path / "rig.toml", "--out", tmp_path / "catalogue.json")
+    written = json.loads((tmp_path / "catalogue.json").read_text())
+    assert written == json.loads(run("export", tmp_path / "rig.toml"))
+    assert [fault["dtc"] for fault in written["faults"]] == ["P1000-11", "C1001-11"]
