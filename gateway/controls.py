@@ -111,5 +111,4 @@ class Controls:
         Raises:
             GatewayError: it is damaged, or cannot be written.
         """
-        self._memory.commit()
         self._store.compact()

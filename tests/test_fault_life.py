@@ -99,6 +99,42 @@ ends = { signal = "M2.Value", max = 1.0 }
     )
 
 
+DRIVING = """
+[cycle.driving]
+begins = { signal = "M2.Value", min = 10.0 }
+ends = { signal = "M2.Value", max = 1.0 }
+"""
+
+
+def test_a_fault_that_stays_is_found_again_in_each_cycle(make):
+    rig = make(extra=DRIVING, faults={0: 'cycle = "driving"\n'})
+    for _ in range(2):
+        rig.value(2, 20.0)
+        assert rig.status(0) & 0x02 == 0
+        rig.fail(0)
+        assert rig.status(0) & 0x02
+        rig.value(2, 0.5)
+    assert entry(rig, 0).occurrence == 1, "it never went away"
+
+
+def test_a_cycle_that_the_gateways_end_ended_begins_anew(make):
+    rig = make(extra=DRIVING)
+    rig.value(2, 20.0)
+    rig.gateway.stop(rig.now)
+    rig.gateway.start(rig.now)
+    rig.value(2, 20.0)
+    assert cycles(rig) == [("driving", "began"), ("driving", "began")]
+    assert rig.gateway.memory.cycle_number("driving") == 2
+
+
+def test_a_root_cause_that_is_cleared_holds_nothing_back(make):
+    rig = make(faults={1: 'caused_by = ["b.M0.length"]\n'})
+    rig.fail(0)
+    rig.gateway.controls.clear(rig.gateway.catalogue[0].dtc.value)
+    rig.fail(1)
+    assert rig.status(1) == 0x2F
+
+
 def test_time_debounce_of_the_configuration(make):
     rig = make(faults={0: "debounce = { failed_ms = 100.0, passed_ms = 200.0 }\n" + LIMIT})
     rig.value(0, 3.0)

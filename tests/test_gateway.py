@@ -315,6 +315,18 @@ def test_a_stalled_engine_is_neither_a_dead_ecu_nor_a_sensor_fault():
     gateway.close()
 
 
+def test_monitors_are_silent_when_a_tester_says_so():
+    _, config, player = build("crank_missed_tooth")
+    gateway = Gateway(config)
+    gateway.start(0)
+    assert len(gateway.feed(player.frames[:1000])) > 10
+    gateway.controls.set_communication(receive=True, send=False)
+    assert len(gateway.feed(player.frames[1000:2000])) == 0
+    gateway.controls.set_communication(receive=True, send=True)
+    assert len(gateway.feed(player.frames[2000:])) > 10
+    gateway.close()
+
+
 def test_an_empty_log_is_no_cycle():
     gateway = Gateway(load_config(shipped("gateway.toml")))
     assert replay(gateway, [empty(0)]) == 0

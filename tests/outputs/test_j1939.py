@@ -162,6 +162,15 @@ def test_the_all_clear_form_and_a_single_dtc(make):
     assert rig.of(0xFECA, rig.wait(1100))[-1] == bytes.fromhex("00FF5B000301FFFF")
 
 
+def test_occurrences_stop_at_126(make):
+    rig = make(faults={0: coded(91, 3)})
+    for _ in range(130):
+        rig.fail(0)
+        rig.heal(0)
+    rig.fail(0)
+    assert rig.of(0xFECA, rig.wait(1100))[-1] == bytes.fromhex("00FF5B00037EFFFF")
+
+
 def test_lamps(make):
     faults = {
         k: coded(100 + k, 1, f'indicator = true\nlamp = "{lamp}"\n')
@@ -328,6 +337,27 @@ def test_a_long_message_to_us_is_received(make):
     assert rig.of(0xFECE, answers)
 
 
+def test_a_packet_sent_twice_does_no_harm(make):
+    rig = make()
+    to_me = pgn_id(0xEC00, destination=ME, priority=7)
+    packet = pgn_id(0xEB00, destination=ME, priority=7)
+    body = (0xFECE).to_bytes(3, "little") + bytes(11)
+    rts = bytes([16, 14, 0, 2, 0xFF]) + (0xEA00).to_bytes(3, "little")
+    first = (packet, bytes([1]) + body[:7])
+    assert rig.feed((to_me, rts), first, first)[1:] == []
+    answers = rig.feed((packet, bytes([2]) + body[7:]))
+    assert answers[0][1][0] == 19
+    assert rig.of(0xFECE, answers)
+
+
+def test_a_message_that_still_waits_is_replaced_by_its_successor(make):
+    rig = previous(make)
+    rig.wait(600)
+    for _ in range(3):  # the first begins, the others wait
+        rig.request(0xFECB, destination=ALL)
+    assert len(rig.of(0xFECB, rig.wait(3000))) == 2
+
+
 def test_a_packet_out_of_order_aborts_and_silence_does_too(make):
     rig = make()
     to_me = pgn_id(0xEC00, destination=ME, priority=7)
@@ -372,6 +402,20 @@ def test_a_stronger_name_takes_the_address_and_a_weaker_one_does_not(make):
     ((can_id, _),) = rig.feed((pgn_id(0xEE00, ME), strong))
     assert can_id & 0xFF == 0xFE, "cannot claim: says so from the null address"
     assert rig.wait(3000) == [], "and is silent"
+
+
+def test_a_claim_of_another_address_is_not_ours_to_answer(make):
+    rig = make()
+    assert rig.feed((pgn_id(0xEE00, 0x21), bytes(8))) == []
+    assert {can_id & 0xFF for can_id, _ in rig.wait(1100)} == {ME}
+
+
+def test_nothing_is_answered_before_the_address_is_ours(make):
+    rig = make(claimed=False)
+    rig.wait(10)
+    assert rig.request(0xFECE) == []
+    rig.wait(300)
+    assert rig.of(0xFECE, rig.request(0xFECE))
 
 
 def test_any_address_will_do_if_it_may(make):

@@ -499,6 +499,16 @@ def test_responses_on_status_changes(make):
     assert ask("860102082708") == "7f8631", "only reading can be the answer"
 
 
+def test_responses_on_events_end_with_the_session(make):
+    rig, ask = make()
+    assert ask("1003")
+    assert ask("86010201190d").startswith("c601")
+    assert ask("860502") == "c6050002"
+    assert ask("1001")
+    assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
+    assert ask("860402") == "c60400"
+
+
 def test_the_window_of_responses_on_events(make):
     rig, ask = make()
     assert ask("86010301190d").startswith("c601")
@@ -584,7 +594,7 @@ def test_a_tester_that_falls_silent_blocks_the_server_for_a_second(make):
         rig.fail(k)
     rig.feed((0x7E0, bytes.fromhex("03190208")))
     assert rig.feed((0x7E0, bytes.fromhex("023e00"))) == [], "an answer is under way"
-    rig.wait(1010)
+    assert rig.wait(1010) == [], "and what was asked meanwhile is not answered later"
     assert ask("3e00") == "7e00"
 
 
