@@ -195,6 +195,18 @@ def test_the_freeze_frame_is_asked_for_once_on_the_way_up(build, tools, debounce
     assert [e[2] for e in seen.events if e[2] == QUALIFIED_FAILED] == [QUALIFIED_FAILED]
 
 
+def test_time_alone_reaches_for_the_freeze_frame_too(build, tools):
+    engine = gated(build, debounce=Debounce(failed_ms=100, passed_ms=100), trigger_fdc=64)
+    seen = tools.Collector()
+    engine.process(tools.batch(tools.alpha(0, 20)), seen)
+    engine.advance(10**9, seen)
+    found = [(e[0], e[2], e[4]) for e in seen.events if e[2] in (FDC_REACHED, QUALIFIED_FAILED)]
+    (asked, kind, fdc), (failed, _, _) = found
+    assert (kind, fdc) == (FDC_REACHED, 64)
+    assert 50 * 10**6 < asked < 51 * 10**6
+    assert failed == 100 * 10**6
+
+
 def test_near_misses_are_counted_from_half_the_way_up(build, tools):
     engine = gated(build, debounce=Debounce(10, 1, jump_down=True))
     t = 0
@@ -230,10 +242,36 @@ def test_signals_begin_and_end_operation_cycles(build, tools):
         (10, 0, CYCLE_ENDED),
         (10, 1, CYCLE_ENDED),
     ]
-    engine.process(tools.batch(tools.beta(20, 500)), seen)
+    # After an end the lowest value counts from then on: 22 above 0, though not above the end's 5.
+    engine.process(tools.batch(tools.beta(12, 5), tools.beta(13, 71)), seen)
+    assert [(e[0] // 10**6, e[2]) for e in seen.events if e[1] == 1][-1] == (13, CYCLE_BEGAN)
+    engine.process(tools.batch(tools.beta(14, 65), tools.beta(15, 500)), seen)
     engine.end_cycles()
-    engine.process(tools.batch(tools.beta(21, 500)), seen)
+    engine.process(tools.batch(tools.beta(20, 490)), seen)
+    assert [e[1] for e in seen.events if e[0] == 20 * 10**6 and e[2] == CYCLE_BEGAN] == [0], (
+        "the warm-up cycle needs a rise of its own after the start"
+    )
+    engine.process(tools.batch(tools.beta(21, 0), tools.beta(22, 500)), seen)
     assert [(e[0] // 10**6, e[1]) for e in seen.events if e[2] == CYCLE_BEGAN][-2:] == [
-        (20, 1),
-        (21, 0),
+        (22, 0),
+        (22, 1),
+    ]
+
+
+def test_cycles_whose_ends_are_in_other_messages_than_their_beginnings(build, tools):
+    alpha = SignalRef(0, "Alpha", "Value")
+    cycles = [
+        CycleWatch(Condition(BETA, 10, math.inf), Condition(alpha, -math.inf, 1)),
+        CycleWatch(Condition(alpha, 10, math.inf), Condition(BETA, -math.inf, 1)),
+    ]
+    engine = build(("m", 0, {}), cycles=cycles)
+    seen = tools.Collector()
+    rows = [tools.beta(0, 20), tools.alpha(1, 20), tools.beta(2, 0), tools.alpha(3, 0)]
+    engine.process(tools.batch(*rows), seen)
+    found = [(e[0] // 10**6, e[1], e[2]) for e in seen.events if e[2] in (CYCLE_BEGAN, CYCLE_ENDED)]
+    assert found == [
+        (0, 0, CYCLE_BEGAN),
+        (1, 1, CYCLE_BEGAN),
+        (2, 1, CYCLE_ENDED),
+        (3, 0, CYCLE_ENDED),
     ]
