@@ -22,7 +22,7 @@ from gateway.signals.tables import DecodePlan, SignalRef
 CONDITION = record(slot=i4, row=i4, low=f8, high=f8)
 
 #: Begins (``begins`` 1) or ends (0) operation cycle ``cycle`` when the slot is in the closed range and has
-#: risen by ``rise`` above its lowest value since the cycle's last change.
+#: risen by ``rise`` above its lowest value since it last did so.
 WATCH = record(cycle=i4, slot=i4, begins=u1, bus=u1, low=f8, high=f8, rise=f8, lowest=f8)
 
 

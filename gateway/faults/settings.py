@@ -88,7 +88,7 @@ class ConditionSettings(StrictModel):
         0.0,
         ge=0,
         allow_inf_nan=False,
-        description="and so much above its lowest value since the cycle's last change"
+        description="and so much above its lowest value since the cycle last began"
         " (operation cycles only), signal's unit",
     )
 

@@ -275,3 +275,14 @@ def test_cycles_whose_ends_are_in_other_messages_than_their_beginnings(build, to
         (2, 1, CYCLE_ENDED),
         (3, 0, CYCLE_ENDED),
     ]
+
+
+def test_a_rise_is_counted_anew_once_its_cycle_has_begun(build, tools):
+    alpha = SignalRef(0, "Alpha", "Value")
+    warm_up = CycleWatch(Condition(BETA, 70, math.inf, rise=22.0), Condition(alpha, -math.inf, 1))
+    engine = build(("m", 0, {}), cycles=[warm_up])
+    seen = tools.Collector()
+    rows = [tools.beta(0, 60), tools.beta(1, 82), tools.alpha(2, 0), tools.beta(3, 90)]
+    engine.process(tools.batch(*rows, tools.beta(4, 104)), seen)
+    found = [(e[0] // 10**6, e[2]) for e in seen.events if e[2] in (CYCLE_BEGAN, CYCLE_ENDED)]
+    assert found == [(1, CYCLE_BEGAN), (2, CYCLE_ENDED), (4, CYCLE_BEGAN)]
