@@ -162,7 +162,7 @@ class Gateway:
         return frozenset(found)
 
     def _process(self, frames: Frames) -> Frames:
-        if self.controls.receive:
+        if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
         return self.engine.advance(int(frames["t_ns"].max()), self._on_events)
 
@@ -337,6 +337,11 @@ class Gateway:
             seconds: how long the work took by the caller's clock.
         """
         counters = self.engine.counters()
+        for output in self._outputs:
+            for name, count in output.counters().items():
+                counters[name] = counters.get(name, 0) + count
+        if self._recorder is not None:
+            counters["recordings_refused"] = self._recorder.refused
         return {
             "event": "summary",
             "frames": counters["frames"],

@@ -42,6 +42,10 @@ class Output:
         """Let time pass; returns frames to send."""
         return empty(0)
 
+    def counters(self) -> dict[str, int]:
+        """Return what it counted, by name."""
+        return {}
+
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`on_time` has something to do next."""

@@ -267,6 +267,10 @@ class IsoTpServer(Output):
         """Time of the next timer of the transport or of the server."""
         return min(self._layer.due_ns, self._next_ns())
 
+    def counters(self) -> dict[str, int]:
+        """Return frames that break ISO-TP, and responses on events that found no room."""
+        return {"isotp_errors": self.errors, "responses_dropped": self.dropped}
+
     def _take_sent(self) -> Frames:
         frames = empty(len(self._sent))
         for k, message in enumerate(self._sent):

@@ -369,6 +369,7 @@ def test_a_packet_out_of_order_aborts_and_silence_does_too(make):
     rig.feed((to_me, rts))
     aborts = [d for can_id, d in rig.wait(1500) if can_id == pgn_id(0xEC00, ME, TOOL, 7)]
     assert [d[:2] for d in aborts] == [bytes([255, 3])]
+    assert rig.gateway.summary(1.0)["counters"]["j1939_aborted"] == 2
 
 
 def test_interleaved_broadcasts_of_many_senders_keep_their_bounds(make):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from rig import FUNCTIONAL, MS, Rig, Tester, dtc_text, write_config
 from uds.translator import BASE_TRANSLATOR_2020
 
+from gateway.bus.frames import empty
 from gateway.faults.dtc import Dtc
 from gateway.outputs.uds.params import SecurityLevel
 from gateway.outputs.uds.security import Security, hmac_sha256
@@ -137,6 +138,7 @@ def test_what_concerns_others_is_not_answered_to_a_functional_request(make):
     assert ask("1902", functional=FUNCTIONAL) == "7f1913"
     # A functional request is a single frame; a first frame gets no flow control.
     assert rig.feed((FUNCTIONAL, bytes.fromhex("100a190200000000"))) == []
+    assert rig.gateway.summary(1.0)["counters"]["isotp_errors"] == 1
 
 
 def test_the_suppress_bit_silences_the_good_answer_only(make):
@@ -198,6 +200,7 @@ def test_communication_control(make):
     rig.wait(3000)
     assert rig.status(0) == 0x50, "what is not received is no fault, and silence is none either"
     assert ask("28000f").startswith("7f2831"), "a reserved bit of the communication type"
+    assert len(rig.gateway.feed(empty(0))) == 0
     assert ask("280001") == "6800"
     rig.fail(0)
     assert rig.status(0) == 0x2F

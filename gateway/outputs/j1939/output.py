@@ -248,5 +248,9 @@ class J1939Output(Output):
                 waiting.append(when + _CHANGE_NS)
         return min(waiting)
 
+    def counters(self) -> dict[str, int]:
+        """Return transport sessions that came to nothing, and those there was no room for."""
+        return {"j1939_aborted": self.transport.aborted, "j1939_refused": self.transport.refused}
+
     def _frames(self, made: list[Pdu]) -> Frames:
         return to_frames(made, self._bus, self._now_ns)

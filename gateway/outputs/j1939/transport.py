@@ -13,7 +13,7 @@ from gateway.outputs.j1939.frame import GLOBAL, TP_CM, TP_DT, Pdu, pgn_bytes
 
 RTS, CTS, END_OF_MESSAGE, BAM, ABORT = 16, 17, 19, 32, 255
 #: Reasons of an abort.
-BUSY, RESOURCES, TIMEOUT, BAD_SEQUENCE = 1, 2, 3, 7
+RESOURCES, TIMEOUT, BAD_SEQUENCE = 2, 3, 7
 
 LONGEST = 1785
 #: Time between the packets of a broadcast; the standard allows 50 to 200 ms.
