@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
+from gateway.faults import freeze_frames
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
 from gateway.faults.dtc import ALL_DTCS, Dtc, in_group
 from gateway.faults.entries import DtcChange, Entry, entry_of
+from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, Cycles, Status
@@ -23,7 +25,6 @@ from gateway.faults.store import Store
 
 #: The occurrence counter stops here.
 MOST_OCCURRENCES = 255
-FIRST_FAILURE, LATEST_FAILURE = 1, 2
 
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
 SEQUENCE, OVERFLOW = "sequence", "overflow"
@@ -95,7 +96,7 @@ class FaultMemory:
             )
         self._cycles = store.cycles()
         self._facts = store.facts()
-        self._permanent = {entry.fault: entry for entry in store.permanent()}
+        self._permanent = PermanentDtcs(store.permanent())
         self.identifiers = store.identifiers()
         self._prestored: dict[str, FreezeFrame] = {}
         self._dirty: set[str] = set()
@@ -156,7 +157,7 @@ class FaultMemory:
                 )
                 _set(record, status, cycles)
                 self._dirty.add(record.id)
-                self._end_permanent(definition, status)
+                self._note_permanent(self._permanent.on_cycle_end(definition, status))
         self._note_cycle(name, Cycle(self._cycles[name].number, False, t_ns))
 
     def _note_cycle(self, name: str, cycle: Cycle) -> None:
@@ -233,15 +234,9 @@ class FaultMemory:
         wanted = {"pending": Status.PENDING_DTC, "confirmed": Status.CONFIRMED_DTC}
         if risen & wanted.get(str(at), Status.TEST_FAILED):
             prestored = self._prestored.pop(definition.id, None)
-            self._store_frame(
-                definition,
-                record,
-                prestored or FreezeFrame(0, t_ns, _finite(snapshot(definition).frame)),
-            )
-        lit = Status.WARNING_INDICATOR if definition.indicator else Status.CONFIRMED_DTC
-        if definition.permanent and status & lit and definition.id not in self._permanent:
-            self._permanent[definition.id] = Permanent(definition.id, record.dtc, t_ns)
-            self._pending.permanent = list(self._permanent.values())
+            frame = prestored or FreezeFrame(0, t_ns, _finite(snapshot(definition).frame))
+            freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
+        self._note_permanent(self._permanent.on_failed(definition, status, t_ns))
 
     def _note_failure(
         self, definition: FaultDefinition, record: Record, event: Any, snapshot: Snapshot
@@ -257,17 +252,6 @@ class FaultMemory:
         values = (event["value"], event["threshold"], *event["evidence"])
         record.evidence = _finite(dict(zip(names, values, strict=False)))
         record.inputs = _finite(snapshot(definition).inputs)
-
-    def _store_frame(self, definition: FaultDefinition, record: Record, frame: FreezeFrame) -> None:
-        """Keep a freeze frame: record 1 is the first, 2 the latest, 3 the one before it, and so on."""
-        frames = record.freeze_frames
-        if FIRST_FAILURE not in frames:
-            frames[FIRST_FAILURE] = FreezeFrame(FIRST_FAILURE, frame.t_ns, frame.content)
-            return
-        for number in range(definition.freeze_frames, LATEST_FAILURE - 1, -1):
-            source = frame if number == LATEST_FAILURE else frames.get(number - 1)
-            if source is not None:
-                frames[number] = FreezeFrame(number, source.t_ns, source.content)
 
     def _make_room(self, definition: FaultDefinition) -> bool:
         """Make room for one entry; False if all that is there is more important."""
@@ -297,16 +281,9 @@ class FaultMemory:
         record.__dict__.update(fresh.__dict__)
         self._dirty.add(record.id)
 
-    def _end_permanent(self, definition: FaultDefinition, status: Status) -> None:
-        """Give up a permanent DTC whose test has passed in a whole cycle and whose lamp is out."""
-        lit = Status.WARNING_INDICATOR if definition.indicator else Status.CONFIRMED_DTC
-        failed = Status.NOT_COMPLETED_THIS_CYCLE | Status.TEST_FAILED_THIS_CYCLE
-        if not status & (lit | failed):
-            self._give_up_permanent(definition.id)
-
-    def _give_up_permanent(self, fault: str) -> None:
-        if self._permanent.pop(fault, None) is not None:
-            self._pending.permanent = list(self._permanent.values())
+    def _note_permanent(self, changed: bool) -> None:
+        if changed:
+            self._pending.permanent = self._permanent.all()
 
     # Durability
 
@@ -388,7 +365,8 @@ class FaultMemory:
                 self._dirty.add(record.id)
                 cleared.append(record.id)
                 if len(self.catalogue) and self.catalogue.get(record.id) is None:
-                    self._give_up_permanent(record.id)  # no test is left that could pass
+                    # No test is left that could pass.
+                    self._note_permanent(self._permanent.give_up(record.id))
         self._pending.recordings = [r for r in self._pending.recordings if r.fault not in cleared]
         if group == ALL_DTCS and self._facts.get(OVERFLOW):
             self._set_fact(OVERFLOW, 0)
@@ -447,7 +425,7 @@ class FaultMemory:
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""
-        return list(self._permanent.values())
+        return self._permanent.all()
 
     def in_order(self, what: str) -> list[Entry]:
         """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
