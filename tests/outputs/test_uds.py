@@ -1,42 +1,13 @@
 """The UDS server, asked through can-isotp on the frames' own clock; every answer is read by py-uds too."""
 
-import struct
-from itertools import pairwise
-
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from rig import FUNCTIONAL, MS, Rig, Tester, dtc_text, write_config
-from uds.translator import BASE_TRANSLATOR_2020
+from rig import FUNCTIONAL, MS, Rig, write_config
+from uds_tester import EXTRA, Asked, hexed
 
 from gateway.bus.frames import empty
-from gateway.faults.dtc import Dtc
 from gateway.outputs.uds.params import SecurityLevel
 from gateway.outputs.uds.security import Security, hmac_sha256
 from gateway.outputs.uds.services import SERVICES
-
-EXTRA = """
-[output.uds]
-{uds}
-
-[[did]]
-id = 0xF190
-name = "vin"
-text = "1HGCM82633A004352"
-
-[[did]]
-id = 0x0123
-name = "volts"
-signal = "M0.Value"
-type = "u16"
-scale = 0.25
-
-[[did]]
-id = 0x0124
-name = "setting"
-hex = "0102"
-writable = true
-"""
 
 SECRET = "00112233"
 SECURE = f"""
@@ -44,47 +15,6 @@ clear = {{ sessions = ["extended"], security = 1 }}
 write = {{ sessions = ["extended"], security = 1 }}
 security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
 """
-
-
-def hexed(k):
-    return bytes(Dtc.parse(dtc_text(k))).hex()
-
-
-def read_by_others(answer):
-    """Read an answer as py-uds understands ISO 14229-1:2020; raises what it finds wrong."""
-    known = BASE_TRANSLATOR_2020.services_mapping
-    if answer[0] != 0x7F:
-        known[answer[0]].decode(answer)
-    elif answer[1] in known:
-        known[answer[1]].decode_negative_response(answer)
-
-
-class Asked(Tester):
-    """Answers as hex digits, each read by another decoder on the way."""
-
-    def __call__(self, request, **options):
-        answers = self.exchange(bytes.fromhex(request), **options)
-        for answer in answers:
-            if answer[0] not in (0x59,) or answer[1] not in (
-                0x04,
-                0x06,
-            ):  # their length needs our table
-                read_by_others(answer)
-        return " ".join(answer.hex() for answer in answers)
-
-
-@pytest.fixture
-def make(tmp_path):
-    rigs = []
-
-    def build(messages=3, uds="", memory=None, more="", **options):
-        path = write_config(tmp_path, messages, extra=EXTRA.format(uds=uds) + more, **options)
-        rigs.append(Rig(path, memory))
-        return rigs[-1], Asked(rigs[-1])
-
-    yield build
-    for rig in rigs:
-        rig.close()
 
 
 # The checks before a service, in the order of the standard
@@ -124,13 +54,13 @@ def make(tmp_path):
         ("14fffffe", "7f1431", "a group that we do not have"),
     ],
 )
-def test_refusals(make, request_, expected, why):
-    _, ask = make()
+def test_refusals(uds, request_, expected, why):
+    _, ask = uds()
     assert ask(request_) == expected, why
 
 
-def test_what_concerns_others_is_not_answered_to_a_functional_request(make):
-    rig, ask = make()
+def test_what_concerns_others_is_not_answered_to_a_functional_request(uds):
+    rig, ask = uds()
     for request in ("ba00", "1905", "22beef", "2801", "14123456", "1002"):
         assert ask(request, functional=FUNCTIONAL) == "", request
     assert ask("3e00", functional=FUNCTIONAL) == "7e00"
@@ -141,8 +71,8 @@ def test_what_concerns_others_is_not_answered_to_a_functional_request(make):
     assert rig.gateway.summary(1.0)["counters"]["isotp_errors"] == 1
 
 
-def test_the_suppress_bit_silences_the_good_answer_only(make):
-    _, ask = make()
+def test_the_suppress_bit_silences_the_good_answer_only(uds):
+    _, ask = uds()
     assert ask("3e80") == ""
     assert ask("1083") == ""
     assert ask("22f186") == "62f18603"
@@ -153,8 +83,8 @@ def test_the_suppress_bit_silences_the_good_answer_only(make):
 # Sessions
 
 
-def test_a_session_ends_after_s3_and_takes_everything_with_it(make):
-    rig, ask = make()
+def test_a_session_ends_after_s3_and_takes_everything_with_it(uds):
+    rig, ask = uds()
     assert ask("1003") == "5003003201f4"
     rig.wait(4900)
     assert ask("3e80") == ""
@@ -169,8 +99,8 @@ def test_a_session_ends_after_s3_and_takes_everything_with_it(make):
     assert rig.status(0) == 0x2F, "and are updated again"
 
 
-def test_dtc_setting_off_freezes_and_default_session_switches_it_on(make):
-    rig, ask = make()
+def test_dtc_setting_off_freezes_and_default_session_switches_it_on(uds):
+    rig, ask = uds()
     rig.feed((256, b"\x01"))
     before = rig.gateway.engine.fault_detection_counter(0)
     assert before == 63
@@ -189,8 +119,8 @@ def test_dtc_setting_off_freezes_and_default_session_switches_it_on(make):
     assert rig.status(1) == 0x2F
 
 
-def test_communication_control(make):
-    rig, ask = make(uds="", messages=2)
+def test_communication_control(uds):
+    rig, ask = uds(uds="", messages=2)
     assert ask("1003")
     for wrong in ("280000", "28000400", "280011", "280014"):
         assert ask(wrong).startswith("7f28"), wrong
@@ -206,8 +136,8 @@ def test_communication_control(make):
     assert rig.status(0) == 0x2F
 
 
-def test_communication_off_silences_what_the_gateway_says_by_itself(make):
-    rig, ask = make(
+def test_communication_off_silences_what_the_gateway_says_by_itself(uds):
+    rig, ask = uds(
         faults={0: "spn = 100\nfmi = 1\n"},
         more="[output.dtc_frame]\ncycle_ms = 100.0\n[output.j1939]\n",
     )
@@ -230,8 +160,8 @@ def test_communication_off_silences_what_the_gateway_says_by_itself(make):
     )
 
 
-def test_ecu_reset_starts_the_next_operation_cycle(make):
-    rig, ask = make()
+def test_ecu_reset_starts_the_next_operation_cycle(uds):
+    rig, ask = uds()
     rig.fail(0)
     assert ask("1003")
     number = rig.gateway.memory.cycle_number()
@@ -245,8 +175,8 @@ def test_ecu_reset_starts_the_next_operation_cycle(make):
 # Security
 
 
-def test_security_access(make):
-    rig, ask = make(uds=SECURE)
+def test_security_access(uds):
+    rig, ask = uds(uds=SECURE)
     assert ask("2701") == "7f277f"
     assert ask("1003")
     assert ask("2703") == "7f2712"
@@ -299,8 +229,8 @@ def test_a_key_function_of_the_user(tmp_path, monkeypatch):
 # Data
 
 
-def test_identifiers_are_served_live(make):
-    rig, ask = make()
+def test_identifiers_are_served_live(uds):
+    rig, ask = uds()
     assert ask("22f190") == "62f190" + b"1HGCM82633A004352".hex()
     assert ask("220123") == "620123ffff", "never received: not available"
     rig.value(0, 3.5)
@@ -308,20 +238,20 @@ def test_identifiers_are_served_live(make):
     assert ask("220123beef0124") == "620123000e01240102", "of several, those that there are"
 
 
-def test_writing_is_kept_over_a_restart(make, tmp_path):
-    rig, ask = make(memory=tmp_path / "m.sqlite")
+def test_writing_is_kept_over_a_restart(uds, tmp_path):
+    rig, ask = uds(memory=tmp_path / "m.sqlite")
     assert ask("1003")
     assert ask("2e01240a0b") == "6e0124"
     assert ask("2e01240a") == "7f2e13", "another length"
     assert ask("2ef19041") == "7f2e31", "not writable"
     assert ask("2ebeef41") == "7f2e31"
     rig.close()
-    _, ask = make(memory=tmp_path / "m.sqlite")
+    _, ask = uds(memory=tmp_path / "m.sqlite")
     assert ask("220124") == "6201240a0b"
 
 
-def test_routines(make, tmp_path):
-    rig, ask = make(memory=tmp_path / "m.sqlite")
+def test_routines(uds, tmp_path):
+    rig, ask = uds(memory=tmp_path / "m.sqlite")
     assert ask("1003")
     assert ask("31010203") == "7f3131"
     assert ask("31020201") == "7f3112"
@@ -337,8 +267,8 @@ def test_routines(make, tmp_path):
     assert rig.gateway.memory.cycle_number() == number + 1
 
 
-def test_the_shipped_default_lets_anyone_clear(make):
-    rig, ask = make()
+def test_the_shipped_default_lets_anyone_clear(uds):
+    rig, ask = uds()
     for k in range(3):
         rig.fail(k)
     assert ask("14" + hexed(1)) == "54"
@@ -347,178 +277,12 @@ def test_the_shipped_default_lets_anyone_clear(make):
     assert [rig.status(k) for k in range(3)] == [0x50, 0x50, 0x50]
 
 
-def test_a_clear_by_letter(make):
-    rig, ask = make(messages=5)
+def test_a_clear_by_letter(uds):
+    rig, ask = uds(messages=5)
     for k in range(5):
         rig.fail(k)
     assert ask("14400000") == "54"
     assert [rig.status(k) for k in range(5)] == [0x2F, 0x50, 0x2F, 0x2F, 0x2F]
-
-
-# 0x19
-
-
-FAULTS = {
-    0: 'severity = "immediately"\nfunctional_unit = 7\nfreeze_frame = ["M1.Value", "volts", "M0.Value"]\n',
-    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\n',
-    2: "emission_related = false\n",
-}
-
-
-def test_every_sub_function(make):
-    rig, ask = make(faults=FAULTS)
-    rig.value(0, 5.0)
-    rig.value(1, 4.0)
-    rig.fail(1)
-    rig.fail(0)
-    rig.feed((258, b"\x01"))  # one of the two that fault 2 needs
-    a, b, c = (hexed(k) for k in range(3))
-    assert ask("1901ff") == "5901ff000003"
-    assert ask("190108") == "5901ff000001"
-    assert ask("1902ff") == f"5902ff{a}2f{b}27{c}50"
-    assert ask("190204") == f"5902ff{a}2f{b}27"
-    assert ask("1903") == f"5903{a}01{b}01"
-    assert (
-        ask(f"1904{a}01")
-        == f"5904{a}2f" + "0102" + "4000" + struct.pack(">f", 4.0).hex() + "01230014"
-    )
-    assert ask(f"1904{a}ff") == ask(f"1904{a}01")
-    assert ask(f"1904{a}02") == f"5904{a}2f", "a record that is not there"
-    assert ask(f"1904{a}03") == "7f1931", "a record that cannot be"
-    assert ask(f"1904{a}00") == "7f1931"
-    assert ask("190412345601") == "7f1931", "an unknown DTC"
-    assert ask(f"1906{a}01") == f"5906{a}2f0101"
-    assert ask(f"1906{a}03") == f"5906{a}2f037f"
-    assert ask(f"1906{a}20")[12:14] == "20"
-    assert ask(f"1906{c}ff") == f"5906{c}50", "nothing is stored of it"
-    assert ask(f"1906{a}99") == "7f1931"
-    assert ask("1907e0ff") == "5907ff000002"
-    assert ask("190780ff") == "5907ff000001"
-    assert ask("190880ff") == f"5908ff8107{a}2f"
-    assert ask("190820ff") == f"5908ff2100{b}27"
-    assert ask(f"1909{a}") == f"5909ff8107{a}2f"
-    assert ask("1909123456") == "7f1931"
-    assert ask("190a") == f"590aff{a}2f{b}27{c}50"
-    assert ask("190b") == f"590bff{b}27"
-    assert ask("190c") == f"590cff{a}2f"
-    assert ask("190d") == f"590dff{a}2f"
-    assert ask("190e") == f"590eff{a}2f"
-    assert ask("1914") == f"5914{c}3f"
-    assert ask("1915") == "5915ff"
-    assert ask("194233ff80") == f"594233ffff0481{a}2f"
-    assert ask("1942ffffe0") == f"5942ffffff0481{a}2f21{b}27"
-    assert ask("194212ffe0") == "7f1931"
-    assert ask("195533") == "595533ff04"
-    rig.cycle(1)
-    assert rig.status(1) == 0xAF
-    assert ask("1915") == f"5915ff{b}af"
-    assert ask("195533") == f"595533ff04{b}af"
-    assert ask("190e") == f"590eff{b}af"
-    assert ask("14ffffff") == "54"
-    assert ask("1915") == f"5915ff{b}50", "permanent, though cleared"
-
-
-def test_extended_data_is_what_the_memory_knows(make):
-    rig, ask = make()
-    rig.fail(0)
-    rig.heal(0)
-    rig.fail(0)
-    first, last = rig.gateway.memory.entry("b.M0.length").first_ns, rig.now
-    answer = bytes.fromhex(ask(f"1906{hexed(0)}ff"))
-    assert answer[6:8] == b"\x01\x02"
-    at = answer.index(b"\x10" + struct.pack(">q", first))
-    assert answer[at + 9 : at + 18] == b"\x11" + struct.pack(">q", last)
-    (length,) = struct.unpack(">d", bytes.fromhex(ask(f"1906{hexed(0)}20"))[-8:])
-    assert length == 1.0, "the evidence: so many bytes came"
-
-
-def test_the_availability_mask_hides_bits_everywhere(make):
-    rig, ask = make(uds="status_mask = 0x09", messages=1)
-    rig.fail(0)
-    assert ask("1902ff") == f"590209{hexed(0)}09"
-    assert ask("190220") == "590209"
-    assert ask("1901f6") == "590109000000"
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(
-    steps=st.lists(st.tuples(st.integers(0, 4), st.sampled_from("fhc")), max_size=12),
-    masks=st.lists(st.integers(0, 255), min_size=1, max_size=6),
-)
-def test_status_masks_find_what_a_model_finds(shared, steps, masks):
-    rig, ask = shared
-    ask("14ffffff")
-    for k, what in steps:
-        {"f": rig.fail, "h": rig.heal, "c": lambda _: rig.cycle()}[what](k)
-    model = sorted((hexed(k), rig.status(k)) for k in range(5))
-    for mask in masks:
-        found = [(dtc, status) for dtc, status in model if status & mask]
-        listed = "".join(f"{dtc}{status:02x}" for dtc, status in found)
-        assert ask(f"1902{mask:02x}") == f"5902ff{listed}"
-        assert ask(f"1901{mask:02x}") == f"5901ff00{len(found):04x}"
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory):
-    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="")))
-    yield rig, Asked(rig)
-    rig.close()
-
-
-def test_more_than_fifty_dtcs_in_one_answer(make):
-    rig, ask = make(messages=120)
-    for k in range(120):
-        rig.fail(k)
-    answer = bytes.fromhex(ask("190208", patience=400))
-    assert len(answer) == 3 + 4 * 120
-    assert answer[3:] == b"".join(
-        sorted(bytes(Dtc.parse(dtc_text(k))) + b"\x2f" for k in range(120))
-    )
-
-
-# 0x86
-
-
-def test_responses_on_status_changes(make):
-    rig, ask = make()
-    assert ask("860502") == "7f8624", "nothing is set up"
-    assert ask("86010208190208").startswith("c60100"), "when bit 3 changes: 19 02 08"
-    assert ask("860402") == "c60400", "set up, not started"
-    rig.fail(0)
-    assert ask("3e00") == "7e00"
-    assert ask("860502") == "c6050002"
-    assert ask("860402") == "c604010102081902 08".replace(" ", "")
-    ask.hear(rig.fail(1))
-    told = "5902ff" + "".join(sorted(hexed(k) + "2f" for k in (0, 1)))
-    assert [answer.hex() for answer in ask.listen()] == [told], "the answer comes by itself"
-    assert ask("3e00") == "7e00"
-    assert ask("860002") == "c6000002"
-    assert [data for can_id, data in rig.fail(2) if can_id == 0x7E8] == []
-    assert ask("860602") == "c6060002"
-    assert ask("860502") == "7f8624"
-    assert ask("864502") == "7f8612", "storing over a restart is not offered"
-    assert ask("860102082708") == "7f8631", "only reading can be the answer"
-
-
-def test_responses_on_events_end_with_the_session(make):
-    rig, ask = make()
-    assert ask("1003")
-    assert ask("86010201190d").startswith("c601")
-    assert ask("860502") == "c6050002"
-    assert ask("1001")
-    assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
-    assert ask("860402") == "c60400"
-
-
-def test_the_window_of_responses_on_events(make):
-    rig, ask = make()
-    assert ask("86010301190d").startswith("c601")
-    assert ask("860503") == "c6050003"
-    assert any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
-    rig.wait(30_001, step=1000)
-    assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(1)), "three times 10 s are over"
 
 
 # The whole
@@ -532,84 +296,14 @@ def test_each_service_is_named_by_its_file():
         assert words == service.name.lower()
 
 
-def test_p2_is_told_as_configured(make):
-    _, ask = make(uds="p2_ms = 25\np2_star_ms = 2000")
+def test_p2_is_told_as_configured(uds):
+    _, ask = uds(uds="p2_ms = 25\np2_star_ms = 2000")
     assert ask("1001") == "5001001900c8"
 
 
-def test_answers_leave_at_the_time_of_the_request(make):
+def test_answers_leave_at_the_time_of_the_request(uds):
     """No timer, no sleep: the answer is among the frames returned for the request's own frame."""
-    rig, _ = make()
+    rig, _ = uds()
     (frame,) = rig.feed((0x7E0, bytes.fromhex("023e000000000000")))
     assert frame == (0x7E8, bytes.fromhex("027e00cccccccccc"))
     assert rig.now == MS
-
-
-# Transport
-
-
-def test_can_fd_carries_an_answer_in_frames_of_64_bytes(make):
-    rig, _ = make(messages=40, uds="fd = true")
-    for k in range(40):
-        rig.fail(k)
-    tester = Tester(rig, can_fd=True, tx_data_length=64)
-    answer = tester.ask("190208")
-    assert len(answer) == 3 + 4 * 40
-    lengths = [len(data) for can_id, data in rig.sent if can_id == 0x7E8]
-    assert lengths == [64, 64, 48], (
-        "first frame, one whole, the rest padded to a length that there is"
-    )
-    rig.sent.clear()
-    assert tester.ask("22f190") == bytes.fromhex("62f190") + b"1HGCM82633A004352"
-    ((_, data),) = [frame for frame in rig.sent if frame[0] == 0x7E8]
-    assert data[:2] == bytes([0, 20]), "above 7 bytes a single frame has the escape form"
-
-
-def test_a_classic_tester_is_answered_in_classic_frames(make):
-    rig, ask = make()
-    assert ask("22f190") == "62f190" + b"1HGCM82633A004352".hex()
-    assert all(len(data) == 8 for can_id, data in rig.sent if can_id == 0x7E8)
-
-
-def test_the_testers_separation_time_and_block_size_are_kept(make):
-    rig, _ = make(messages=20)
-    for k in range(20):
-        rig.fail(k)
-    rig.sent.clear()
-    (first,) = rig.feed((0x7E0, bytes.fromhex("03190208")))
-    assert first[1][:2] == bytes.fromhex("1053")
-    assert rig.wait(100) == [], "nothing more before flow control"
-    sent = rig.feed((0x7E0, bytes.fromhex("300305")))  # 3 frames, 5 ms apart
-    times = []
-    for _ in range(40):
-        times += [(rig.now, data[0]) for _, data in rig.wait(1, step=1)]
-    assert [number for _, number in times] == [0x21, 0x22, 0x23]
-    assert sent == []
-    assert all(b - a >= 5 * MS for (a, _), (b, _) in pairwise(times))
-    assert rig.feed((0x7E0, bytes.fromhex("310000"))) == [], "wait"
-    rest = rig.feed((0x7E0, bytes.fromhex("300000")))
-    assert [data[0] for _, data in rest] == list(range(0x24, 0x2C))
-
-
-def test_a_tester_that_falls_silent_blocks_the_server_for_a_second(make):
-    rig, ask = make(messages=20)
-    for k in range(20):
-        rig.fail(k)
-    rig.feed((0x7E0, bytes.fromhex("03190208")))
-    assert rig.feed((0x7E0, bytes.fromhex("023e00"))) == [], "an answer is under way"
-    assert rig.wait(1010) == [], "and what was asked meanwhile is not answered later"
-    assert ask("3e00") == "7e00"
-
-
-def test_a_long_request_is_put_together(make):
-    rig, ask = make()
-    assert ask("22" + "f190" * 5).count(b"1HGCM".hex()) == 5
-    # A gap in its frames ends it; the next request is served.
-    (flow,) = rig.feed((0x7E0, bytes.fromhex("100b22f190f190f1")))
-    assert flow[1][0] == 0x30
-    assert rig.feed((0x7E0, bytes.fromhex("22f190f190f190"))) == []
-    assert ask("3e00") == "7e00"
-    rig.feed((0x7E0, bytes.fromhex("100b22f190f190f1")))
-    rig.wait(1100)
-    assert rig.feed((0x7E0, bytes.fromhex("21f190f190f190"))) == [], "too late"
-    assert ask("3e00") == "7e00"

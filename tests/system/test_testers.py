@@ -22,6 +22,7 @@ from testers import (
     open_can,
     quiet_environment,
 )
+from uds_tester import DIDS
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
 from udsoncan.services import RoutineControl
@@ -32,7 +33,7 @@ from gateway.resources import shipped
 pytestmark = pytest.mark.system
 
 COUNT = 60
-EXTRA = """
+SERVERS = """
 [output.dtc_frame]
 cycle_ms = 300.0
 
@@ -46,24 +47,6 @@ pid = [{ id = 0x0C, signal = "M0.Value" }]
 
 [output.j1939]
 address = 0x10
-
-[[did]]
-id = 0xF190
-name = "vin"
-text = "1HGCM82633A004352"
-
-[[did]]
-id = 0x0123
-name = "volts"
-signal = "M0.Value"
-type = "u16"
-scale = 0.5
-
-[[did]]
-id = 0x0124
-name = "setting"
-hex = "0102"
-writable = true
 """
 FAULTS = {
     k: f'spn = {100 + k}\nfmi = 3\nseverity = "immediately"\nfreeze_frame = ["volts", "M1.Value"]\nindicator = true\n'
@@ -113,7 +96,7 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("testers")
-    config = write_config(folder, COUNT, extra=EXTRA, faults=FAULTS)
+    config = write_config(folder, COUNT, extra=SERVERS + DIDS, faults=FAULTS)
     with ExitStack() as stack:
         uri = stack.enter_context(bus(folder))
         daemon = stack.enter_context(
@@ -170,7 +153,7 @@ def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, clie
     }
     (dtc,) = client.get_dtc_snapshot_by_dtc_number(code(0), 0xFF).service_data.dtcs
     first = dtc.snapshots[0]
-    assert (first.record_number, first.did, first.data) == (1, 0x0123, (25,))
+    assert (first.record_number, first.did, first.data) == (1, 0x0123, (50,))
     (dtc,) = client.get_dtc_extended_data_by_dtc_number(code(0), 1).service_data.dtcs
     assert [(e.record_number, e.raw_data) for e in dtc.extended_data] == [(1, b"\x01")]
     (dtc,) = client.get_dtc_extended_data_by_dtc_number(

@@ -1,0 +1,176 @@
+"""0x19 and 0x86: what a tester reads of the fault memory, and what it is told by itself."""
+
+import struct
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rig import Rig, dtc_text, write_config
+from uds_tester import EXTRA, Asked, hexed
+
+from gateway.faults.dtc import Dtc
+
+# 0x19
+
+
+FAULTS = {
+    0: 'severity = "immediately"\nfunctional_unit = 7\nfreeze_frame = ["M1.Value", "volts", "M0.Value"]\n',
+    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\n',
+    2: "emission_related = false\n",
+}
+
+
+def test_every_sub_function(uds):
+    rig, ask = uds(faults=FAULTS)
+    rig.value(0, 5.0)
+    rig.value(1, 4.0)
+    rig.fail(1)
+    rig.fail(0)
+    rig.feed((258, b"\x01"))  # one of the two that fault 2 needs
+    a, b, c = (hexed(k) for k in range(3))
+    assert ask("1901ff") == "5901ff000003"
+    assert ask("190108") == "5901ff000001"
+    assert ask("1902ff") == f"5902ff{a}2f{b}27{c}50"
+    assert ask("190204") == f"5902ff{a}2f{b}27"
+    assert ask("1903") == f"5903{a}01{b}01"
+    assert (
+        ask(f"1904{a}01")
+        == f"5904{a}2f" + "0102" + "4000" + struct.pack(">f", 4.0).hex() + "01230014"
+    )
+    assert ask(f"1904{a}ff") == ask(f"1904{a}01")
+    assert ask(f"1904{a}02") == f"5904{a}2f", "a record that is not there"
+    assert ask(f"1904{a}03") == "7f1931", "a record that cannot be"
+    assert ask(f"1904{a}00") == "7f1931"
+    assert ask("190412345601") == "7f1931", "an unknown DTC"
+    assert ask(f"1906{a}01") == f"5906{a}2f0101"
+    assert ask(f"1906{a}03") == f"5906{a}2f037f"
+    assert ask(f"1906{a}20")[12:14] == "20"
+    assert ask(f"1906{c}ff") == f"5906{c}50", "nothing is stored of it"
+    assert ask(f"1906{a}99") == "7f1931"
+    assert ask("1907e0ff") == "5907ff000002"
+    assert ask("190780ff") == "5907ff000001"
+    assert ask("190880ff") == f"5908ff8107{a}2f"
+    assert ask("190820ff") == f"5908ff2100{b}27"
+    assert ask(f"1909{a}") == f"5909ff8107{a}2f"
+    assert ask("1909123456") == "7f1931"
+    assert ask("190a") == f"590aff{a}2f{b}27{c}50"
+    assert ask("190b") == f"590bff{b}27"
+    assert ask("190c") == f"590cff{a}2f"
+    assert ask("190d") == f"590dff{a}2f"
+    assert ask("190e") == f"590eff{a}2f"
+    assert ask("1914") == f"5914{c}3f"
+    assert ask("1915") == "5915ff"
+    assert ask("194233ff80") == f"594233ffff0481{a}2f"
+    assert ask("1942ffffe0") == f"5942ffffff0481{a}2f21{b}27"
+    assert ask("194212ffe0") == "7f1931"
+    assert ask("195533") == "595533ff04"
+    rig.cycle(1)
+    assert rig.status(1) == 0xAF
+    assert ask("1915") == f"5915ff{b}af"
+    assert ask("195533") == f"595533ff04{b}af"
+    assert ask("190e") == f"590eff{b}af"
+    assert ask("14ffffff") == "54"
+    assert ask("1915") == f"5915ff{b}50", "permanent, though cleared"
+
+
+def test_extended_data_is_what_the_memory_knows(uds):
+    rig, ask = uds()
+    rig.fail(0)
+    rig.heal(0)
+    rig.fail(0)
+    first, last = rig.gateway.memory.entry("b.M0.length").first_ns, rig.now
+    answer = bytes.fromhex(ask(f"1906{hexed(0)}ff"))
+    assert answer[6:8] == b"\x01\x02"
+    at = answer.index(b"\x10" + struct.pack(">q", first))
+    assert answer[at + 9 : at + 18] == b"\x11" + struct.pack(">q", last)
+    (length,) = struct.unpack(">d", bytes.fromhex(ask(f"1906{hexed(0)}20"))[-8:])
+    assert length == 1.0, "the evidence: so many bytes came"
+
+
+def test_the_availability_mask_hides_bits_everywhere(uds):
+    rig, ask = uds(uds="status_mask = 0x09", messages=1)
+    rig.fail(0)
+    assert ask("1902ff") == f"590209{hexed(0)}09"
+    assert ask("190220") == "590209"
+    assert ask("1901f6") == "590109000000"
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    steps=st.lists(st.tuples(st.integers(0, 4), st.sampled_from("fhc")), max_size=12),
+    masks=st.lists(st.integers(0, 255), min_size=1, max_size=6),
+)
+def test_status_masks_find_what_a_model_finds(shared, steps, masks):
+    rig, ask = shared
+    ask("14ffffff")
+    for k, what in steps:
+        {"f": rig.fail, "h": rig.heal, "c": lambda _: rig.cycle()}[what](k)
+    model = sorted((hexed(k), rig.status(k)) for k in range(5))
+    for mask in masks:
+        found = [(dtc, status) for dtc, status in model if status & mask]
+        listed = "".join(f"{dtc}{status:02x}" for dtc, status in found)
+        assert ask(f"1902{mask:02x}") == f"5902ff{listed}"
+        assert ask(f"1901{mask:02x}") == f"5901ff00{len(found):04x}"
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="")))
+    yield rig, Asked(rig)
+    rig.close()
+
+
+def test_more_than_fifty_dtcs_in_one_answer(uds):
+    rig, ask = uds(messages=120)
+    for k in range(120):
+        rig.fail(k)
+    answer = bytes.fromhex(ask("190208", patience=400))
+    assert len(answer) == 3 + 4 * 120
+    assert answer[3:] == b"".join(
+        sorted(bytes(Dtc.parse(dtc_text(k))) + b"\x2f" for k in range(120))
+    )
+
+
+# 0x86
+
+
+def test_responses_on_status_changes(uds):
+    rig, ask = uds()
+    assert ask("860502") == "7f8624", "nothing is set up"
+    assert ask("86010208190208").startswith("c60100"), "when bit 3 changes: 19 02 08"
+    assert ask("860402") == "c60400", "set up, not started"
+    rig.fail(0)
+    assert ask("3e00") == "7e00"
+    assert ask("860502") == "c6050002"
+    assert ask("860402") == "c604010102081902 08".replace(" ", "")
+    ask.hear(rig.fail(1))
+    told = "5902ff" + "".join(sorted(hexed(k) + "2f" for k in (0, 1)))
+    assert [answer.hex() for answer in ask.listen()] == [told], "the answer comes by itself"
+    assert ask("3e00") == "7e00"
+    assert ask("860002") == "c6000002"
+    assert [data for can_id, data in rig.fail(2) if can_id == 0x7E8] == []
+    assert ask("860602") == "c6060002"
+    assert ask("860502") == "7f8624"
+    assert ask("864502") == "7f8612", "storing over a restart is not offered"
+    assert ask("860102082708") == "7f8631", "only reading can be the answer"
+
+
+def test_responses_on_events_end_with_the_session(uds):
+    rig, ask = uds()
+    assert ask("1003")
+    assert ask("86010201190d").startswith("c601")
+    assert ask("860502") == "c6050002"
+    assert ask("1001")
+    assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
+    assert ask("860402") == "c60400"
+
+
+def test_the_window_of_responses_on_events(uds):
+    rig, ask = uds()
+    assert ask("86010301190d").startswith("c601")
+    assert ask("860503") == "c6050003"
+    assert any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
+    rig.wait(30_001, step=1000)
+    assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(1)), "three times 10 s are over"
