@@ -267,6 +267,15 @@ def test_routines(uds, tmp_path):
     assert rig.gateway.memory.cycle_number() == number + 1
 
 
+def test_a_request_before_a_late_answer_loses_neither(uds):
+    rig, ask = uds()
+    assert ask("1003")
+    (pending,) = rig.feed((0x7E0, bytes.fromhex("0431010202")))
+    assert pending[1][:4] == bytes.fromhex("037f3178")
+    both = rig.feed((0x7E0, bytes.fromhex("023e00")))
+    assert [data[: data[0] + 1].hex() for _, data in both] == ["057101020200", "027e00"]
+
+
 def test_the_shipped_default_lets_anyone_clear(uds):
     rig, ask = uds()
     for k in range(3):

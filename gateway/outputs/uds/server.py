@@ -39,12 +39,12 @@ class UdsServer:
             functional: whether it was meant for every server.
             t_ns: now.
         """
+        # What is still to come of the last request comes before the answer to this one.
+        return self.pass_time(t_ns) + self._answer(request, functional, t_ns)
+
+    def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         c = self._context
-        self.pass_time(t_ns)
-        c.now_ns = t_ns
-        self._last_request_ns = t_ns
-        if self._later is not None:  # one at a time (ISO 14229-2, server is busy)
-            return []
+        c.now_ns = self._last_request_ns = t_ns
         sid = request[0]
         service = SERVICES.get(sid)
         try:
