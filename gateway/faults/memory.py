@@ -431,8 +431,3 @@ class FaultMemory:
         """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
         known = [r for r in self._records.values() if getattr(r, what) is not None]
         return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]
-
-    @property
-    def overflowed(self) -> bool:
-        """Whether an entry had to be given up, or could not be made, since the last clear of all."""
-        return bool(self._facts.get(OVERFLOW, 0))

@@ -148,7 +148,6 @@ def test_a_full_memory_keeps_the_more_important():
     fail(memory, 2)
     fail(memory, 0)
     assert stored(memory) == ["m.f0", "m.f1"], "the least important gave way"
-    assert memory.overflowed
     memory.commit()
     assert memory._store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"

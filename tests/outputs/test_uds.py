@@ -276,6 +276,24 @@ def test_a_request_before_a_late_answer_loses_neither(uds):
     assert [data[: data[0] + 1].hex() for _, data in both] == ["057101020200", "027e00"]
 
 
+def test_an_answer_that_does_not_fit_is_refused(uds):
+    _, ask = uds()
+    assert len(ask("22" + "f190" * 215, patience=200)) == 2 * (1 + 215 * 19), "4086 bytes"
+    assert ask("22" + "f190" * 216, patience=200) == "7f2214", "4105 bytes"
+
+
+def test_the_session_is_counted_from_the_late_answer(uds):
+    rig, ask = uds()
+    assert ask("1003")
+    rig.feed((0x7E0, bytes.fromhex("0431010202")))
+    ask.hear(rig.wait(4900, step=4900))
+    assert [answer.hex() for answer in ask.listen()] == ["7101020200"]
+    rig.wait(4900)
+    assert ask("22f186") == "62f18603"
+    rig.wait(5100)
+    assert ask("22f186") == "62f18601"
+
+
 def test_the_shipped_default_lets_anyone_clear(uds):
     rig, ask = uds()
     for k in range(3):

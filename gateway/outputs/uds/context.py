@@ -25,7 +25,6 @@ class EventLogic:
     window: int = 0x02
     started: bool = False
     until_ns: int | None = None
-    answered: int = 0
 
 
 @dataclass
@@ -39,7 +38,6 @@ class Context:
     security: Security
     now_ns: int = 0
     session: int = DEFAULT
-    dtcs_on: bool = True
     events: EventLogic = field(default_factory=EventLogic)
     routines_done: dict[int, bytes] = field(default_factory=dict)
 
@@ -48,7 +46,6 @@ class Context:
         self.security.lock()
         self.session = session
         if session == DEFAULT:
-            self.dtcs_on = True
             self.control.set_dtcs(True)
             self.control.set_communication(receive=True, send=True)
             self.events.started = False

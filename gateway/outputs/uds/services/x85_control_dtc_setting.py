@@ -13,8 +13,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     number, option = request[1] & 0x7F, request[2:]
     refuse_unless(len(option) in (0, 3), Nrc.INCORRECT_LENGTH)
     refuse_unless(option in (b"", ALL_DTCS.to_bytes(3, "big")), Nrc.REQUEST_OUT_OF_RANGE)
-    c.dtcs_on = number == ON
-    c.control.set_dtcs(c.dtcs_on)
+    c.control.set_dtcs(number == ON)
     return bytes([number])
 
 

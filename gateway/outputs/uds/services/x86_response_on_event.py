@@ -38,7 +38,6 @@ def _handle(c: Context, request: bytes) -> bytes:
     else:
         refuse_unless(events.set_up is not None, Nrc.REQUEST_SEQUENCE_ERROR)
         events.started = number == START
-        events.answered = 0
         infinite = events.window == INFINITE
         events.until_ns = None if infinite else c.now_ns + events.window * UNIT_NS
     return bytes([number, 0, window])
@@ -55,7 +54,6 @@ def responses_to(c: Context, changes: Sequence[DtcChange]) -> Iterator[bytes]:
     mask, service = events.set_up
     for change in changes:
         if (change.old_status ^ change.new_status) & mask:
-            events.answered = min(events.answered + 1, 255)
             yield service
 
 
