@@ -22,8 +22,8 @@ from filterpy.kalman import KalmanFilter
 
 from gateway.app import Gateway
 from gateway.bus.base import Statistics
+from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import empty, to_message
-from gateway.bus.socketcan import RawReceiver, pack
 from gateway.config import load_config
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.fdi.wheel import Wheel
@@ -106,7 +106,7 @@ def live_path(frames, batch):
     theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
     ours.setblocking(False)
     gateway = Gateway(load_config(shipped("gateway.toml")))
-    receiver = RawReceiver(ours, 0, Statistics())
+    receiver = RawReceiver(ours, Statistics())
     out = empty(batch + 1)
     datagrams = [pack(frame) for frame in frames]
     gateway.start(0)
@@ -116,7 +116,7 @@ def live_path(frames, batch):
         for datagram in part:
             theirs.send(datagram)
         begun = time.perf_counter()
-        count = receiver.receive(out)
+        count = receiver.receive(out, 0)
         gateway.feed(out[:count])
         seconds += time.perf_counter() - begun
         assert count == len(part)

@@ -6,16 +6,18 @@ tests all drive this same class.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import structlog
 
 from gateway.assemble import Parts, assemble, identifiers_of, outputs_of
-from gateway.bus.frames import Frames, empty
+from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.config import Config
 from gateway.controls import Controls
+from gateway.engine.adopt import adopt
 from gateway.engine.events import (
     CYCLE_BEGAN,
     CYCLE_ENDED,
@@ -23,7 +25,7 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     Events,
 )
-from gateway.errors import InputError, InputErrors
+from gateway.errors import GatewayError, InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory, Observed
@@ -41,6 +43,8 @@ Listener = Callable[[dict[str, Any]], None]
 
 #: Frames of a batch that is looked at one by one.
 FEW = 16
+log = structlog.get_logger(__name__)
+
 _NOBODY = np.void(b"")
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
@@ -52,24 +56,26 @@ class Gateway:
         config: the configuration.
         memory_path: SQLite file of the fault memory; None keeps it in this process only.
         file: where the configuration came from, for errors.
+        parts: of this configuration, when they are there already (see :func:`prepare`).
+        store: an open fault memory to go on with, instead of ``memory_path``.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
 
     def __init__(
-        self, config: Config, memory_path: Path | None = None, *, file: Path | None = None
+        self,
+        config: Config,
+        memory_path: Path | None = None,
+        *,
+        file: Path | None = None,
+        parts: Parts | None = None,
+        store: Store | None = None,
     ) -> None:
         self.config = config
-        try:
-            self._parts: Parts = assemble(config)
-        except InputError as error:
-            raise error.within(file) from error
-        except InputErrors as errors:
-            raise InputErrors([error.within(file) for error in errors.errors]) from errors
+        self._parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
-        self.engine.warm()
-        self.store = Store(memory_path)
+        self.store = Store(memory_path) if store is None else store
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
         self._recorder = None if recording is None else Recorder(recording, names)
@@ -91,10 +97,36 @@ class Gateway:
         self._due = [output.next_ns for output in self._outputs]
         self._next_due = min(self._due, default=NEVER)
         self._heard = self._identifiers_of_outputs()
+        self._emitted = self.engine.emitted
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []
         self._uncommitted = False
         self.event_count = 0
+
+    def succeed(self, old: Gateway) -> None:
+        """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.
+
+        What both have in common (signals, counters, monitors with the same parameters) keeps its state; testers find
+        the default session. The other gateway must not be used any more.
+
+        Args:
+            old: whose store this one was made with.
+        """
+        if old._recorder is not None and self._recorder is not None:
+            old.memory.add_recordings(old._recorder.on_time(old.engine.now_ns, final=True))
+            old.memory.commit()
+        indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
+        buses = {
+            k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
+        }
+        adopt(self.engine, old.engine, buses, self._cycles_from(old))
+        self.controls.go_on()
+        self._listeners = old._listeners
+        self.event_count = old.event_count
+
+    def _cycles_from(self, old: Gateway) -> dict[int, int]:
+        names = {name: k for k, name in enumerate(self._parts.cycles)}
+        return {k: names[name] for k, name in enumerate(old._parts.cycles) if name in names}
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
@@ -120,6 +152,8 @@ class Gateway:
 
         What the returned frames say is in the fault memory before they are returned.
         """
+        if self._emitted:
+            frames = self._without_echo(frames)
         if self._recorder is not None:
             self._recorder.on_frames(frames)
         sent: list[Frames] = []
@@ -131,6 +165,14 @@ class Gateway:
                 self._set_due(k)
                 sent.append(self._allowed(output, made))
         return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
+
+    def _without_echo(self, frames: Frames) -> Frames:
+        """Return the frames without those that our monitors have sent: the engine had them when it made them."""
+        own = frames["flags"] & OWN != 0
+        if not own.any():
+            return frames
+        kept: Frames = frames[~(own & np.isin(frames["can_id"], self._emitted))]
+        return kept
 
     def _pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch behind each frame that is for an output, which sees the memory as it is then."""
@@ -202,6 +244,13 @@ class Gateway:
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self.controls.forget(self.memory.serve_requests())
+
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Keep how the buses do where other processes can see it; the fault memory's file has it."""
+        try:
+            self.store.save_buses(states)
+        except GatewayError as error:
+            log.warning("state of the buses not written", error=str(error))
 
     def _on_events(self, events: Events) -> None:
         self.event_count += len(events)
@@ -278,7 +327,11 @@ class Gateway:
 
     def _allowed(self, output: Output, frames: Frames) -> Frames:
         """Return frames, unless a tester has switched normal communication off."""
-        return frames if self.controls.send or not output.normal else empty(0)
+        if not self.controls.send and output.normal:
+            return empty(0)
+        if output.urgent:
+            frames["rank"] = URGENT
+        return frames
 
     def _observe(self, definition: FaultDefinition) -> Observed:
         slots = self._parts.slots
@@ -342,6 +395,10 @@ class Gateway:
                 counters[name] = counters.get(name, 0) + count
         if self._recorder is not None:
             counters["recordings_refused"] = self._recorder.refused
+        buses = {
+            bus.name: {name: n for name, n in self.engine.error_counters(k).items() if n}
+            for k, bus in enumerate(self.config.bus)
+        }
         return {
             "event": "summary",
             "frames": counters["frames"],
@@ -350,9 +407,26 @@ class Gateway:
             "seconds": seconds,
             "frames_per_s": counters["frames"] / seconds if seconds > 0 else 0.0,
             "counters": counters,
+            "buses": buses,
             "monitors": self.engine.readout(),
             "dtcs": [str(entry.dtc) for entry in self.memory.entries()],
         }
+
+
+def prepare(config: Config, file: Path | None = None) -> Parts:
+    """Build what needs no fault memory, compiled; may be done in a thread beside a running gateway.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or fault that is wrong.
+    """
+    try:
+        parts = assemble(config)
+    except InputError as error:
+        raise error.within(file) from error
+    except InputErrors as errors:
+        raise InputErrors([error.within(file) for error in errors.errors]) from errors
+    parts.engine.warm()
+    return parts
 
 
 def events_of(event: np.void) -> Events:

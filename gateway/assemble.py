@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cantools.database.can import Message
 
 from gateway.config import Config, MonitorConfig, monitor_of
-from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
+from gateway.engine.build import BusInstance, CheckInstance, MonitorInstance, build_engine
 from gateway.engine.core import Engine
 from gateway.engine.gate import Condition, CycleWatch, Gate
 from gateway.errors import InputError, InputErrors
@@ -165,6 +165,19 @@ def _gate(names: _Names, fault: str, settings: FaultOverride) -> Gate:
     )
 
 
+def _caused_by_buses(config: Config) -> dict[str, Gate]:
+    """Return the gates of the timeouts: a bus that is off or lost is the fault, not each silent message."""
+    return {
+        f"{bus.name}.{check.message}.timeout": Gate(
+            roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost")
+        )
+        for bus in config.bus
+        if bus.health.watched
+        for check in bus.check
+        if check.timeout_ms is not None
+    }
+
+
 def _shown_in_frames(config: Config, names: _Names) -> dict[str, str]:
     """Return what OBD and J1939 show of freeze frames: {signal: key}; checks what outputs serve."""
     for k, did in enumerate(config.did):
@@ -241,7 +254,10 @@ def assemble(config: Config) -> Parts:
         for k, name in enumerate(wanted):
             names.find(name, f'fault."{fault}".freeze_frame[{k}]')
     shown = _shown_in_frames(config, names)
-    gates = {fault: _gate(names, fault, settings) for fault, settings in config.fault.items()}
+    gates = _caused_by_buses(config)
+    for fault, settings in config.fault.items():
+        roots = settings.caused_by or gates.get(fault, Gate()).roots
+        gates[fault] = replace(_gate(names, fault, settings), roots=roots)
     cycles = [
         CycleWatch(
             names.condition(cycle.begins, f"cycle.{name}.begins"),
@@ -258,6 +274,7 @@ def assemble(config: Config) -> Parts:
         cycles=cycles,
         extra=set(names.found.values()),
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
+        buses=[BusInstance(bus.name, bus.health) for bus in config.bus],
     )
     _refuse_unknown(config, engine)
     catalogue = Catalogue(

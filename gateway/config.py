@@ -13,10 +13,12 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from gateway.bus.ring import RingParams
+from gateway.bus.uri import channel_of
 from gateway.errors import InputError, InputErrors
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
-from gateway.monitors import communication
+from gateway.monitors import bus_health, communication
 from gateway.monitors.registry import MONITORS
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameParams
@@ -40,6 +42,14 @@ class BusConfig(StrictModel):
         "id", description="pgn: extended identifiers match by J1939 PGN"
     )
     check: tuple[communication.Params, ...] = Field((), description="communication checks")
+    health: bus_health.Params = Field(
+        bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
+    )
+
+    @property
+    def channel(self) -> str:
+        """Name of the bus in logs: that of its interface, as can-utils writes it, else its own."""
+        return channel_of(self.uri) if self.uri.startswith("socketcan:") else self.name
 
 
 class MonitorConfig(BaseModel):
@@ -57,7 +67,8 @@ class MonitorConfig(BaseModel):
         " another message with the same signals",
     )
     signals: dict[str, str] = Field(
-        default_factory=dict, description='default "Message.Signal" = your "Message.Signal"'
+        default_factory=dict,
+        description='default "Message.Signal" = your "Message.Signal", or "bus.Message.Signal"',
     )
 
 
@@ -115,6 +126,9 @@ class Config(BaseSettings):
     )
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
+    record: RingParams | None = Field(
+        None, description="an always-on recording of all frames; none: nothing is recorded"
+    )
 
     @classmethod
     def settings_customise_sources(
@@ -152,6 +166,17 @@ class Config(BaseSettings):
             return False
         same_bus = self.bus_index(uds.bus) == self.bus_index(obd.bus)
         return share_address(uds, obd, same_bus=same_bus)
+
+
+def channels_of(config: Config) -> dict[str, int] | None:
+    """Return which names in a log stand for which bus; None: there is one bus, and all is on it."""
+    if len(config.bus) == 1:
+        return None
+    names = {f"can{k}": k for k in range(len(config.bus))}  # as our logs call buses without a name
+    names |= {str(k): k for k in range(len(config.bus))}
+    for k, bus in enumerate(config.bus):
+        names |= {bus.name: k, bus.channel: k}
+    return names
 
 
 def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:

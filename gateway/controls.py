@@ -85,6 +85,10 @@ class Controls:
         self._memory.start_cycle(t_ns)
         self._engine.reset_debounce()
         self._engine.end_cycles()
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Take over in the middle of an operation cycle: what fails in the memory is there."""
         for fault, index in self._index.items():
             failing = self._memory.status(fault) & Status.TEST_FAILED
             self._engine.set_active(index, bool(failing))

@@ -65,3 +65,7 @@ class InputErrors(GatewayError):
 
 class BusError(GatewayError):
     """A bus that cannot be opened, or that failed while in use."""
+
+
+class UnsupportedError(BusError):
+    """A kind of bus that this system does not have; waiting for it is no use."""

@@ -32,6 +32,7 @@ class PythonCanBus(Bus):
         super().__init__(uri, index)
         self._bus = bus
         self._queue: deque[can.Message] = deque()
+        self._dropped = 0
         self._lock = threading.Lock()
         self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._error: Exception | None = None
@@ -55,6 +56,7 @@ class PythonCanBus(Bus):
                 if len(self._queue) >= QUEUE:
                     self._queue.popleft()
                     self.statistics.overflow += 1
+                    self._dropped += 1
                 self._queue.append(message)
                 if len(self._queue) == 1:
                     os.eventfd_write(self._event, 1)
@@ -68,6 +70,8 @@ class PythonCanBus(Bus):
         with self._lock:
             taken = [self._queue.popleft() for _ in range(min(len(out), len(self._queue)))]
             rest = bool(self._queue)
+            self.losses = [(0, self._dropped)] if self._dropped else []
+            self._dropped = 0
         if not rest and self._error is None:
             with suppress(BlockingIOError):
                 os.eventfd_read(self._event)
@@ -87,7 +91,7 @@ class PythonCanBus(Bus):
             raise BusError(f"{self.uri}: reading failed: {self._error}") from self._error
         return count
 
-    def send(self, frames: Frames) -> None:
+    def send(self, frames: Frames) -> int:
         """Send through python-can."""
         for frame in frames:
             try:
@@ -95,11 +99,14 @@ class PythonCanBus(Bus):
             except Exception as error:  # each driver has its own
                 raise BusError(f"{self.uri}: sending failed: {error}") from error
             self.statistics.sent += 1
+        return len(frames)
 
-    def set_filters(self, can_ids: Sequence[int]) -> None:
+    def set_filters(self, can_ids: Sequence[int] | None) -> None:
         """Set python-can's filters."""
         self._bus.set_filters(
-            [
+            None
+            if can_ids is None
+            else [
                 {
                     "can_id": can_id & 0x1FFFFFFF,
                     "can_mask": 0x1FFFFFFF,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,10 @@ from types import TracebackType
 from typing import Self
 
 from gateway.bus.frames import Frames
+from gateway.errors import BusError
+
+#: Wait before frames are offered again to a queue that was full [s].
+RETRY_S = 0.001
 
 
 @dataclass
@@ -19,6 +24,7 @@ class Statistics:
     sent: int = 0
     overflow: int = 0  # lost in a queue before they were read
     rejected: int = 0  # input that was no frame
+    refused: int = 0  # frames to send that this bus cannot carry
 
 
 class Bus(ABC):
@@ -27,12 +33,18 @@ class Bus(ABC):
     Args:
         uri: as the user named it.
         index: stamped into every frame.
+
+    Attributes:
+        losses: (place in the batch received last, frames lost in a queue right before it).
+        gone: why nothing will come any more, None while the bus is there. What it had received still comes.
     """
 
     def __init__(self, uri: str, index: int) -> None:
         self.uri = uri
         self.index = index
         self.statistics = Statistics()
+        self.losses: list[tuple[int, int]] = []
+        self.gone: str | None = None
 
     @abstractmethod
     def fileno(self) -> int:
@@ -53,15 +65,26 @@ class Bus(ABC):
         """
 
     @abstractmethod
-    def send(self, frames: Frames) -> None:
-        """Send frames, in order.
+    def send(self, frames: Frames) -> int:
+        """Send frames, in order, without waiting; returns how many the bus took.
+
+        The rest finds the queue full, and is to be sent again later. Frames that this bus can never carry are
+        counted (``statistics.refused``) and taken.
 
         Raises:
-            BusError: the bus did not take them.
+            BusError: the bus is gone.
         """
 
-    def set_filters(self, can_ids: Sequence[int]) -> None:  # noqa: B027 - a hint may be ignored
-        """Ask for these identifiers only (with EXTENDED); a hint, others may still come."""
+    def set_filters(self, can_ids: Sequence[int] | None) -> None:  # noqa: B027 - a hint may be ignored
+        """Ask for these identifiers only (with EXTENDED), None: for all; a hint, others may still come."""
+
+    def set_echo(self, on: bool) -> bool:
+        """Ask for what this bus sends itself, too, flagged OWN once it is on the bus.
+
+        Returns:
+            whether that comes; else the sender knows only that it was taken.
+        """
+        return False
 
     @abstractmethod
     def close(self) -> None:
@@ -77,3 +100,21 @@ class Bus(ABC):
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def send_all(bus: Bus, frames: Frames, *, patience_s: float = 5.0) -> None:
+    """Send frames, waiting while the queue of the bus is full.
+
+    Raises:
+        BusError: the bus is gone, or took nothing for so long [s].
+    """
+    limit = time.monotonic() + patience_s
+    while len(frames):
+        taken = bus.send(frames)
+        frames = frames[taken:]
+        if taken:
+            limit = time.monotonic() + patience_s
+        elif time.monotonic() > limit:
+            raise BusError(f"{bus.uri}: the bus takes no frames")
+        if len(frames):
+            time.sleep(RETRY_S)

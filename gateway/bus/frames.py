@@ -28,6 +28,10 @@ BRS = 0x02  # bit-rate switch
 ESI = 0x04  # error state indicator of the sender
 OWN = 0x08  # sent by this process
 
+#: Rank of a frame to be sent: what the bus takes first when it does not take all at once. A cyclic one gives way to
+#: the next of its identifier. Frames received have rank 0.
+ANSWER, URGENT, CYCLIC = 0, 1, 2
+
 #: One frame, 80 bytes. ``data`` starts on a multiple of 8, so that it can be read as 64-bit words.
 FRAME = np.dtype(
     [
@@ -36,7 +40,7 @@ FRAME = np.dtype(
         ("bus", "u1"),
         ("flags", "u1"),
         ("length", "u1"),
-        ("reserved", "u1"),
+        ("rank", "u1"),
         ("data", "u1", (64,)),
     ]
 )

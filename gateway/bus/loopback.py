@@ -115,8 +115,8 @@ class LoopbackBus(Bus):
             except (ValueError, IndexError):
                 self.statistics.rejected += 1
 
-    def send(self, frames: Frames) -> None:
-        """Send frames to all others on the bus."""
+    def send(self, frames: Frames) -> int:
+        """Send frames to all others on the bus; waits a while until the hub takes them."""
         data = b"".join(
             extended_frame(
                 (0, int(frame["can_id"]), int(frame["flags"]), payload(frame)), stamped=False
@@ -134,6 +134,7 @@ class LoopbackBus(Bus):
             except OSError as error:
                 raise BusError(f"{self.uri}: the bus is gone: {error}") from error
         self.statistics.sent += len(frames)
+        return len(frames)
 
     def close(self) -> None:
         """Leave the bus."""

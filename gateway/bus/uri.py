@@ -10,7 +10,7 @@ import can
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Bus
 from gateway.bus.loopback import DEFAULT_ADDRESS, DEFAULT_BUS, LoopbackBus
-from gateway.bus.socketcan import SocketCanBus
+from gateway.bus.socketcan import RCVBUF, SocketCanBus
 from gateway.errors import BusError, InputError
 
 _FORMS = (
@@ -60,6 +60,12 @@ def _options(query: str) -> dict[str, object]:
     return found
 
 
+def channel_of(uri: str) -> str:
+    """Return the name of a bus in logs: that of its interface or channel, as can-utils writes it."""
+    place = uri.partition(":")[2].partition("?")[0]
+    return "".join(c if c.isalnum() or c in "_-." else "_" for c in place) or "can0"
+
+
 def open_bus(uri: str, index: int = 0, *, patience_s: float = 10.0) -> Bus:
     """Open a bus.
 
@@ -89,14 +95,10 @@ def open_bus(uri: str, index: int = 0, *, patience_s: float = 10.0) -> Bus:
             raise InputError(
                 "socketcan takes fd=true and rcvbuf=bytes", key="uri", value=", ".join(unknown)
             )
-        rcvbuf = options.get("rcvbuf")
-        return SocketCanBus(
-            uri,
-            index,
-            place,
-            fd=bool(options.get("fd", True)),
-            rcvbuf=rcvbuf if isinstance(rcvbuf, int) else None,
-        )
+        rcvbuf = options.get("rcvbuf", RCVBUF)
+        if not isinstance(rcvbuf, int) or isinstance(rcvbuf, bool) or rcvbuf <= 0:
+            raise InputError("rcvbuf is a number of bytes", key="uri", value=rcvbuf)
+        return SocketCanBus(uri, index, place, fd=bool(options.get("fd", True)), rcvbuf=rcvbuf)
     if scheme == "virtual":
         options = {"preserve_timestamps": True, **options}
     elif scheme not in can.VALID_INTERFACES:

@@ -190,8 +190,45 @@ def bus(
 
 
 @app.command()
+def record(
+    buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv.")
+    ] = None,
+    ring: Annotated[
+        Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")
+    ] = None,
+    keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments [MB].")] = 256.0,
+    segment_mb: Annotated[float, typer.Option(help="With --ring: size of a segment [MB].")] = 16.0,
+    form: Annotated[str, typer.Option("--format", help="With --ring: log or blf.")] = "log",
+    duration: Annotated[
+        float | None, typer.Option(min=0, help="End after so many seconds.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Record buses without monitoring them; a bus that goes away is waited for."""
+    from gateway.cli.record import record as work
+
+    raise typer.Exit(
+        work(
+            buses,
+            out=out,
+            ring=ring,
+            keep_mb=keep_mb,
+            segment_mb=segment_mb,
+            form=form,
+            duration=duration,
+            json=json,
+        )
+    )
+
+
+@app.command()
 def replay(
-    log: Annotated[Path, typer.Argument(help="candump .log, .asc, .blf, .mf4, .trc or .csv.")],
+    log: Annotated[
+        Path,
+        typer.Argument(help="candump .log, .asc, .blf, .mf4, .trc, .csv, or a folder of segments."),
+    ],
     config: Annotated[
         Path | None,
         typer.Option(
@@ -231,11 +268,18 @@ def warmup(json: Json = False) -> None:
 
 
 @app.command()
-def doctor(json: Json = False) -> None:
-    """Say what this machine offers: CAN, interfaces, libraries, compiled kernels."""
+def doctor(
+    config: ConfigArgument = None,
+    memory: MemoryOption = None,
+    running: Annotated[
+        bool, typer.Option("--running", help="Exit with 1 unless a gateway runs, its buses open.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Say what this machine offers, and how the gateway on it does: buses, lost frames."""
     from gateway.cli.doctor import doctor as work
 
-    raise typer.Exit(work(json=json))
+    raise typer.Exit(work(config, memory=memory, running=running, json=json))
 
 
 @faults_app.command("list")

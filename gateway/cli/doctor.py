@@ -6,9 +6,12 @@ import platform
 import socket
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from gateway import __version__
-from gateway.cli.present import print_json
+from gateway.cli.present import find_config, print_json
+from gateway.config import load_config
+from gateway.faults.service import daemon_state
 from gateway.jit import CACHE, COMPILED, cache_is_warm
 
 _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic", "asammdf")
@@ -34,8 +37,56 @@ def _interfaces() -> list[str]:
     return found
 
 
-def doctor(*, json: bool) -> int:
-    """Report; returns the exit code."""
+def _daemon(config: Path | None, memory: Path | None) -> dict[str, Any] | None:
+    """Return how the gateway of a fault memory does, None: there is no such memory."""
+    path = memory or load_config(find_config(config)).memory.path
+    return daemon_state(path) if path.exists() else None
+
+
+def _kernel_buffers() -> dict[str, int]:
+    found = {}
+    for name in ("rmem_default", "rmem_max"):
+        try:
+            found[name] = int(Path(f"/proc/sys/net/core/{name}").read_text())
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def _tell_daemon(daemon: dict[str, Any] | None) -> None:
+    if daemon is None:
+        print("no gateway has run here yet (no fault memory)")
+        return
+    print(f"gateway of {daemon['memory']}: {'running' if daemon['running'] else 'not running'}")
+    for bus in daemon["buses"]:
+        print(
+            f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received,"
+            f" {bus['sent']} sent"
+        )
+        if bus["overflow"]:
+            print(
+                f"    {bus['overflow']} frames lost before they were read: give it a larger buffer"
+                " (?rcvbuf=bytes in the URI, sysctl net.core.rmem_max), or less to do"
+            )
+        if bus["unsent"] or bus["refused"]:
+            print(
+                f"    {bus['unsent']} frames never sent, {bus['refused']} that the bus cannot carry"
+            )
+        if bus["losses"]:
+            print(f"    lost {bus['losses']} times {bus['reason']}".rstrip())
+
+
+def doctor(
+    config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool
+) -> int:
+    """Report; returns the exit code: with ``running`` 1 unless a gateway runs and its buses are open."""
+    daemon = _daemon(config, memory)
+    healthy = (
+        daemon is not None
+        and daemon["running"]
+        and all(bus["state"] == "open" for bus in daemon["buses"])
+    )
+    code = 1 if running and not healthy else 0
     can, said = _socketcan()
     facts = {
         "gateway": __version__,
@@ -43,14 +94,16 @@ def doctor(*, json: bool) -> int:
         "kernel": platform.release(),
         "socketcan": can,
         "interfaces": _interfaces(),
+        "buffers": _kernel_buffers(),
         "kernels_compiled": COMPILED,
         "cache": str(CACHE),
         "cache_warm": cache_is_warm(),
+        "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
     }
     if json:
         print_json(facts)
-        return 0
+        return code
     print(f"gateway {__version__}, Python {facts['python']}, kernel {facts['kernel']}")
     print(said)
     if can:
@@ -62,5 +115,6 @@ def doctor(*, json: bool) -> int:
         print(f"kernels are compiled: {CACHE}")
     else:
         print("kernels are not compiled yet: run gateway warmup")
+    _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
-    return 0
+    return code

@@ -102,10 +102,10 @@ class EventPrinter:
             print_json(event, indent=None)
         elif event["event"] == "dtc":
             self._dtc(event)
-        elif event["event"] == "bus" and event["overflow"]:
-            self._console.print(
-                f"{event['bus']}: {event['overflow']} frames lost before they were read"
-            )
+        elif event["event"] == "bus":
+            self._bus(event)
+        elif event["event"] == "config":
+            self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "summary":
             self._summary(event)
 
@@ -126,6 +126,16 @@ class EventPrinter:
                 for k, v in event["evidence"].items()
             )
             self._console.print(escape(f"{'':14}evidence: {shown}"), style="dim")
+
+    def _bus(self, event: dict[str, Any]) -> None:
+        if event["state"] in ("open", "lost"):
+            colour = "green" if event["state"] == "open" else "bold red"
+            text = f"{self._time(event)}  bus {event['bus']} [{colour}]{event['state']}[/]  "
+            self._console.print(text + escape(event["reason"] or event["uri"]))
+        elif event["overflow"]:
+            self._console.print(
+                f"{event['bus']}: {event['overflow']} frames lost before they were read"
+            )
 
     def _summary(self, event: dict[str, Any]) -> None:
         print_ = self._console.print

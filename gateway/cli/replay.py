@@ -11,9 +11,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
-from gateway.bus.logs import read_log
+from gateway.bus.ring import read_recording
 from gateway.cli.present import EventPrinter, find_config, say_if_cold
-from gateway.config import load_config
+from gateway.config import channels_of, load_config
 from gateway.replay import replay as feed
 
 
@@ -27,7 +27,7 @@ def replay(
     printer = EventPrinter(as_json=json)
     gateway = Gateway(config, memory, file=path)
     gateway.listen(printer)
-    reader = read_log(log)
+    reader = read_recording(log, channels_of(config))
     columns = (TextColumn(log.name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
     try:
         with Progress(

@@ -7,16 +7,13 @@ import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from gateway.app import Gateway
-from gateway.bus.base import Bus
 from gateway.bus.logs import open_writer
-from gateway.bus.uri import open_bus
 from gateway.cli.present import EventPrinter, find_config, say, say_if_cold
 from gateway.config import load_config
-from gateway.errors import InputError
-from gateway.live import GRACE_NS, run_live
+from gateway.live.daemon import Daemon
+from gateway.live.notify import Notifier
 
 
 class Ending:
@@ -54,44 +51,18 @@ def run(
     """Monitor until told to stop; returns the exit code."""
     ending = Ending()
     path = find_config(config_path)
-    config = load_config(path)
-    uris = [entry.uri for entry in config.bus]
-    if bus is not None:
-        if len(uris) > 1:
-            raise InputError("the configuration has several buses; set their URIs there", value=bus)
-        uris = [bus]
     say_if_cold()
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     with ExitStack() as stack:
-        gateway = Gateway(config, memory or config.memory.path, file=path)
-        stack.callback(gateway.close)
-        gateway.listen(printer)
-        buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
-        for opened in buses:
-            ids = gateway.identifiers_on(opened.index)
-            if ids is not None and record is None:
-                opened.set_filters(ids)
-        writer = None if record is None else stack.enter_context(open_writer(record))
-        gateway.start(time.time_ns())
-        for entry, opened in zip(config.bus, buses, strict=True):
-            printer(_bus_event(entry.name, opened, "open", time.time_ns()))
-        say(f"{config.name}: monitoring {', '.join(uris)}")
+        taps = []
+        if record is not None:
+            channels = {k: entry.channel for k, entry in enumerate(load_config(path).bus)}
+            taps.append(stack.enter_context(open_writer(record, interfaces=channels)))
+        daemon = Daemon(path, bus=bus, memory=memory, tell=printer, taps=taps, notifier=Notifier())
+        stack.callback(daemon.close)
+        signal.signal(signal.SIGHUP, daemon.reloader.request)
+        say(daemon.describe())
         begun = time.monotonic()
-        run_live(gateway, buses, ending.after(duration), record=writer)
-        gateway.advance(time.time_ns() - GRACE_NS)
-        gateway.stop(gateway.engine.now_ns)
-        for entry, opened in zip(config.bus, buses, strict=True):
-            printer(_bus_event(entry.name, opened, "closed", gateway.engine.now_ns))
-        printer(gateway.summary(time.monotonic() - begun))
+        daemon.run(ending.after(duration))
+        printer(daemon.gateway.summary(time.monotonic() - begun))
     return 1 if fail_on_dtc and printer.failures else 0
-
-
-def _bus_event(name: str, bus: Bus, state: str, t_ns: int) -> dict[str, Any]:
-    return {
-        "event": "bus",
-        "t_ns": t_ns,
-        "bus": name,
-        "uri": bus.uri,
-        "state": state,
-        **vars(bus.statistics),
-    }

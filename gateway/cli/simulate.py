@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from gateway.app import Gateway
-from gateway.bus.base import Bus
+from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
@@ -244,4 +244,4 @@ def _send(buses: list[Bus], frames: Frames) -> None:
     for index, bus in enumerate(buses):
         mine = frames[frames["bus"] == index]
         if len(mine):
-            bus.send(mine)
+            send_all(bus, mine)

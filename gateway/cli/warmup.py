@@ -7,7 +7,7 @@ import time
 
 from gateway.app import Gateway
 from gateway.bus.base import Statistics
-from gateway.bus.socketcan import RawReceiver
+from gateway.bus.can_structs import RawReceiver
 from gateway.cli.present import print_json
 from gateway.config import load_config
 from gateway.drive import drive
@@ -30,7 +30,7 @@ def warmup(*, json: bool) -> int:
     gateway.close()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
-        RawReceiver(ours, 0, Statistics())
+        RawReceiver(ours, Statistics())
     prune_cache()
     seconds = time.monotonic() - begun
     if json:

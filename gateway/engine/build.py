@@ -17,7 +17,8 @@ from gateway.engine.events import EVENT
 from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
 from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
 from gateway.errors import InputError
-from gateway.monitors import communication
+from gateway.monitors import bus_health, communication
+from gateway.monitors.bus_health import HEALTH
 from gateway.monitors.communication import CHECK
 from gateway.monitors.shape import RESULTS, Debounce, Fault, Monitor, MonitorParams
 from gateway.signals.crc import ALGORITHMS, crc8_table
@@ -29,7 +30,8 @@ from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
 class MonitorInstance:
     """A configured monitor: its name, type, parameters, bus, and place in the order of priority.
 
-    ``signals`` maps a default ``"Message.Signal"`` to the user's own; ``priority`` 0 steps first.
+    ``signals`` maps a default ``"Message.Signal"`` to the user's own, or to ``"bus.Message.Signal"`` of another bus;
+    ``priority`` 0 steps first.
     ``emission`` is the message its results are sent in; None: they are not sent.
     """
 
@@ -51,11 +53,25 @@ class CheckInstance:
     name: str = ""
 
 
-def _split(reference: str) -> tuple[str, str]:
-    message, _, signal = reference.partition(".")
-    if not signal:
+@dataclass(frozen=True)
+class BusInstance:
+    """A bus, and how its health is judged."""
+
+    name: str
+    params: bus_health.Params = field(default_factory=bus_health.Params)
+
+
+def _split(reference: str, bus: int, buses: Mapping[str, int]) -> SignalRef:
+    """Read ``Message.Signal`` of a bus, or ``bus.Message.Signal``."""
+    parts = reference.split(".")
+    if len(parts) == 3 and parts[0] in buses:
+        return SignalRef(buses[parts[0]], parts[1], parts[2])
+    if len(parts) == 3:
+        known = ", ".join(buses)
+        raise InputError(f"the buses are {known}", value=reference)
+    if len(parts) != 2:
         raise InputError('a signal is named "Message.Signal"', value=reference)
-    return message, signal
+    return SignalRef(bus, parts[0], parts[1])
 
 
 def build_engine(
@@ -68,6 +84,7 @@ def build_engine(
     cycles: Sequence[CycleWatch] = (),
     extra: Collection[SignalRef] = (),
     pgn: Collection[int] = (),
+    buses: Sequence[BusInstance] = (),
     ring: int = 4096,
 ) -> Engine:
     """Compile everything into one engine.
@@ -81,25 +98,27 @@ def build_engine(
         cycles: operation cycles that signals begin and end; events name them by their index.
         extra: further signals to decode (freeze frames, identifiers).
         pgn: buses whose extended identifiers match by J1939 PGN.
+        buses: whose health is judged, in the order of their indices.
         ring: events that one pass of the loop can hold.
 
     Returns:
-        the engine; its faults are those of the monitors, then those of the checks, in order.
+        the engine; its faults are those of the monitors, then those of the checks, then those of the buses, in order.
 
     Raises:
         InputError: a message or signal that no database has, a CRC signal off its byte boundary.
     """
     by_bus = dict(databases)
     monitors = sorted(monitors, key=lambda m: m.priority)
-    wirings = [_wire(m, by_bus[m.bus]) for m in monitors]
+    indices = {bus.name: k for k, bus in enumerate(buses)}
+    wirings = [_wire(m, by_bus, indices) for m in monitors]
     gates = gates or {}
     wanted: set[SignalRef] = set(extra)
     wanted.update(c.signal for gate in gates.values() for c in gate.conditions)
     wanted.update(c.signal for cycle in cycles for c in (cycle.begins, cycle.ends))
     watched: set[tuple[int, str]] = set()
-    for m, (triggers, references, _) in zip(monitors, wirings, strict=True):
-        wanted.update(SignalRef(m.bus, *reference) for reference in references)
-        watched.update((m.bus, name) for name in triggers)
+    for triggers, references, _ in wirings:
+        wanted.update(references)
+        watched.update(triggers)
     for check in checks:
         watched.add((check.bus, check.params.message))
         wanted.update(_check_signals(check, by_bus[check.bus]))
@@ -119,8 +138,8 @@ def build_engine(
         m.monitor.prepare(m.params, state[0], const[0])
         states.append(state)
         consts.append(const)
-        own = [plan.slot(m.bus, *reference) for reference in references]
-        waived = {plan.message(m.bus, name) for name in optional}
+        own = [plan.slot(*reference) for reference in references]
+        waived = {plan.message(*message) for message in optional}
         rows = sorted({int(plan.slot_message[slot]) for slot in own} - waived)
         h["entry"] = m.monitor.entry
         h["state"], h["const"] = state.ctypes.data, const.ctypes.data
@@ -137,8 +156,8 @@ def build_engine(
         slots += own
         sources += rows
         cells += m.monitor.inputs.itemsize // 8
-        for name in triggers:
-            triggered.setdefault(plan.message(m.bus, name), []).append(k)
+        for message in triggers:
+            triggered.setdefault(plan.message(*message), []).append(k)
         mine = m.monitor.faults_of(m.params)
         faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]
     pool = np.zeros(max(cells, 1))
@@ -151,6 +170,10 @@ def build_engine(
         row = plan.message(check.bus, check.params.message)
         vectors[row]["check"] = k
         faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
+
+    health = table(len(buses), HEALTH)
+    for k, bus in enumerate(buses):
+        faults += _prepare_health(health[k], bus, k, len(faults))
 
     debounces = table(len(faults), DEBOUNCE)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
@@ -201,30 +224,31 @@ def build_engine(
         outbox,
         outbox_cells,
         table(ring, EVENT),
+        health,
         clock,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
 
 
 def _wire(
-    m: MonitorInstance, database: Database
-) -> tuple[list[str], list[tuple[str, str]], list[str]]:
-    """Return a monitor's triggers, (message, signal) inputs and optional messages, as the user names them."""
+    m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[str, int]
+) -> tuple[list[tuple[int, str]], list[SignalRef], list[tuple[int, str]]]:
+    """Return a monitor's triggers, inputs and optional messages (bus, name), as the user names them."""
     wiring = m.monitor.wire(m.params)
-    references = [_split(m.signals.get(name, name)) for name in wiring.signals]
-    renamed = {
-        _split(name)[0]: message
-        for name, (message, _) in zip(wiring.signals, references, strict=True)
-    }
-    triggers = [renamed.get(name, name) for name in wiring.triggers]
     try:
-        for name in triggers:
-            database.message(name)
+        references = [_split(m.signals.get(name, name), m.bus, buses) for name in wiring.signals]
+        renamed = {
+            name.rpartition(".")[0]: (reference.bus, reference.message)
+            for name, reference in zip(wiring.signals, references, strict=True)
+        }
+        triggers = [renamed.get(name, (m.bus, name)) for name in wiring.triggers]
+        for bus, name in triggers:
+            databases[bus].message(name)
         for reference in references:
-            database.signal(*reference)
+            databases[reference.bus].signal(reference.message, reference.signal)
     except InputError as error:
         raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
-    return triggers, references, [renamed.get(name, name) for name in wiring.optional]
+    return triggers, references, [renamed.get(name, (m.bus, name)) for name in wiring.optional]
 
 
 def _check_signals(check: CheckInstance, database: Database) -> list[SignalRef]:
@@ -281,6 +305,7 @@ def _prepare_check(
         if wanted:
             fault = communication.FAULTS[kind]
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
+    row["bus"] = check.bus
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
@@ -304,3 +329,17 @@ def _prepare_check(
         row["crc_table"] = list(ALGORITHMS).index(p.crc.algorithm)
         row["crc_init"], row["crc_xor"] = algorithm.init, algorithm.xorout
     return slots
+
+
+def _prepare_health(row: Any, entry: BusInstance, index: int, first_fault: int) -> list[FaultSlot]:
+    """Fill the health of one bus; returns the faults it can report, in order."""
+    p = entry.params
+    row["most"], row["window_ns"] = p.errors, round(p.window_ms * 1e6)
+    row["deadline_ns"] = NEVER
+    row["until"] = NEVER
+    row["fault"] = -1
+    if not p.watched:
+        return []
+    row["fault"] = first_fault + np.arange(len(bus_health.FAULTS))
+    faults = bus_health.faults_of(p, index)
+    return [FaultSlot(f"{entry.name}.{fault.name}", fault, index) for fault in faults]

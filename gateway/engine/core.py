@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from gateway.bus.frames import FRAME, Frames, empty
+from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
 from gateway.engine import loop
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
+from gateway.monitors.bus_health import COUNTED
 from gateway.monitors.shape import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
 
@@ -55,6 +56,10 @@ class Engine:
         self._states = states
         self._consts = consts  # the handlers hold its address
 
+    def state_of(self, monitor: int) -> Any:
+        """Return the state records of a monitor, shape (1,)."""
+        return self._states[monitor]
+
     def warm(self) -> None:
         """Compile the loop now, or load it from the cache, rather than at the first frame."""
         loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, NEVER)
@@ -94,6 +99,11 @@ class Engine:
         self._drain(sink)
         return self._sent()
 
+    @property
+    def emitted(self) -> list[int]:
+        """Identifiers (with EXTENDED) of the messages that monitors send."""
+        return [int(can_id) for can_id in self.tables.emits["can_id"]]
+
     def _drain(self, sink: Sink) -> None:
         clock = self.tables.clock[0]
         count = int(clock["events"])
@@ -108,9 +118,9 @@ class Engine:
         if first == last:
             return _NO_FRAMES
         frames = np.asarray(self.tables.outbox[first:last]).copy()
-        frames["reserved"] = 0
+        frames["rank"] = CYCLIC
         clock["taken"] = last
-        waiting = self.tables.outbox[int(clock["fed"]) : last]["reserved"]
+        waiting = self.tables.outbox[int(clock["fed"]) : last]["rank"]
         if not waiting.any():  # else the next pass has them to handle still
             clock["sent"] = clock["fed"] = clock["taken"] = 0
         return frames
@@ -165,6 +175,14 @@ class Engine:
         hidden = {"now_ns", "deadline_ns", "started", "stop", "timed", "held"}
         hidden |= {"events", "sent", "fed", "taken"}
         return {name: int(clock[name]) for name in names if name not in hidden}
+
+    def error_counters(self, bus: int) -> dict[str, int]:
+        """Return the error frames of a bus by class, and the frames lost in its queues."""
+        if bus >= len(self.tables.health):
+            return {}
+        row = self.tables.health[bus]
+        counts = {name: int(count) for name, count in zip(COUNTED, row["counts"], strict=True)}
+        return {**counts, "lost": int(row["lost"])}
 
     def readout(self) -> dict[str, dict[str, float]]:
         """Return what each monitor shows to people: {monitor: {name: value}}."""

@@ -64,6 +64,25 @@ DEBOUNCE = record(
     evidence=(f8, EVIDENCE),
 )
 
+#: The fields of :data:`DEBOUNCE` that are state, rather than settings or places in other tables.
+STATE = (
+    "last",
+    "verdict",
+    "direction",
+    "active",
+    "triggered",
+    "missed",
+    "counter",
+    "since_ns",
+    "deadline_ns",
+    "episode",
+    "peak",
+    "near",
+    "value",
+    "limit",
+    "evidence",
+)
+
 
 def configure(row: np.void, debounce: Debounce, *, trigger_fdc: int = 0) -> None:
     """Fill the constants of one row.

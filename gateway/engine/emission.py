@@ -122,7 +122,7 @@ def emit(T: Any, t_ns: int, m: Any) -> None:
     frame["bus"] = m.bus
     frame["flags"] = m.can_flags
     frame["length"] = m.length
-    frame["reserved"] = m.local
+    frame["rank"] = m.local  # until it leaves
     words = T.outbox_cells[at, 2:]
     for k in range(words.shape[0]):
         words[k] = np.uint64(0)

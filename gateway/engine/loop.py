@@ -15,12 +15,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from gateway.bus.conditions import LOSS, RUNNING
 from gateway.engine.debounce import count, fault_detection_counter, hold, mature, turn
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, RESULT_CHANGED
 from gateway.engine.gate import closed, reached
 from gateway.engine.tables import NEVER, Tables, borrowed
 from gateway.jit import borrow, call_entry, kernel
+from gateway.monitors.bus_health import disproved, elapsed, note
 from gateway.monitors.communication import (
     ACCEPT,
     COUNTER,
@@ -192,11 +196,52 @@ def ripen(T: Any, due: int, fault: int) -> None:
 
 
 @kernel
+def conclude(T: Any, t_ns: int, h: Any) -> None:
+    """Debounce the verdicts that the health of a bus has just come to."""
+    for k in range(h.fault.shape[0]):
+        fault, bit = h.fault[k], 1 << k
+        if fault >= 0 and (h.failed | h.passed) & bit:
+            failed = h.failed & bit != 0
+            place = tested(T, t_ns, fault, failed, h.value if failed else 0.0, h.limit)
+            for e in range(h.evidence.shape[0]):
+                witness(T, fault, place, e, h.evidence[e] if failed else 0.0)
+
+
+@kernel
+def start_anew(T: Any, t_ns: int, bus: int, condition: int) -> None:
+    """Forget what a gap in the frames of a bus would make look like a fault of the senders."""
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus != bus:
+            continue
+        c.seen = 0
+        if condition == RUNNING and c.timeout_ns > 0:
+            c.deadline_ns = t_ns + c.timeout_ns
+            c.silent_ns = 0
+            T.clock[0].deadline_ns = min(T.clock[0].deadline_ns, c.deadline_ns)
+
+
+@kernel
+def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
+    """Judge what a bus says of itself."""
+    clock = T.clock[0]
+    clock.error += 1
+    if bus >= T.health.shape[0]:
+        return
+    h = T.health[bus]
+    condition = note(h, t_ns, can_id, word)
+    if condition in (LOSS, RUNNING):
+        start_anew(T, t_ns, bus, condition)
+    conclude(T, t_ns, h)
+    clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
+
+
+@kernel
 def run_timers(T: Any, t_ns: int) -> None:
     """Run every timer due at or before ``t_ns``, in order of deadline, each at its own time."""
     clock = T.clock[0]
     while clock.deadline_ns <= t_ns:
-        due, check, handler, fault = NEVER, -1, -1, -1
+        due, check, handler, fault, bus = NEVER, -1, -1, -1, -1
         for k in range(T.checks.shape[0]):
             if T.checks[k].deadline_ns < due:
                 due, check = T.checks[k].deadline_ns, k
@@ -207,10 +252,16 @@ def run_timers(T: Any, t_ns: int) -> None:
             for k in range(T.debounces.shape[0]):
                 if T.debounces[k].deadline_ns < due:
                     due, check, handler, fault = T.debounces[k].deadline_ns, -1, -1, k
+        for k in range(T.health.shape[0]):
+            if T.health[k].deadline_ns < due:
+                due, bus = T.health[k].deadline_ns, k
         clock.deadline_ns = due
         if due > t_ns:
             return
-        if fault >= 0:
+        if bus >= 0:
+            elapsed(T.health[bus], due)
+            conclude(T, due, T.health[bus])
+        elif fault >= 0:
             ripen(T, due, fault)
         elif check >= 0:
             time_out(T, due, T.checks[check])
@@ -305,11 +356,14 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
 def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
     """Handle one frame: vector table, decode, check, mailbox, monitors."""
     clock = T.clock[0]
-    if can_id & (_ERROR | _REMOTE):
-        if can_id & _ERROR:
-            clock.error += 1
-        else:
-            clock.remote += 1
+    if can_id & _ERROR:
+        on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
+        return
+    if bus < T.health.shape[0] and T.health[bus].bad != 0:
+        disproved(T.health[bus])
+        conclude(T, t_ns, T.health[bus])
+    if can_id & _REMOTE:
+        clock.remote += 1
         return
     row = lookup(T.keys, T.rows, bus, can_id)
     if row < 0:
@@ -384,7 +438,7 @@ def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> i
             k = clock.fed
             clock.fed = k + 1
             frame, words, own = T.outbox[k], T.outbox_cells[k, 2:], 1
-            if frame["reserved"] == 0:
+            if frame["rank"] == 0:
                 if clock.fed == clock.sent and clock.sent >= outbox_room:
                     return i
                 continue

@@ -80,6 +80,7 @@ class Tables(NamedTuple):
     Outbox: ``emits``, ``emit_signals``, ``outbox`` and the same memory in cells (see engine.emission).
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
+    Health: a row for each bus (see monitors.bus_health).
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
 
@@ -112,6 +113,7 @@ class Tables(NamedTuple):
     outbox: NDArray[np.void]
     outbox_cells: NDArray[np.uint64]
     ring: NDArray[np.void]
+    health: NDArray[np.void]
     clock: NDArray[np.void]
 
 
@@ -148,6 +150,7 @@ def borrowed(T: Tables) -> Tables:
         borrow(T.outbox),
         borrow(T.outbox_cells),
         borrow(T.ring),
+        borrow(T.health),
         borrow(T.clock),
     )
 

@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from pathlib import Path
 
 from gateway.errors import InputError
 
+#: Longer than :func:`is_kept` takes [s].
+LOOK_S = 0.02
+
 
 class InUseError(InputError):
     """Another process keeps this fault memory."""
+
+
+def is_kept(path: Path) -> bool:
+    """Tell whether a process keeps this fault memory at present."""
+    try:
+        lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(lock)
+    return False
 
 
 def take_lock(path: Path) -> int:
@@ -28,7 +47,11 @@ def take_lock(path: Path) -> int:
     """
     lock = os.open(f"{path.resolve()}-lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(LOOK_S)  # somebody may only have looked
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(lock)
         raise InUseError(

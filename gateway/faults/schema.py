@@ -62,5 +62,12 @@ CREATE TABLE identifier (did INTEGER PRIMARY KEY, data BLOB NOT NULL);
 CREATE TABLE fact (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
 """
 
+# How the buses of the daemon do, for other processes.
+_THIRD = """
+CREATE TABLE bus (
+    name TEXT PRIMARY KEY, uri TEXT NOT NULL, state TEXT NOT NULL, t_ns INTEGER NOT NULL, counters TEXT NOT NULL
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD)

@@ -10,7 +10,7 @@ from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
-from gateway.faults.lock import InUseError
+from gateway.faults.lock import InUseError, is_kept
 from gateway.faults.memory import OVERFLOW, FaultMemory
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
@@ -68,6 +68,20 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
             for record in store.load()
             if record.occurrence > 0
         ]
+    finally:
+        store.close()
+
+
+def daemon_state(path: Path) -> dict[str, Any]:
+    """Return whether a gateway keeps this memory now, and what the last one said of its buses.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    running = is_kept(path)
+    store = _reader(path)
+    try:
+        return {"memory": str(path), "running": running, "buses": store.buses()}
     finally:
         store.close()
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults.lock import take_lock
@@ -289,6 +290,35 @@ class Store:
         )
         if r.occurrence == 0:
             self._db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))
+
+    def save_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Replace what is known of the buses: name, URI, state, time, and counters.
+
+        Raises:
+            GatewayError: it could not be written.
+        """
+        known = ("bus", "uri", "state", "t_ns")
+        with self.transaction():
+            self._db.execute("DELETE FROM bus")
+            self._db.executemany(
+                "INSERT INTO bus VALUES (?, ?, ?, ?, ?)",
+                [
+                    (
+                        *(state[name] for name in known),
+                        json.dumps({k: v for k, v in state.items() if k not in (*known, "event")}),
+                    )
+                    for state in states
+                ],
+            )
+
+    def buses(self) -> list[dict[str, Any]]:
+        """Return what the daemon said last of its buses."""
+        with self._reading():
+            rows = list(self._db.execute("SELECT name, uri, state, t_ns, counters FROM bus"))
+        return [
+            {"bus": name, "uri": uri, "state": state, "t_ns": t_ns, **json.loads(counters)}
+            for name, uri, state, t_ns, counters in rows
+        ]
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""

@@ -111,6 +111,7 @@ CHECK = record(
     last_counter=i4,
     unread=i4,
     seen=u1,
+    bus=u1,
 )
 
 

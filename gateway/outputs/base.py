@@ -21,6 +21,8 @@ class Output:
     normal = True
     #: Whether its time is that of the bus (answers, separation times) rather than that of the monitors.
     prompt = False
+    #: Whether its frames go before all others when a bus does not take all at once.
+    urgent = False
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) it listens to on a bus; None: to anything."""

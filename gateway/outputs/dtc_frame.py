@@ -89,6 +89,8 @@ class DtcFrameOutput(Output):
         counter_of: fault id -> its fault detection counter now.
     """
 
+    urgent = True
+
     def __init__(
         self,
         params: DtcFrameParams,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.bus.frames import empty, payload, put
+from gateway.bus.frames import CYCLIC, empty, payload, put
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.errors import InputError, InputErrors
 from gateway.jit import f8, i8, kernel, record
@@ -110,7 +110,7 @@ def test_the_message_is_counted_protected_and_stamped(made):
         assert values["FrameCnt"] == k
         data = body[1:] + (0x101).to_bytes(2, "little")
         assert values["Crc"] == crccheck.crc.Crc8SaeJ1850.calc(data)
-        assert int(frame["reserved"]) == 0
+        assert int(frame["rank"]) == CYCLIC
 
 
 def test_other_monitors_get_it_at_once(made):

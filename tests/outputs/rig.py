@@ -23,6 +23,7 @@ CONFIG = """
 name = "b"
 uri = "virtual:rig"
 database = ["rig.dbc"]
+health = { watched = false }
 """
 
 

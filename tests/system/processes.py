@@ -38,13 +38,16 @@ def process(*arguments, cwd, ready):
             line = started.stderr.readline()
             assert line, f"{arguments} ended with {started.wait(5)}"
         started.said = line
-        drain = threading.Thread(target=started.stderr.read, daemon=True)
+        started.log = []
+        drain = threading.Thread(target=started.log.extend, args=(started.stderr,), daemon=True)
         drain.start()
         yield started
     finally:
         if started.poll() is None:
             started.terminate()
         started.code = started.wait(20)
+        if hasattr(started, "log"):
+            drain.join(5)
 
 
 @contextmanager

@@ -17,7 +17,10 @@ VOTERS = ("tracking", "average", "median", "predictive", "kalman", "kalman_repai
 class Channel(StrictModel):
     """One sensor; all but the signal in the unit of the signal."""
 
-    signal: str = Field(pattern=r"^[^.]+\.[^.]+$", description='"Message.Signal"')
+    signal: str = Field(
+        pattern=r"^([^.]+\.)?[^.]+\.[^.]+$",
+        description='"Message.Signal", or "bus.Message.Signal" of another bus',
+    )
     at_rest: float = Field(description="reading at 0 % of the travel")
     at_full: float = Field(description="reading at 100 %; below at_rest where the slope falls")
     low: float = Field(description="readings below: short to ground, or open")
@@ -42,8 +45,8 @@ class Channel(StrictModel):
 
     @property
     def message(self) -> str:
-        """The message of the signal."""
-        return self.signal.partition(".")[0]
+        """The message of the signal, with its bus if the signal names one."""
+        return self.signal.rpartition(".")[0]
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
 #!/bin/bash
-# First process of the test kernel: CAN modules, vcan0 and vcan1, then the command, then power off.
+# First process of the test kernel: CAN modules, vcan0 to vcan2, then the command, then power off.
 # The host's files are this kernel's files; GUEST_* comes on the kernel's command line.
 mount -t proc proc /proc
 mount -t sysfs sysfs /sys
@@ -26,6 +26,8 @@ for name in (
     "net/can/can-gw",
     "drivers/net/can/dev/can-dev",
     "drivers/net/can/vcan",
+    "net/can/j1939/can-j1939",
+    "net/sched/sch_tbf",  # a queue that can be full
 ):
     with (kernel / f"{name}.ko").open("rb") as module:
         if libc.syscall(313, module.fileno(), b"", 0):
@@ -33,7 +35,7 @@ for name in (
 PYTHON
 
 ip link set lo up
-for interface in vcan0 vcan1; do
+for interface in vcan0 vcan1 vcan2; do
   ip link add dev "$interface" type vcan
   ip link set "$interface" mtu 72 up
 done

@@ -1,27 +1,24 @@
-"""SocketCAN on vcan0, with python-can and can-utils as peers."""
+"""The bus on a real interface, with python-can, raw sockets and can-utils as peers."""
 
-import json
 import select
-import signal
+import socket
+import struct
 import subprocess
-import sys
 import time
+from contextlib import suppress
 
 import can
-import cantools
-import isotp
 import numpy as np
 import pytest
+from kernel_can import can_frame, drops_of, ip, raw
 
-from gateway.bus.candump import parse
-from gateway.bus.frames import BRS, EXTENDED, FD, REMOTE, empty, payload, put
+from gateway.bus import conditions as c
+from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, OWN, REMOTE, empty, payload, put
 from gateway.bus.uri import open_bus
 from gateway.errors import BusError
-from gateway.resources import shipped
+from gateway.live.transmit import Transmitter
 
 pytestmark = pytest.mark.vcan
-
-GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
 
 
 def take(bus, count):
@@ -30,20 +27,6 @@ def take(bus, count):
     while got < count and select.select([bus.fileno()], [], [], 5)[0]:
         got += bus.receive(out[got:])
     return out[:got]
-
-
-def ask(request):
-    """Ask the daemon with can-isotp over python-can; returns the answer as hex digits."""
-    address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E0, rxid=0x7E8)
-    with can.Bus("vcan0", interface="socketcan") as bus:
-        stack = isotp.CanStack(bus, address=address)
-        stack.start()
-        try:
-            stack.send(bytes.fromhex(request))
-            answer = stack.recv(block=True, timeout=20)
-        finally:
-            stack.stop()
-    return "" if answer is None else answer.hex()
 
 
 def test_frames_of_all_kinds_both_ways():
@@ -57,7 +40,7 @@ def test_frames_of_all_kinds_both_ways():
         can.Bus("vcan0", interface="socketcan", fd=True) as theirs,
         open_bus("socketcan:vcan0", 6) as other,
     ):
-        ours.send(sent)
+        assert ours.send(sent) == 4
         for frame in sent:
             message = theirs.recv(5)
             assert message.arbitration_id == int(frame["can_id"]) & 0x1FFFFFFF
@@ -75,62 +58,168 @@ def test_frames_of_all_kinds_both_ways():
             np.testing.assert_array_equal(got, sent)
 
 
-def test_kernel_filters_keep_foreign_frames_back():
+def test_kernel_filters_keep_foreign_frames_back_and_error_frames_pass():
     with (
         open_bus("socketcan:vcan0", 0) as ours,
         can.Bus("vcan0", interface="socketcan") as theirs,
+        raw("vcan0") as errors,
     ):
         ours.set_filters([0x700, 0x18FECA00 | EXTENDED])
         for can_id, extended in ((0x701, False), (0x700, True), (0x700, False), (0x18FECA00, True)):
             theirs.send(can.Message(arbitration_id=can_id, is_extended_id=extended))
-        assert take(ours, 2)["can_id"].tolist() == [0x700, 0x18FECA00 | EXTENDED]
+        errors.send(can_frame(ERROR | c.BUS_OFF, bytes(8)))
+        got = take(ours, 3)["can_id"].tolist()
+        assert got == [0x700, 0x18FECA00 | EXTENDED, ERROR | c.BUS_OFF]
         assert ours.receive(empty(1)) == 0
+        ours.set_filters(None)
+        theirs.send(can.Message(arbitration_id=0x701, is_extended_id=False))
+        assert take(ours, 1)["can_id"].tolist() == [0x701]
 
 
-def test_an_interface_that_is_not_there_is_a_clear_error():
+def test_own_frames_come_back_marked_when_asked_for():
+    frame = empty(1)
+    put(frame, 0, 0, 0x321, b"own")
+    with open_bus("socketcan:vcan0", 0) as ours, raw("vcan0") as theirs:
+        ours.send(frame)
+        assert not select.select([ours.fileno()], [], [], 0.1)[0]
+        assert ours.set_echo(True)
+        ours.send(frame)
+        theirs.send(can_frame(0x322))
+        got = take(ours, 2)
+        assert got["can_id"].tolist() == [0x321, 0x322]
+        assert (got["flags"] & OWN != 0).tolist() == [True, False]
+        assert got[0]["t_ns"] < got[1]["t_ns"], "stamped by the kernel when it was on the bus"
+
+
+def test_overflow_is_counted_as_the_kernel_counts_it_and_told_where_it_was():
+    with open_bus("socketcan:vcan0?rcvbuf=8192", 0) as ours, raw("vcan0") as theirs:
+        for k in range(400):
+            theirs.send(can_frame(0x100, k.to_bytes(2, "big")))
+        dropped = drops_of(socket.socket(fileno=socket.dup(ours.fileno())))
+        assert 0 < dropped < 400
+        out = empty(256)
+        first = ours.receive(out)
+        assert first == 400 - dropped
+        assert not ours.losses, "the kernel tells with the first frame behind the gap"
+        for k in range(400, 403):
+            theirs.send(can_frame(0x100, k.to_bytes(2, "big")))
+        got = take(ours, 3)
+        assert [int.from_bytes(payload(f), "big") for f in got] == [400, 401, 402]
+        assert ours.statistics.overflow == dropped
+        # Once more, with a gap in the middle of a batch.
+        for k in range(400):
+            theirs.send(can_frame(0x100, k.to_bytes(2, "big")))
+        half = ours.receive(out[:5])
+        assert half == 5
+        for k in range(400, 450):
+            theirs.send(can_frame(0x100, k.to_bytes(2, "big")))
+        more = ours.receive(out)
+        ((place, lost),) = ours.losses
+        numbers = [int.from_bytes(payload(f), "big") for f in out[:more]]
+        assert numbers[place] - numbers[place - 1] - 1 == lost
+        assert ours.statistics.received == first + 3 + half + more
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "said"),
+    [
+        (c.BUS_OFF, {}, "bus-off"),
+        (c.RESTARTED, {}, "restarted-after-bus-off"),
+        (c.NO_ACK, {}, "no-acknowledgement-on-tx"),
+        (c.LOST_ARBITRATION, {0: 5}, "lost-arbitration{at bit 5}"),
+        (c.CONTROLLER, {1: c.RX_PASSIVE}, "rx-error-passive"),
+        (c.CONTROLLER, {1: c.TX_WARNING}, "tx-error-warning"),
+        (c.CONTROLLER, {1: c.ACTIVE}, "back-to-error-active"),
+        (c.CONTROLLER, {1: c.RX_OVERFLOW}, "rx-overflow"),
+        (c.PROTOCOL, {2: 0x04, 3: 0x08}, "protocol-violation"),
+        (c.TRANSCEIVER, {}, "transceiver-status"),
+        (c.BUS_ERROR, {}, "bus-error"),
+        (c.TX_TIMEOUT, {}, "tx-timeout"),
+    ],
+)
+def test_our_names_of_errors_are_those_of_candump(can_id, data, said, tmp_path):
+    content = bytes(data.get(k, 0) for k in range(8))
+    log = tmp_path / "dump"
+    with (
+        log.open("w") as file,
+        open_bus("socketcan:vcan0", 0) as ours,
+        raw("vcan0") as theirs,
+        subprocess.Popen(["candump", "-e", "-n", "1", "vcan0,0:0,#FFFFFFFF"], stdout=file) as dump,
+    ):
+        time.sleep(0.2)
+        theirs.send(can_frame(ERROR | can_id, content))
+        dump.wait(10)
+        (frame,) = take(ours, 1)
+    assert int(frame["can_id"]) == ERROR | can_id
+    assert payload(frame) == content
+    assert said in log.read_text()
+
+
+def test_a_full_queue_gives_pressure_back_and_loses_nothing():
+    """A real queueing discipline that takes some 2 kB: what it does not take waits here, in order."""
+    command = "qdisc add dev vcan1 root tbf rate 200kbit burst 256 limit 512"
+    subprocess.run(["tc", *command.split()], check=True)
+    try:
+        frames = empty(200)
+        for k in range(200):
+            put(frames, k, 0, 0x7E8, k.to_bytes(2, "big"))
+        with open_bus("socketcan:vcan1", 0) as ours, raw("vcan1") as theirs:
+            waiting = Transmitter()
+            waiting.send(ours, frames)
+            assert 0 < len(waiting) < 200, "the queue was full"
+            theirs.settimeout(0.02)
+            seen = []
+            limit = time.monotonic() + 20
+            while len(seen) < 200 and time.monotonic() < limit:
+                waiting.flush(ours)
+                with suppress(TimeoutError):
+                    seen.append(int.from_bytes(theirs.recv(16)[8:10], "big"))
+            assert seen == list(range(200))
+            assert (ours.statistics.sent, waiting.given_up) == (200, 0)
+    finally:
+        subprocess.run(["tc", "qdisc", "del", "dev", "vcan1", "root"], check=True)
+
+
+def test_a_frame_that_the_interface_cannot_carry_is_counted_and_the_next_one_sent():
+    ip("link", "set", "vcan1", "down")
+    ip("link", "set", "vcan1", "mtu", "16", "up")
+    try:
+        frames = empty(2)
+        put(frames, 0, 0, 0x100, bytes(64), flags=FD)
+        put(frames, 1, 0, 0x101, b"classic")
+        with open_bus("socketcan:vcan1", 0) as ours, raw("vcan1") as theirs:
+            assert ours.send(frames) == 2
+            theirs.settimeout(5)
+            assert struct.unpack("=I", theirs.recv(16)[:4]) == (0x101,)
+            assert (ours.statistics.sent, ours.statistics.refused) == (1, 1)
+    finally:
+        ip("link", "set", "vcan1", "down")
+        ip("link", "set", "vcan1", "mtu", "72", "up")
+
+
+def test_an_interface_that_is_not_there_or_down_is_a_clear_error():
     with pytest.raises(BusError, match="ip link add dev nosuch0 type vcan"):
         open_bus("socketcan:nosuch0")
+    ip("link", "set", "vcan1", "down")
+    try:
+        with pytest.raises(BusError, match="ip link set vcan1 up"):
+            open_bus("socketcan:vcan1")
+    finally:
+        ip("link", "set", "vcan1", "up")
 
 
-def test_the_daemon_on_vcan0_seen_by_candump(tmp_path):
-    """Daemon and virtual ECU as processes; candump's log of the DTC frames decodes with cantools."""
-    message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
-    with (tmp_path / "dtc.log").open("wb") as log, (tmp_path / "events").open("wb") as events:
-        dump = subprocess.Popen(["candump", "-L", "vcan0,6F0:7FF"], stdout=log)
-        daemon = subprocess.Popen(
-            [*GATEWAY, "run", str(shipped("gateway.toml")), "--bus", "socketcan:vcan0", "--json",
-             "--memory", str(tmp_path / "f.sqlite")],
-            stdout=events,
-        )  # fmt: skip
+def test_what_was_queued_when_the_interface_went_down_still_comes():
+    with open_bus("socketcan:vcan1", 0) as ours, raw("vcan1") as theirs:
+        for k in range(3):
+            theirs.send(can_frame(0x100 + k))
+        ip("link", "set", "vcan1", "down")
         try:
-            drive = subprocess.run(
-                [*GATEWAY, "simulate", "crank_missed_tooth", "--bus", "socketcan:vcan0", "--check",
-                 "--wait", "120"],
-                capture_output=True,
-                text=True,
-                timeout=200,
-                check=False,
-            )  # fmt: skip
-            answers = [ask(request) for request in ("3e00", "190208", "03")]
+            assert take(ours, 3)["can_id"].tolist() == [0x100, 0x101, 0x102]
+            assert ours.gone is not None
+            with pytest.raises(BusError, match="down"):
+                ours.receive(empty(1))
+            frame = empty(1)
+            with pytest.raises(BusError, match="not sent"):
+                ours.send(frame)
         finally:
-            daemon.send_signal(signal.SIGTERM)
-            code = daemon.wait(30)
-            dump.terminate()
-            dump.wait(10)
-    assert drive.returncode == 0, drive.stdout + drive.stderr
-    assert code == 0
-    assert answers[0] == "7e00"
-    assert answers[1].startswith("5902ff")
-    assert "033629" in answers[1], "over ISO-TP, on the kernel's own CAN"
-    assert "0336" in answers[2]
-    lines = (tmp_path / "dtc.log").read_bytes().splitlines()
-    frames, wrong = parse(lines, 1, tmp_path / "dtc.log", None)
-    assert wrong is None
-    seen = [message.decode(payload(frame)) for frame in frames]
-    assert {"Dtc": 0x033629, "Status": 0x2F, "FaultDetectionCounter": 127}.items() <= next(
-        values for values in seen if values["Dtc"] == 0x033629
-    ).items()
-    last = json.loads((tmp_path / "events").read_text().splitlines()[-1])
-    assert last["event"] == "summary"
-    # Three requests and a flow control: kernel filters kept CTW_BASE and our own frames back.
-    assert last["counters"]["unknown"] == 4
+            ip("link", "set", "vcan1", "up")

@@ -1,0 +1,240 @@
+"""The kernel's ``struct can_frame`` and ``struct canfd_frame``: received straight into the batch array.
+
+The layout of FRAME mirrors these structs: a datagram received at byte 8 of a record puts the identifier, and the
+payload, in their places. So receiving costs one system call a batch (``recvmmsg``) and no Python object a frame.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import socket
+import struct
+import time
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.base import Statistics
+from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty, payload
+from gateway.jit import kernel
+
+# From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
+_CAN_MTU, _CANFD_MTU = 16, 72
+_CANFD_BRS, _CANFD_ESI, _CANFD_FDF = 0x01, 0x02, 0x04
+_SOL_SOCKET = int(socket.SOL_SOCKET)
+_SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40
+_MSG_CONFIRM = 0x800
+
+_STRUCT = struct.Struct("=IBBBB")
+_ANCILLARY = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
+_ALIGNED = np.dtype(np.uintp).itemsize
+_TO_DATA = socket.CMSG_LEN(0)
+
+#: Longest batch that is filled at one call.
+MOST_FRAMES = 1024
+
+
+class _Header(ctypes.Structure):
+    """``struct msghdr``."""
+
+    _fields_ = (
+        ("name", ctypes.c_void_p),
+        ("name_length", ctypes.c_uint32),
+        ("vector", ctypes.c_void_p),
+        ("vectors", ctypes.c_size_t),
+        ("control", ctypes.c_void_p),
+        ("control_length", ctypes.c_size_t),
+        ("flags", ctypes.c_int),
+    )
+
+
+class _Message(ctypes.Structure):
+    """``struct mmsghdr``."""
+
+    _fields_ = (("header", _Header), ("length", ctypes.c_uint))
+
+
+class _Vector(ctypes.Structure):
+    """``struct iovec``."""
+
+    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+@kernel
+def _word(control: Any, at: int, count: int) -> int:
+    """Return ``count`` bytes as a little-endian number."""
+    value = np.int64(0)
+    for k in range(count):
+        value |= np.int64(control[at + k]) << np.int64(8 * k)
+    return int(value)
+
+
+@kernel
+def settle(
+    out: Any, messages: Any, control: Any, losses: Any, count: int, bus: int, now_ns: int, lost: int
+) -> tuple[int, int, int, int]:
+    """Turn received structs, where they lie now, into frames; what is no frame is left out.
+
+    Args:
+        out: batch whose records were received at byte 8.
+        messages: their headers, shape (>= count,) of struct mmsghdr.
+        control: their ancillary data, uint8, shape (>= count, bytes).
+        losses: int64, shape (n, 2): takes (place in the batch, frames lost before it).
+        count: how many messages.
+        bus: index of the bus.
+        now_ns: stamp of a frame that has none [ns].
+        lost: the socket's count of lost frames so far, modulo 2**32.
+
+    Returns:
+        frames, messages that were none, the socket's count of lost frames, rows of ``losses``.
+    """
+    kept, rejected, gaps = 0, 0, 0
+    for k in range(count):
+        m = messages[k]
+        size = m["length"]
+        stamp, at = now_ns, 0
+        header = m["header"]
+        end = min(np.int64(header["control_length"]), control.shape[1])
+        while at + _TO_DATA <= end:
+            length = _word(control[k], at, _ALIGNED)
+            kind = _word(control[k], at + _ALIGNED + 4, 4)
+            if _word(control[k], at + _ALIGNED, 4) == _SOL_SOCKET:
+                data = at + _TO_DATA
+                if kind == _SO_TIMESTAMPNS:
+                    stamp = _word(control[k], data, 8) * 1_000_000_000
+                    stamp += _word(control[k], data + 8, 8)
+                elif kind == _SO_RXQ_OVFL:
+                    total = _word(control[k], data, 4)
+                    if total != lost:
+                        losses[gaps, 0], losses[gaps, 1] = kept, (total - lost) & 0xFFFFFFFF
+                        gaps += 1
+                        lost = total
+            if length < _TO_DATA:
+                break
+            at += (length + _ALIGNED - 1) // _ALIGNED * _ALIGNED
+        if size not in (_CAN_MTU, _CANFD_MTU):
+            rejected += 1 if size > 0 else 0
+            continue
+        if kept != k:
+            out[kept] = out[k]
+        f = out[kept]
+        fd = size == _CANFD_MTU
+        length = int(min(np.int64(f["bus"]), 64 if fd else 8))
+        if np.int64(f["can_id"]) & REMOTE:
+            length = 0  # a remote frame has a length but no data
+        raw = np.int64(f["flags"])
+        flags = OWN if np.int64(header["flags"]) & _MSG_CONFIRM else 0
+        if fd:
+            flags |= FD
+            flags |= BRS if raw & _CANFD_BRS else 0
+            flags |= ESI if raw & _CANFD_ESI else 0
+        f["t_ns"] = stamp
+        f["bus"] = bus
+        f["flags"] = flags
+        f["length"] = length
+        f["rank"] = 0
+        data = f["data"]
+        for j in range(length, 64):
+            data[j] = 0
+        kept += 1
+    return kept, rejected, lost, gaps
+
+
+class RawReceiver:
+    """Receives ``can_frame`` and ``canfd_frame`` datagrams of a socket into batches.
+
+    Args:
+        sock: a CAN_RAW socket, or any datagram socket that carries these structs.
+        statistics: whose counters are kept.
+
+    Attributes:
+        losses: (place in the last batch, frames lost right before it), as the kernel counted them.
+    """
+
+    def __init__(self, sock: socket.socket, statistics: Statistics) -> None:
+        self._sock = sock
+        self._statistics = statistics
+        self._lost = 0
+        self.losses: list[tuple[int, int]] = []
+        self._gaps = np.zeros((MOST_FRAMES, 2), np.int64)
+        self._messages = np.zeros(MOST_FRAMES, np.dtype(_Message))
+        self._vectors = np.zeros(MOST_FRAMES, np.dtype(_Vector))
+        self._control = np.zeros((MOST_FRAMES, _ANCILLARY), np.uint8)
+        rows = np.arange(MOST_FRAMES, dtype=np.uintp)
+        self._steps = rows * FRAME.itemsize + 8
+        self._vectors["length"] = _CANFD_MTU
+        header = self._messages["header"]
+        header["vector"] = self._vectors.ctypes.data + rows * self._vectors.itemsize
+        header["vectors"] = 1
+        header["control"] = self._control.ctypes.data + rows * _ANCILLARY
+        header["control_length"] = _ANCILLARY
+        self._lengths = header["control_length"]
+        self._headers = self._messages.ctypes.data
+        self._into = 0
+        settle(
+            empty(0), self._messages, self._control, self._gaps, 0, 0, 0, 0
+        )  # compiled before traffic
+        for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
+            try:
+                sock.setsockopt(_SOL_SOCKET, option, 1)
+            except OSError:
+                continue  # the host's clock stamps instead; overflow is not seen
+
+    def receive(self, out: Frames, bus: int) -> int:
+        """Take what has come, without waiting; returns how many frames.
+
+        Args:
+            out: batch to fill from its beginning.
+            bus: index stamped into the frames.
+
+        Raises:
+            OSError: as the socket says.
+        """
+        self.losses = []
+        most = min(len(out), MOST_FRAMES)
+        address = out.ctypes.data
+        if address != self._into:
+            self._vectors["base"] = address + self._steps
+            self._into = address
+        count = _libc.recvmmsg(
+            self._sock.fileno(), ctypes.c_void_p(self._headers), most, socket.MSG_DONTWAIT, None
+        )
+        if count < 0:
+            code = ctypes.get_errno()
+            error = OSError(code, os.strerror(code))
+            if isinstance(error, BlockingIOError | InterruptedError):
+                return 0
+            raise error
+        kept, rejected, self._lost, gaps = settle(
+            out,
+            self._messages,
+            self._control,
+            self._gaps,
+            count,
+            bus,
+            time.time_ns(),
+            self._lost,
+        )
+        if gaps:
+            self.losses = [(int(at), int(lost)) for at, lost in self._gaps[:gaps]]
+            self._statistics.overflow += sum(lost for _, lost in self.losses)
+        self._lengths[:count] = _ANCILLARY  # the kernel has put in how much there was
+        self._statistics.rejected += rejected
+        self._statistics.received += kept
+        return int(kept)
+
+
+def pack(frame: np.void) -> bytes:
+    """Return one frame as ``struct can_frame`` or ``struct canfd_frame``."""
+    data = payload(frame)
+    flags = int(frame["flags"])
+    if flags & FD:
+        bits = _CANFD_FDF
+        bits |= _CANFD_BRS if flags & BRS else 0
+        bits |= _CANFD_ESI if flags & ESI else 0
+        return _STRUCT.pack(int(frame["can_id"]), len(data), bits, 0, 0) + data.ljust(64, b"\0")
+    return _STRUCT.pack(int(frame["can_id"]), len(data), 0, 0, 0) + data.ljust(8, b"\0")

@@ -1,0 +1,40 @@
+"""What a bus says of itself: the kernel's error frames, and our own frames of its condition.
+
+An error frame (linux/can/error.h) has the flag ERROR and classes of errors as its identifier, and details in its data.
+The kernel has no frame for an interface that goes away, comes back, or loses frames in a queue; for these the
+gateway makes error frames of **no class**, which the kernel never sends. They travel with the other frames, into
+recordings too, so that a replay judges the bus as the live run did.
+
+Data of a frame without class: byte 0 the condition, bytes 4 to 7 the number of frames lost (little endian).
+"""
+
+from __future__ import annotations
+
+from gateway.bus.frames import ERROR, Frames, empty, put
+
+# Classes of errors: bits of the identifier.
+TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL = 0x001, 0x002, 0x004, 0x008
+TRANSCEIVER, NO_ACK, BUS_OFF, BUS_ERROR = 0x010, 0x020, 0x040, 0x080
+RESTARTED, COUNTERS = 0x100, 0x200
+
+# Class CONTROLLER, byte 1 of the data.
+RX_OVERFLOW, TX_OVERFLOW, RX_WARNING, TX_WARNING = 0x01, 0x02, 0x04, 0x08
+RX_PASSIVE, TX_PASSIVE, ACTIVE = 0x10, 0x20, 0x40
+
+#: Conditions: frames come, none can come, some were lost in a queue.
+RUNNING, LOST, LOSS = 1, 2, 3
+
+
+def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frames:
+    """Return a batch of one frame that tells the condition of a bus.
+
+    Args:
+        t_ns: since when [ns].
+        bus: index of the bus.
+        condition: RUNNING, LOST or LOSS.
+        lost: LOSS: frames lost.
+    """
+    frame = empty(1)
+    data = bytes([condition, 0, 0, 0]) + min(lost, 0xFFFFFFFF).to_bytes(4, "little")
+    put(frame, 0, t_ns, ERROR, data, bus=bus)
+    return frame

@@ -1,0 +1,200 @@
+"""Always the last hours of raw frames: segments in a folder, the oldest given up for the newest.
+
+A batch is with the operating system before :meth:`Ring.write` returns, so that ``kill -9`` loses nothing of a candump
+segment; BLF is written in compressed containers, of which the last may be lost.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import structlog
+from pydantic import Field
+
+from gateway.bus.frames import Frames
+from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
+from gateway.errors import InputError
+from gateway.tomlfile import StrictModel
+
+_NAME = re.compile(r"^frames-(\d{6,})-\d{8}T\d{6}Z\.(log|blf)$")
+#: After a failure (disk full) the next attempt waits so long [s].
+PAUSE_S = 1.0
+
+log = structlog.get_logger(__name__)
+
+
+class RingParams(StrictModel):
+    """An always-on recording of all frames."""
+
+    folder: Path = Field(description="where the segments are; relative to the work folder")
+    keep_mb: float = Field(
+        256.0, gt=0, le=1e7, allow_inf_nan=False, description="size of all segments [MB]"
+    )
+    segment_mb: float = Field(
+        16.0, gt=0, le=1e5, allow_inf_nan=False, description="size of a segment [MB]"
+    )
+    segment_s: float = Field(
+        600.0, gt=0, le=1e6, allow_inf_nan=False, description="longest time of a segment [s]"
+    )
+    format: Literal["log", "blf"] = Field(
+        "log", description="log: candump, nothing lost at kill -9; blf: a third of the size"
+    )
+
+
+def segments(folder: Path) -> list[Path]:
+    """Return the segments of a folder, the oldest first.
+
+    Raises:
+        InputError: there are none, or it cannot be read.
+    """
+    try:
+        found = [path for path in folder.iterdir() if _NAME.match(path.name)]
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=folder) from error
+    if not found:
+        raise InputError("no recorded segments here (frames-000001-....log)", file=folder)
+    return sorted(found, key=_number)
+
+
+def _number(path: Path) -> int:
+    match = _NAME.match(path.name)
+    return int(match[1]) if match else 0
+
+
+class SegmentReader:
+    """Reads the segments of a folder one after the other; an iterable of batches, once.
+
+    A segment that ends in a damaged place (power loss) is read up to there.
+
+    Attributes:
+        bytes_total: size of all segments [byte].
+    """
+
+    def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
+        self._readers = [read_log(path, channels=channels) for path in segments(folder)]
+        self.bytes_total = sum(reader.bytes_total for reader in self._readers)
+
+    @property
+    def bytes_done(self) -> int:
+        """How far reading is [byte]."""
+        return sum(reader.bytes_done for reader in self._readers)
+
+    def __iter__(self) -> Iterator[Frames]:
+        for reader in self._readers:
+            try:
+                yield from reader
+            except InputError as error:
+                log.warning("the rest of a segment is left out", error=str(error))
+                reader.bytes_done = reader.bytes_total
+
+
+def read_recording(
+    path: Path, channels: Mapping[str, int] | None = None
+) -> LogReader | SegmentReader:
+    """Open a log, or a folder of segments.
+
+    Args:
+        path: the file or folder.
+        channels: interface or channel in the files -> bus index; None puts all on bus 0.
+
+    Raises:
+        InputError: unknown format, or unreadable; while reading a log: a damaged place.
+    """
+    if path.is_dir():
+        return SegmentReader(path, channels)
+    return read_log(path, channels=channels)
+
+
+class Ring:
+    """Writes segments, and deletes the oldest beyond the size asked for.
+
+    Args:
+        params: settings.
+        interfaces: names of the buses in the segments.
+
+    Raises:
+        InputError: the folder cannot be made or written.
+
+    Attributes:
+        lost: frames that could not be written.
+    """
+
+    def __init__(self, params: RingParams, interfaces: Mapping[int, str]) -> None:
+        self._params = params
+        self._interfaces = dict(interfaces)
+        self._writer: LogWriter | None = None
+        self._path = params.folder
+        self._first_ns = 0
+        self._resume = 0.0
+        self.lost = 0
+        try:
+            params.folder.mkdir(parents=True, exist_ok=True)
+            old = [path for path in params.folder.iterdir() if _NAME.match(path.name)]
+        except OSError as error:
+            raise InputError(
+                f"not usable for recordings: {error.strerror}", file=params.folder
+            ) from error
+        self._next = max(map(_number, old), default=0) + 1
+
+    def write(self, frames: Frames) -> None:
+        """Append a batch; what cannot be written is counted, and does not stop anybody."""
+        if not len(frames):
+            return
+        if self._writer is None and time.monotonic() < self._resume:
+            self.lost += len(frames)
+            return
+        try:
+            self._write(frames)
+        except (OSError, InputError) as error:
+            self.lost += len(frames)
+            self._resume = time.monotonic() + PAUSE_S
+            log.warning("frames not recorded", folder=str(self._params.folder), error=str(error))
+            self._end()
+
+    def _write(self, frames: Frames) -> None:
+        t_ns = int(frames[0]["t_ns"])
+        if self._writer is None:
+            self._begin(t_ns)
+        assert self._writer is not None
+        self._writer.write(frames)
+        full = self._path.stat().st_size >= self._params.segment_mb * 1e6
+        if full or abs(t_ns - self._first_ns) >= self._params.segment_s * 1e9:
+            self._end()
+
+    def _begin(self, t_ns: int) -> None:
+        self._trim()
+        stamp = datetime.fromtimestamp(t_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%SZ")
+        name = f"frames-{self._next:06d}-{stamp}.{self._params.format}"
+        self._path = self._params.folder / name
+        self._next += 1
+        self._first_ns = t_ns
+        self._writer = open_writer(self._path, interfaces=self._interfaces)
+
+    def _trim(self) -> None:
+        """Delete the oldest segments until another one has room."""
+        try:
+            found = segments(self._params.folder)
+        except InputError:
+            return
+        room = (self._params.keep_mb - self._params.segment_mb) * 1e6
+        sizes = [path.stat().st_size for path in found]
+        while found and sum(sizes) > max(room, 0.0):
+            found.pop(0).unlink()
+            sizes.pop(0)
+
+    def _end(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            except OSError as error:
+                log.warning("segment not finished", file=str(self._path), error=str(error))
+
+    def close(self) -> None:
+        """Finish the segment."""
+        self._end()

@@ -1,0 +1,73 @@
+"""``gateway record``: frames into a file, or into a ring of segments."""
+
+from __future__ import annotations
+
+import signal
+import time
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from gateway.bus.logs import open_writer
+from gateway.bus.ring import Ring, RingParams
+from gateway.bus.uri import channel_of, open_bus
+from gateway.cli.present import EventPrinter, say
+from gateway.cli.run import Ending
+from gateway.errors import InputError
+from gateway.live.link import Link
+from gateway.live.loop import Live, bus_event
+from gateway.live.notify import Notifier
+from gateway.live.record import Nobody
+from gateway.tomlfile import validate
+
+
+def record(
+    uris: list[str],
+    *,
+    out: Path | None,
+    ring: Path | None,
+    keep_mb: float,
+    segment_mb: float,
+    form: str,
+    duration: float | None,
+    json: bool,
+) -> int:
+    """Record until told to stop; returns the exit code."""
+    if (out is None) == (ring is None):
+        raise InputError("say where to: a file with --out, or a folder with --ring")
+    ending = Ending().after(duration)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    channels = _channels(uris)
+    printer = EventPrinter(as_json=json, start_ns=time.time_ns())
+    nobody, notifier = Nobody(), Notifier()
+    with ExitStack() as stack:
+        sink: Ring | None = None
+        if ring is not None:
+            asked = {"folder": ring, "keep_mb": keep_mb, "segment_mb": segment_mb, "format": form}
+            sink = Ring(validate(asked, RingParams, None), channels)
+            stack.callback(sink.close)
+        writer = None if out is None else stack.enter_context(open_writer(out, interfaces=channels))
+        links = []
+        for index, uri in enumerate(uris):
+            links.append(Link(uri, index, channels[index], partial(open_bus, patience_s=0.0)))
+            stack.callback(links[-1].close)
+            links[-1].start()
+        live = Live(nobody, links, printer, taps=[t for t in (sink, writer) if t is not None])
+        stack.callback(live.close)
+        say(f"recording {', '.join(uris)} to {out or ring}")
+        notifier.ready(f"recording {', '.join(uris)}")
+        live.run(ending, on_turn=notifier.alive)
+        notifier.stopping()
+        for link in links:
+            printer(bus_event(link, "closed", time.time_ns()))
+    lost = 0 if sink is None else sink.lost
+    say(f"{nobody.frames} frames recorded" + (f", {lost} could not be written" if lost else ""))
+    return 0
+
+
+def _channels(uris: list[str]) -> dict[int, str]:
+    """Return the names of the buses in the recording: those of the interfaces, where they differ."""
+    names = [channel_of(uri) for uri in uris]
+    if len(set(names)) < len(names):
+        names = [f"can{k}" for k in range(len(uris))]
+    return dict(enumerate(names))

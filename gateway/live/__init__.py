@@ -1,0 +1,1 @@
+"""The running daemon: supervised buses in, one gateway, frames out. The only reader of the wall clock."""

@@ -1,0 +1,210 @@
+"""The daemon: one configuration after another on the same buses and the same fault memory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from gateway.app import Gateway, prepare
+from gateway.bus.ring import Ring
+from gateway.bus.uri import open_bus
+from gateway.config import Config, load_config
+from gateway.errors import GatewayError, InputError
+from gateway.live.link import Link
+from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
+from gateway.live.notify import Notifier
+from gateway.live.reload import Prepared, Reloader
+
+log = structlog.get_logger(__name__)
+
+
+class Daemon:
+    """Everything that ``gateway run`` runs.
+
+    Args:
+        path: of the configuration.
+        bus: URI instead of the configured one.
+        memory: fault memory instead of the configured one.
+        tell: takes the events of the JSON contract.
+        taps: take every frame besides the configured recording.
+        notifier: the service manager.
+        clock_ns: the clock that stamps the frames [ns].
+
+    Attributes:
+        gateway: that runs now.
+
+    Raises:
+        InputError, InputErrors: a wrong configuration.
+        UnsupportedError: a kind of bus that this system does not have.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        bus: str | None = None,
+        memory: Path | None = None,
+        tell: Callable[[dict[str, Any]], None],
+        taps: Sequence[Tap] = (),
+        notifier: Notifier | None = None,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._path, self._bus, self._memory = path, bus, memory
+        self._tell, self._given_taps = tell, list(taps)
+        self._notifier = notifier or Notifier({})
+        self._clock_ns = clock_ns
+        config = self._load()
+        self._ring: Ring | None = None
+        self.reloader = Reloader(self._prepare)
+        gateway = Gateway(config, memory or config.memory.path, file=path)
+        gateway.listen(tell)
+        self.gateway = gateway
+        links: list[Link] = []
+        try:
+            self._ring = self._new_ring(config)
+            for index, entry in enumerate(config.bus):
+                links.append(self._new_link(entry.uri, index, entry.name))
+                links[-1].start()
+            gateway.start(clock_ns())
+            self._live = Live(gateway, links, tell, taps=self._taps(), clock_ns=clock_ns)
+        except BaseException:
+            for link in links:
+                link.close()
+            gateway.close()
+            raise
+
+    def describe(self) -> str:
+        """Return in one line what is monitored."""
+        uris = ", ".join(link.uri for link in self._live.links)
+        return f"{self.gateway.config.name}: monitoring {uris}"
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Monitor until told to stop; then the operation cycle has ended and everything is kept."""
+        self._notifier.ready(self.describe())
+        try:
+            self._live.run(stop, on_turn=self._on_turn)
+        finally:
+            self._notifier.stopping()
+        gateway = self.gateway
+        gateway.advance(self._clock_ns() - GRACE_NS)
+        gateway.stop(gateway.engine.now_ns)
+        self._live.keep()
+        for link in self._live.links:
+            self._tell(bus_event(link, "closed", gateway.engine.now_ns))
+
+    def close(self) -> None:
+        """Close buses, recording and fault memory."""
+        self._live.close()
+        for link in self._live.links:
+            link.close()
+        if self._ring is not None:
+            self._ring.close()
+        self.gateway.close()
+        self._notifier.close()
+
+    def _load(self) -> Config:
+        config = load_config(self._path)
+        if self._bus is None:
+            return config
+        if len(config.bus) > 1:
+            raise InputError(
+                "the configuration has several buses; set their URIs there", value=self._bus
+            )
+        (entry,) = config.bus
+        return config.model_copy(update={"bus": (entry.model_copy(update={"uri": self._bus}),)})
+
+    def _new_link(self, uri: str, index: int, name: str) -> Link:
+        opener = partial(open_bus, patience_s=0.0)
+        return Link(uri, index, name, opener, clock_ns=self._clock_ns)
+
+    def _new_ring(self, config: Config) -> Ring | None:
+        if config.record is None:
+            return None
+        return Ring(config.record, {k: bus.channel for k, bus in enumerate(config.bus)})
+
+    def _taps(self) -> list[Tap]:
+        return [*self._given_taps, *([] if self._ring is None else [self._ring])]
+
+    # Another configuration
+
+    def _on_turn(self) -> None:
+        self._notifier.alive()
+        if self.reloader.begin():
+            self._notifier.reloading()
+        found = self.reloader.take()
+        if found is None:
+            return
+        try:
+            if isinstance(found, GatewayError):
+                raise found
+            self._change(found)
+        except GatewayError as error:
+            log.error("new configuration refused", file=str(self._path), error=str(error))
+            self._tell_config("refused", str(error))
+        else:
+            log.info("new configuration", file=str(self._path))
+            self._tell_config("reloaded", "")
+        self._notifier.ready(self.describe())
+
+    def _tell_config(self, state: str, reason: str) -> None:
+        self._tell(
+            {
+                "event": "config",
+                "t_ns": self._clock_ns(),
+                "file": str(self._path),
+                "state": state,
+                "reason": reason,
+            }
+        )
+
+    def _prepare(self) -> Prepared:
+        config = self._load()
+        running = self.gateway.config.memory.path
+        if self._memory is None and config.memory.path != running:
+            raise InputError(
+                f"the fault memory cannot change while the gateway runs ({running}); start it anew",
+                file=self._path,
+                key="memory.path",
+                value=str(config.memory.path),
+            )
+        return Prepared(config, prepare(config, self._path))
+
+    def _change(self, new: Prepared) -> None:
+        """Go on with another configuration; what cannot be built or opened changes nothing."""
+        old = self.gateway
+        gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
+        kept = {link.uri: link for link in self._live.links}
+        links, opened = [], []
+        ring = self._ring
+        channels = [bus.channel for bus in new.config.bus]
+        same = [bus.channel for bus in old.config.bus] == channels
+        try:
+            if new.config.record != old.config.record or not same:
+                ring = self._new_ring(new.config)
+            for index, entry in enumerate(new.config.bus):
+                link = kept.pop(entry.uri, None)
+                if link is None:
+                    link = self._new_link(entry.uri, index, entry.name)
+                    opened.append(link)
+                    link.start()
+                links.append(link)
+        except GatewayError:
+            for link in opened:
+                link.close()
+            raise
+        gateway.succeed(old)
+        self.gateway = gateway
+        for index, (link, entry) in enumerate(zip(links, new.config.bus, strict=True)):
+            link.index, link.name = index, entry.name
+        if ring is not self._ring:
+            if self._ring is not None:
+                self._ring.close()
+            self._ring = ring
+        self._live.replace(gateway, links, self._taps())
+        for link in kept.values():
+            link.close()

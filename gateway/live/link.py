@@ -1,0 +1,228 @@
+"""A bus that comes and goes: opened, lost, opened again, without anybody else noticing more than a frame.
+
+What happened to it goes among its frames (see ``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING
+when it can again, LOSS where frames were lost in a queue.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+
+import numpy as np
+import structlog
+
+from gateway.bus.base import Bus, Statistics
+from gateway.bus.conditions import LOSS, LOST, RUNNING, condition_frame
+from gateway.bus.frames import Frames, empty
+from gateway.errors import BusError, UnsupportedError
+from gateway.live.transmit import Transmitter
+
+#: First and longest wait before a bus that is gone is tried again [s].
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.05, 0.8
+#: Frames taken at one call.
+BATCH = 256
+
+log = structlog.get_logger(__name__)
+
+#: Opens a bus: URI and index.
+Opener = Callable[[str, int], Bus]
+
+
+class Link:
+    """A bus under supervision.
+
+    Args:
+        uri: of the bus.
+        index: stamped into its frames.
+        name: what the configuration calls it.
+        opener: opens it.
+        clock_ns: stamps what happens to it [ns].
+        monotonic: for the waits [s].
+
+    Attributes:
+        index, name: may be changed at any time.
+        losses: how often it was lost.
+    """
+
+    def __init__(
+        self,
+        uri: str,
+        index: int,
+        name: str,
+        opener: Opener,
+        *,
+        clock_ns: Callable[[], int] = time.time_ns,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.uri, self.index, self.name = uri, index, name
+        self._opener, self._clock_ns, self._monotonic = opener, clock_ns, monotonic
+        self._bus: Bus | None = None
+        self._wait_s = FIRST_WAIT_S
+        self._next_try = 0.0
+        self._past = Statistics()
+        self._filters: Sequence[int] | None = None
+        self._echo = False
+        self._batch = empty(BATCH)
+        self._told: list[Frames] = []
+        self._transmitter = Transmitter()
+        self.reason = ""
+        self.losses = 0
+        self.echoes = False
+
+    def start(self) -> None:
+        """Open it for the first time; one that is not there is told LOST, and tried again.
+
+        Raises:
+            UnsupportedError: this system has no such kind of bus.
+            InputError: not a URI of a bus.
+        """
+        try:
+            self._open()
+        except UnsupportedError:
+            raise
+        except BusError as error:
+            self._lose(str(error))
+
+    @property
+    def running(self) -> bool:
+        """Whether the bus is open."""
+        return self._bus is not None
+
+    def fileno(self) -> int | None:
+        """Return the descriptor to wait for, None while the bus is gone."""
+        return None if self._bus is None else self._bus.fileno()
+
+    @property
+    def due_s(self) -> float:
+        """How long until it wants :meth:`attend` at the latest [s]."""
+        if self._bus is None:
+            return max(self._next_try - self._monotonic(), 0.0)
+        return 0.001 if len(self._transmitter) else float("inf")
+
+    def attend(self) -> None:
+        """Try to open a bus that is gone, when it is time; send what waits."""
+        if self._bus is None and self._monotonic() >= self._next_try:
+            try:
+                self._open()
+            except BusError as error:
+                self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
+                self._next_try = self._monotonic() + self._wait_s
+                self.reason = str(error)
+        if len(self._transmitter):
+            self._send(empty(0))
+
+    def receive(self) -> tuple[Frames, bool]:
+        """Take what has come, and what happened; the frames are valid until the next call.
+
+        Returns:
+            frames; whether there may be more.
+        """
+        told, self._told = self._told, []
+        if self._bus is None:
+            return _joined(told), False
+        try:
+            self._bus.index = self.index
+            count = self._bus.receive(self._batch)
+        except BusError as error:
+            self._lose(str(error))
+            told += self._told
+            self._told = []
+            return _joined(told), False
+        frames = self._batch[:count]
+        if self._bus.losses:
+            frames = self._with_losses(frames, self._bus.losses)
+        if self._bus.gone is not None:
+            self._lose(self._bus.gone)
+        return (_joined([*told, frames]) if told else frames), count == BATCH
+
+    def send(self, frames: Frames) -> None:
+        """Send frames; those of a bus that is gone are given up."""
+        if self._bus is None:
+            self._transmitter.given_up += len(frames)
+        else:
+            self._send(frames)
+
+    def _send(self, frames: Frames) -> None:
+        if self._bus is None:
+            return
+        try:
+            self._transmitter.send(self._bus, frames)
+        except BusError as error:
+            self._lose(str(error))
+
+    def listen_to(self, can_ids: Sequence[int] | None, *, echo: bool) -> None:
+        """Choose what comes: identifiers (None: all), and whether what is sent here comes back."""
+        self._filters, self._echo = can_ids, echo
+        try:
+            self._choose()
+        except BusError as error:
+            self._lose(str(error))
+
+    def _choose(self) -> None:
+        if self._bus is not None:
+            self._bus.set_filters(self._filters)
+            self.echoes = self._bus.set_echo(self._echo) if self._echo or self.echoes else False
+
+    @property
+    def statistics(self) -> Statistics:
+        """Counters of the bus since the start, over all its lives."""
+        total = Statistics()
+        for part in (self._past, None if self._bus is None else self._bus.statistics):
+            if part is not None:
+                _add(total, part)
+        return total
+
+    @property
+    def unsent(self) -> int:
+        """Frames that were never sent: the bus was gone, or its queue full for too long."""
+        return self._transmitter.given_up
+
+    def close(self) -> None:
+        """Close the bus."""
+        if self._bus is not None:
+            self._drop()
+
+    def _open(self) -> None:
+        self._bus = self._opener(self.uri, self.index)
+        self._wait_s = FIRST_WAIT_S
+        self.reason = ""
+        self._choose()
+        if self.losses:
+            log.info("bus is back", bus=self.name, uri=self.uri)
+        self._told.append(condition_frame(self._clock_ns(), self.index, RUNNING))
+
+    def _lose(self, reason: str) -> None:
+        log.warning("bus lost", bus=self.name, uri=self.uri, reason=reason)
+        self._drop()
+        self.losses += 1
+        self.reason = reason
+        self._transmitter.give_up()
+        self._next_try = self._monotonic() + self._wait_s
+        self._told.append(condition_frame(self._clock_ns(), self.index, LOST))
+
+    def _drop(self) -> None:
+        if self._bus is not None:
+            _add(self._past, self._bus.statistics)
+            self._bus.close()
+            self._bus = None
+
+    def _with_losses(self, frames: Frames, losses: Sequence[tuple[int, int]]) -> Frames:
+        """Return the frames with LOSS where frames are missing."""
+        parts, at = [], 0
+        for place, lost in losses:
+            parts.append(frames[at:place])
+            t_ns = int(frames[place]["t_ns"]) if place < len(frames) else self._clock_ns()
+            parts.append(condition_frame(t_ns, self.index, LOSS, lost))
+            at = place
+        return np.concatenate([*parts, frames[at:]])
+
+
+def _add(total: Statistics, part: Statistics) -> None:
+    for field in fields(Statistics):
+        setattr(total, field.name, getattr(total, field.name) + getattr(part, field.name))
+
+
+def _joined(parts: list[Frames]) -> Frames:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else empty(0)

@@ -1,0 +1,277 @@
+"""The live loop: buses are readable, time passes, frames leave."""
+
+from __future__ import annotations
+
+import selectors
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+import structlog
+
+from gateway.bus.conditions import LOST, RUNNING
+from gateway.bus.frames import ERROR, OWN, Frames
+from gateway.live.link import Link
+from gateway.live.merge import Merger
+
+#: Without traffic, time is let pass this far behind the clock, so that a frame that is still on its
+#: way through the kernel is not overtaken by the timers it would have stopped.
+GRACE_NS = 20_000_000
+#: Longest wait for a bus: how late a timer may run without traffic.
+TICK_S = 0.01
+#: How often requests of other processes are looked for.
+POLL_S = 0.1
+#: Least time between two reports of lost frames of one bus.
+REPORT_S = 1.0
+#: How often the state of the buses is kept for other processes.
+KEEP_S = 10.0
+#: Batches taken from a bus before the others, and the rest of the work, have their turn.
+TURN = 16
+
+log = structlog.get_logger(__name__)
+
+
+class Tap(Protocol):
+    """Takes a copy of each frame on the buses."""
+
+    def write(self, frames: Frames) -> None:
+        """Take a batch."""
+
+
+class Fed(Protocol):
+    """What frames and time are given to: a gateway."""
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`poll` has something to do."""
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch; returns the frames to send."""
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass; returns the frames to send."""
+
+    def poll(self, t_ns: int) -> Frames:
+        """Let time pass for answers; returns the frames to send."""
+
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return what it listens to; None: to all."""
+
+    def serve_requests(self) -> None:
+        """Do what other processes ask."""
+
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Keep how the buses do."""
+
+
+class Live:
+    """Feeds a gateway from its buses.
+
+    Args:
+        gateway: started already.
+        links: its buses, in the order of their indices; started already.
+        tell: takes the events of the buses.
+        taps: take each frame exactly as the engine gets it, and what is sent.
+        clock_ns: the clock that stamps the frames of these buses [ns].
+        tick_s: longest wait without traffic [s].
+    """
+
+    def __init__(
+        self,
+        gateway: Fed,
+        links: Sequence[Link],
+        tell: Callable[[dict[str, Any]], None],
+        *,
+        taps: Sequence[Tap] = (),
+        clock_ns: Callable[[], int] = time.time_ns,
+        tick_s: float = TICK_S,
+    ) -> None:
+        self._gateway = gateway
+        self._links = list(links)
+        self._tell = tell
+        self._taps = list(taps)
+        self._clock_ns, self._tick_s = clock_ns, tick_s
+        self._selector = selectors.DefaultSelector()
+        self._watched: dict[int, Link] = {}
+        self._merger = Merger()
+        self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
+        self._poll = self._keep = 0.0
+        self._choose()
+
+    @property
+    def links(self) -> Sequence[Link]:
+        """Its buses, in the order of their indices."""
+        return self._links
+
+    def replace(self, gateway: Fed, links: Sequence[Link], taps: Sequence[Tap]) -> None:
+        """Feed another gateway from now on; no frame is lost between the two."""
+        self._gateway = gateway
+        self._links, self._taps = list(links), list(taps)
+        self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
+        self._choose()
+
+    def _choose(self) -> None:
+        """Say which frames are wanted: a tap wants all there are."""
+        for link in self._links:
+            ids = None if self._taps else self._gateway.identifiers_on(link.index)
+            link.listen_to(ids, echo=bool(self._taps))
+
+    def close(self) -> None:
+        """Stop waiting for buses; they stay open."""
+        self._selector.close()
+
+    def run(self, stop: Callable[[], bool], *, on_turn: Callable[[], None] | None = None) -> None:
+        """Feed the gateway until told to stop.
+
+        Args:
+            stop: asked after every turn.
+            on_turn: called once a turn.
+        """
+        while not stop():
+            self.turn()
+            if on_turn is not None:
+                on_turn()
+
+    def turn(self) -> None:
+        """Wait for frames or for time to pass, and do what is due."""
+        for link in self._links:
+            if link.due_s <= 0.001:
+                link.attend()
+        self._watch()
+        busy = self._wait()
+        fed = self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
+        if not fed and not busy:
+            # Only now: frames that still wait in a queue must not be overtaken. With traffic,
+            # its own time stamps move the clock.
+            self._send(self._gateway.advance(self._clock_ns() - GRACE_NS))
+        self._send(self._gateway.poll(self._clock_ns()))
+        now = time.monotonic()
+        if now >= self._poll:
+            self._gateway.serve_requests()
+            self._report(now)
+            self._poll = now + POLL_S
+
+    def _watch(self) -> None:
+        """Wait for the descriptors that the links have now: a bus that came back has a new one."""
+        wanted = {fd: link for link in self._links if (fd := link.fileno()) is not None}
+        if wanted == self._watched:
+            return
+        # A descriptor may have been closed, and its number given out again: all are registered anew.
+        self._selector.close()
+        self._selector = selectors.DefaultSelector()
+        for fd in wanted:
+            self._selector.register(fd, selectors.EVENT_READ)
+        self._watched = wanted
+
+    def _wait(self) -> bool:
+        """Wait until there is something to do; returns whether a bus is readable."""
+        soon = (self._gateway.next_ns - self._clock_ns()) / 1e9
+        waits = [self._tick_s, soon, *(link.due_s for link in self._links)]
+        if self._merger.holding:
+            waits.append(0.0005)
+        return bool(self._selector.select(max(min(waits), 0.0)))
+
+    def _read_one(self, link: Link) -> bool:
+        """Feed what one bus has, without holding anything back; returns whether there was any."""
+        any_fed = False
+        for _ in range(TURN):
+            frames, more = link.receive()
+            if len(frames):
+                self._feed(frames)
+                any_fed = True
+            if not more:
+                break
+        return any_fed
+
+    def _read_all(self) -> bool:
+        """Feed what several buses have, in order of time; returns whether there was any."""
+        read_ns = self._clock_ns()
+        parts = []
+        for link in self._links:
+            pieces: list[Frames] = []
+            more = True
+            while more and len(pieces) < TURN:
+                frames, more = link.receive()
+                pieces.append(frames.copy())
+            parts.append((np.concatenate(pieces), more))
+        frames = self._merger.take(parts, read_ns)
+        if len(frames):
+            self._feed(frames)
+        return bool(len(frames)) or self._merger.holding
+
+    def _feed(self, frames: Frames) -> None:
+        for tap in self._taps:
+            tap.write(frames)
+        self._note(frames)
+        self._send(self._gateway.feed(frames))
+
+    def _note(self, frames: Frames) -> None:
+        """Tell when a bus went or came back."""
+        conditions = frames[frames["can_id"] == ERROR]  # an error frame of no class
+        for frame in conditions:
+            state = {RUNNING: "open", LOST: "lost"}.get(int(frame["data"][0]))
+            if state is not None:
+                link = self._links[int(frame["bus"])]
+                self._tell(bus_event(link, state, int(frame["t_ns"])))
+                self._keep = 0.0  # at the next look
+
+    def _send(self, frames: Frames) -> None:
+        if not len(frames):
+            return
+        for link in self._links:
+            mine = frames if len(self._links) == 1 else frames[frames["bus"] == link.index]
+            if not len(mine):
+                continue
+            link.send(mine)
+            if self._taps and not link.echoes:
+                # Nobody tells when they were on the bus: taken down as they leave.
+                sent = mine.copy()
+                sent["flags"] |= OWN
+                sent["rank"] = 0
+                sent["t_ns"] = self._clock_ns()
+                for tap in self._taps:
+                    tap.write(sent)
+
+    def _report(self, now: float) -> None:
+        """Tell of frames that were lost in queues, once a second at most."""
+        changed = False
+        for link in self._links:
+            overflow = link.statistics.overflow
+            told, when = self._told[id(link)]
+            if overflow > told and now - when >= REPORT_S:
+                log.warning("frames lost in a queue", bus=link.name, lost=overflow - told)
+                self._told[id(link)] = (overflow, now)
+                self._tell(bus_event(link, "overflow", self._clock_ns()))
+                changed = True
+        if changed or now >= self._keep:
+            self.keep()
+
+    def keep(self) -> None:
+        """Keep the state of the buses where other processes see it."""
+        self._keep = time.monotonic() + KEEP_S
+        self._gateway.note_buses(self._states())
+
+    def _states(self) -> list[dict[str, Any]]:
+        return [bus_event(link, link_state(link), self._clock_ns()) for link in self._links]
+
+
+def link_state(link: Link) -> str:
+    """Return the state of a bus in one word."""
+    return "open" if link.running else "lost"
+
+
+def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:
+    """Return the event of the JSON contract that tells the state of a bus."""
+    return {
+        "event": "bus",
+        "t_ns": t_ns,
+        "bus": link.name,
+        "uri": link.uri,
+        "state": state,
+        **asdict(link.statistics),
+        "unsent": link.unsent,
+        "losses": link.losses,
+        "reason": link.reason,
+    }

@@ -1,0 +1,63 @@
+"""A changed configuration, read and prepared beside the running gateway."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gateway.assemble import Parts
+from gateway.config import Config
+from gateway.errors import GatewayError
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A configuration that is right, and what was built from it."""
+
+    config: Config
+    parts: Parts
+
+
+class Reloader:
+    """Prepares configurations in a thread, one at a time.
+
+    Args:
+        prepare: reads and builds; its errors are those of the configuration.
+    """
+
+    def __init__(self, prepare: Callable[[], Prepared]) -> None:
+        self._prepare = prepare
+        self._requested = False
+        self._thread: threading.Thread | None = None
+        self._result: Prepared | GatewayError | None = None
+
+    def request(self, *_: object) -> None:
+        """Ask for the configuration to be read anew; may be a signal handler."""
+        self._requested = True
+
+    def begin(self) -> bool:
+        """Begin what was asked for, unless the last time is not over; returns whether it began."""
+        if not self._requested or self._thread is not None:
+            return False
+        self._requested = False
+        self._thread = threading.Thread(target=self._work, name="reload", daemon=True)
+        self._thread.start()
+        return True
+
+    def take(self) -> Prepared | GatewayError | None:
+        """Return what was prepared, or what is wrong with it, once; None: nothing yet."""
+        if self._thread is None or self._thread.is_alive():
+            return None
+        self._thread.join()
+        self._thread = None
+        result, self._result = self._result, None
+        return result
+
+    def _work(self) -> None:
+        try:
+            self._result = self._prepare()
+        except GatewayError as error:
+            self._result = error
+        except Exception as error:  # whatever it is, the old configuration goes on
+            self._result = GatewayError(f"{type(error).__name__}: {error}")

@@ -1,0 +1,256 @@
+"""Health of a bus: bus-off, error passive, error rate, interface lost, frames lost in a queue.
+
+It judges the kernel's error frames, and the frames by which the gateway tells the condition of its interfaces (see
+``gateway.bus.conditions``). A frame that is received proves that the controller is on the bus, whatever was said
+before it.
+
+Failure type bytes (SAE J2012): 88 bus off, 08 bus signal or message failure, 81 invalid serial data received, 31 no
+signal, 04 system internal failure (the gateway's own queue).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from gateway.bus.conditions import (
+    ACTIVE,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    LOSS,
+    LOST,
+    LOST_ARBITRATION,
+    NO_ACK,
+    PROTOCOL,
+    RESTARTED,
+    RUNNING,
+    RX_OVERFLOW,
+    RX_PASSIVE,
+    RX_WARNING,
+    TRANSCEIVER,
+    TX_OVERFLOW,
+    TX_PASSIVE,
+    TX_TIMEOUT,
+    TX_WARNING,
+)
+from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.monitors.shape import Debounce, Fault, MonitorParams
+
+OFF, PASSIVE, ERRORS, GONE, OVERFLOW = range(5)
+
+_AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
+
+FAULTS = (
+    Fault(
+        "bus_off",
+        "U0001-88",
+        "controller bus-off",
+        ("transmit errors", "receive errors"),
+        _AT_ONCE,
+    ),
+    Fault(
+        "bus_passive",
+        "U0001-08",
+        "controller error passive",
+        ("transmit errors", "receive errors"),
+        _AT_ONCE,
+    ),
+    Fault(
+        "bus_errors",
+        "U0001-81",
+        "more protocol errors in the window than allowed",
+        ("error classes", "protocol error", "location"),
+        _AT_ONCE,
+    ),
+    Fault("bus_lost", "U0001-31", "interface missing or down", (), _AT_ONCE),
+    Fault(
+        "bus_overflow",
+        "U0001-04",
+        "frames lost in a queue before they were read",
+        ("lost since the start",),
+        _AT_ONCE,
+    ),
+)
+
+#: Bases of the DTCs of the first bus, the second, ... (SAE J2012: high speed CAN, then vehicle communication buses A
+#: to E, then the other CAN buses).
+CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
+
+#: Counters of error frames, by class.
+COUNTED = {
+    "tx_timeout": TX_TIMEOUT,
+    "lost_arbitration": LOST_ARBITRATION,
+    "controller": CONTROLLER,
+    "protocol": PROTOCOL,
+    "transceiver": TRANSCEIVER,
+    "no_ack": NO_ACK,
+    "bus_off": BUS_OFF,
+    "bus_error": BUS_ERROR,
+    "restarted": RESTARTED,
+}
+_CLASSES = np.asarray(list(COUNTED.values()), np.int64)
+
+_WRONG = TX_TIMEOUT | PROTOCOL | TRANSCEIVER | NO_ACK | BUS_ERROR
+_ALL = (1 << len(FAULTS)) - 1
+NEVER = int(np.iinfo(np.int64).max)
+
+
+class Params(MonitorParams):
+    """How the health of a bus is judged."""
+
+    watched: bool = Field(True, description="false: error frames are counted, nothing is judged")
+    code: str | None = Field(
+        None,
+        pattern=r"^U[0-3][0-9A-F]{3}$",
+        description="first part of its DTCs; default: U0001 for the first bus, U0028 (bus A) for the next, ...",
+    )
+    errors: int = Field(
+        10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault"
+    )
+    window_ms: float = Field(
+        1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]"
+    )
+
+
+#: Constants and state of one bus. ``fault`` is the engine's index of each fault, -1: not judged; ``failed`` and
+#: ``passed`` are the verdicts of the last frame, a bit for each fault; ``bad`` the faults that any frame received
+#: disproves; ``until`` when a fault heals by silence.
+HEALTH = record(
+    fault=(i4, len(FAULTS)),
+    most=i8,
+    window_ns=i8,
+    failed=i4,
+    passed=i4,
+    bad=u1,
+    count=i8,
+    since_ns=i8,
+    deadline_ns=i8,
+    until=(i8, len(FAULTS)),
+    lost=i8,
+    counts=(i8, len(COUNTED)),
+    value=f8,
+    limit=f8,
+    evidence=(f8, 3),
+)
+
+
+def faults_of(params: Params, index: int) -> tuple[Fault, ...]:
+    """Return what the health of a bus can report.
+
+    Args:
+        params: its settings.
+        index: of the bus: buses have DTCs of their own.
+    """
+    code = params.code or CODES[index % len(CODES)]
+    return tuple(replace(fault, dtc=code + fault.dtc[5:]) for fault in FAULTS)
+
+
+@kernel
+def _wait(h: Any, fault: int, t_ns: int) -> None:
+    """Let a fault heal after a window of silence from now."""
+    h.until[fault] = t_ns + h.window_ns
+    h.deadline_ns = min(h.deadline_ns, h.until[fault])
+
+
+@kernel
+def _note_condition(h: Any, t_ns: int, word: int) -> None:
+    condition, lost = word & 0xFF, (word >> 32) & 0xFFFFFFFF
+    if condition == RUNNING:
+        h.passed = _ALL
+        h.bad = 0
+        h.count = 0
+        h.deadline_ns = NEVER
+        for k in range(h.until.shape[0]):
+            h.until[k] = NEVER
+    elif condition == LOST:
+        h.failed = 1 << GONE
+        h.bad |= 1 << GONE
+        h.value, h.limit = 1.0, 0.0
+    elif condition == LOSS:
+        h.failed = 1 << OVERFLOW
+        h.lost += lost
+        h.value, h.limit = lost, 0.0
+        h.evidence[0] = h.lost
+        _wait(h, OVERFLOW, t_ns)
+
+
+@kernel
+def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
+    """Take an error frame; its verdicts are in ``h.failed`` and ``h.passed``.
+
+    Args:
+        h: record of HEALTH.
+        t_ns: the frame's time.
+        can_id: its identifier with flags.
+        word: the first 8 bytes of its data, little endian.
+
+    Returns:
+        the condition it tells, 0: it is the kernel's.
+    """
+    h.failed = h.passed = 0
+    classes = can_id & 0x1FFFFFFF
+    if classes == 0:
+        _note_condition(h, t_ns, word)
+        return word & 0xFF
+    for k in range(_CLASSES.shape[0]):
+        if classes & _CLASSES[k]:
+            h.counts[k] += 1
+    controller = (word >> 8) & 0xFF
+    transmit, receive = (word >> 48) & 0xFF, (word >> 56) & 0xFF
+    h.evidence[0], h.evidence[1] = transmit, receive
+    h.value = max(transmit, receive)
+    if classes & RESTARTED:
+        h.passed |= 1 << OFF | 1 << PASSIVE
+        h.bad = 0
+    if classes & CONTROLLER:
+        if controller & (RX_PASSIVE | TX_PASSIVE):
+            h.failed |= 1 << PASSIVE
+            h.limit = 127.0
+        elif controller & (ACTIVE | RX_WARNING | TX_WARNING):
+            h.passed |= 1 << PASSIVE  # both are below error passive
+        if controller & ACTIVE:
+            h.passed |= 1 << OFF
+        if controller & (RX_OVERFLOW | TX_OVERFLOW):
+            h.failed |= 1 << OVERFLOW
+            _wait(h, OVERFLOW, t_ns)
+    if classes & BUS_OFF:
+        h.failed |= 1 << OFF
+        h.passed &= ~(1 << OFF)
+        h.bad |= 1 << OFF
+        h.limit = 255.0
+    if classes & _WRONG:
+        if h.count == 0 or t_ns - h.since_ns > h.window_ns:
+            h.since_ns = t_ns
+            h.count = 0
+        h.count += 1
+        if h.count >= h.most:
+            h.failed |= 1 << ERRORS
+            h.value, h.limit = h.count, h.most
+            h.evidence[0], h.evidence[1] = classes, (word >> 16) & 0xFF
+            h.evidence[2] = (word >> 24) & 0xFF
+            _wait(h, ERRORS, t_ns)
+    return 0
+
+
+@kernel
+def disproved(h: Any) -> None:
+    """Take a frame that was received while the bus was said to be off or lost."""
+    h.failed = 0
+    h.passed = h.bad
+    h.bad = 0
+
+
+@kernel
+def elapsed(h: Any, t_ns: int) -> None:
+    """Let what healed by silence up to a time pass; sets the next deadline."""
+    h.failed = h.passed = 0
+    h.deadline_ns = NEVER
+    for k in range(h.until.shape[0]):
+        if h.until[k] <= t_ns:
+            h.until[k] = NEVER
+            h.passed |= 1 << k
+        h.deadline_ns = min(h.deadline_ns, h.until[k])

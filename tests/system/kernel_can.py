@@ -1,0 +1,76 @@
+"""Peers on the kernel's CAN: raw sockets, can-utils, ip; and the daemon beside them."""
+
+import json
+import socket
+import struct
+import subprocess
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from processes import process
+
+SO_MEMINFO, DROPS = 55, 8
+
+
+def ip(*words):
+    subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
+
+
+def raw(interface, *, fd=False):
+    """Open a plain raw socket."""
+    sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    if fd:
+        sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+    sock.bind((interface,))
+    return sock
+
+
+def can_frame(can_id, data=b""):
+    return struct.pack("=IB3x8s", can_id, len(data), data)
+
+
+def drops_of(sock):
+    """Return how many frames the kernel has dropped at a socket."""
+    words = sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36)
+    return struct.unpack("=9I", words)[DROPS]
+
+
+@contextmanager
+def candump(*filters, log):
+    """Log frames with candump."""
+    with Path(log).open("wb") as file:
+        dump = subprocess.Popen(["candump", "-L", *filters], stdout=file)
+        try:
+            time.sleep(0.3)  # it says nothing when it listens
+            yield dump
+        finally:
+            time.sleep(0.2)
+            dump.terminate()
+            dump.wait(10)
+
+
+@contextmanager
+def daemon(config, *options, cwd, bus="socketcan:vcan0"):
+    """Run the gateway with JSON events; yields the process, with ``events()``."""
+    chosen = ["--bus", bus] if bus else []
+    with process(
+        "run", config, *chosen, "--json", "--memory", "f.sqlite", *options,
+        cwd=cwd, ready="monitoring",
+    ) as started:  # fmt: skip
+        started.events = lambda: events_in(cwd)
+        yield started
+
+
+def events_in(cwd):
+    lines = (Path(cwd) / "run.out").read_text().splitlines()
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
+def wait_for(what, *, seconds=10.0):
+    """Wait until a condition holds; returns what it returned."""
+    limit = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < limit, what
+        time.sleep(0.05)
+    return found
