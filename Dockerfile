@@ -26,6 +26,9 @@ USER 10001
 WORKDIR /var/lib/gateway
 VOLUME /var/lib/gateway
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=30s --timeout=10s CMD ["gateway", "doctor"]
+# Healthy while the daemon runs and its buses are open.
+HEALTHCHECK --interval=30s --timeout=10s --start-period=180s CMD ["gateway", "doctor", "--running"]
 ENTRYPOINT ["gateway"]
-CMD ["run"]
+# With --network host the interfaces are the host's: docker run --network host IMAGE. An interface that is not there
+# yet is waited for. Your own: docker run --network host -v $PWD/bench:/bench IMAGE run /bench/gateway.toml
+CMD ["run", "--bus", "socketcan:vcan0"]

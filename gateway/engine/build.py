@@ -172,8 +172,9 @@ def build_engine(
         faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
 
     health = table(len(buses), HEALTH)
-    for k, bus in enumerate(buses):
-        faults += _prepare_health(health[k], bus, k, len(faults))
+    codes = bus_health.codes_of([bus.params for bus in buses])
+    for k, (bus, code) in enumerate(zip(buses, codes, strict=True)):
+        faults += _prepare_health(health[k], bus, k, code, len(faults))
 
     debounces = table(len(faults), DEBOUNCE)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
@@ -331,15 +332,17 @@ def _prepare_check(
     return slots
 
 
-def _prepare_health(row: Any, entry: BusInstance, index: int, first_fault: int) -> list[FaultSlot]:
+def _prepare_health(
+    row: Any, bus: BusInstance, index: int, code: str, first_fault: int
+) -> list[FaultSlot]:
     """Fill the health of one bus; returns the faults it can report, in order."""
-    p = entry.params
+    p = bus.params
     row["most"], row["window_ns"] = p.errors, round(p.window_ms * 1e6)
     row["deadline_ns"] = NEVER
     row["until"] = NEVER
     row["fault"] = -1
     if not p.watched:
         return []
-    row["fault"] = first_fault + np.arange(len(bus_health.FAULTS))
-    faults = bus_health.faults_of(p, index)
-    return [FaultSlot(f"{entry.name}.{fault.name}", fault, index) for fault in faults]
+    faults = bus_health.faults_of(code)
+    row["fault"] = first_fault + np.arange(len(faults))
+    return [FaultSlot(f"{bus.name}.{fault.name}", fault, index) for fault in faults]

@@ -10,6 +10,7 @@ signal, 04 system internal failure (the gateway's own queue).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -106,7 +107,7 @@ class Params(MonitorParams):
     code: str | None = Field(
         None,
         pattern=r"^U[0-3][0-9A-F]{3}$",
-        description="first part of its DTCs; default: U0001 for the first bus, U0028 (bus A) for the next, ...",
+        description="first part of its DTCs; default: U0001, then U0028 (bus A), ...",
     )
     errors: int = Field(
         10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault"
@@ -138,14 +139,18 @@ HEALTH = record(
 )
 
 
-def faults_of(params: Params, index: int) -> tuple[Fault, ...]:
-    """Return what the health of a bus can report.
+def codes_of(buses: Sequence[Params]) -> list[str]:
+    """Return the first part of the DTCs of each bus: the one it asks for, else the next that nobody has.
 
     Args:
-        params: its settings.
-        index: of the bus: buses have DTCs of their own.
+        buses: settings, in the order of the buses.
     """
-    code = params.code or CODES[index % len(CODES)]
+    free = iter([code for code in CODES if code not in {params.code for params in buses}])
+    return [params.code or next(free, CODES[-1]) for params in buses]
+
+
+def faults_of(code: str) -> tuple[Fault, ...]:
+    """Return what the health of a bus can report, with the first part of its DTCs."""
     return tuple(replace(fault, dtc=code + fault.dtc[5:]) for fault in FAULTS)
 
 

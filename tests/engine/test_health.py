@@ -150,16 +150,14 @@ def test_a_bus_that_is_not_watched_is_counted_only(rig):
 
 
 def test_each_bus_has_dtcs_of_its_own():
-    assert [fault.dtc for fault in bus_health.faults_of(bus_health.Params(), 0)] == [
+    assert [fault.dtc for fault in bus_health.faults_of("U0001")] == [
         "U0001-88", "U0001-08", "U0001-81", "U0001-31", "U0001-04"
     ]  # fmt: skip
-    codes = {
-        fault.dtc
-        for index in range(len(bus_health.CODES))
-        for fault in bus_health.faults_of(bus_health.Params(), index)
-    }
-    assert len(codes) == len(bus_health.CODES) * len(bus_health.FAULTS)
-    assert bus_health.faults_of(bus_health.Params(code="U0073"), 3)[0].dtc == "U0073-88"
+    usual = bus_health.Params()
+    assert bus_health.codes_of([usual] * len(bus_health.CODES)) == list(bus_health.CODES)
+    assert len(set(bus_health.CODES)) == 8
+    asked = bus_health.Params(code="U0001")
+    assert bus_health.codes_of([usual, asked, usual]) == ["U0028", "U0001", "U0037"]
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -25,6 +25,17 @@ timeout_ms = {timeout_ms}
 counter = {{ signal = "FrameCnt" }}
 """
 
+#: The faults of another bus have DTCs of their own.
+OTHER = """
+
+[fault."{name}.Beat.timeout"]
+dtc = "U0140-87"
+[fault."{name}.Beat.counter"]
+dtc = "U0422-82"
+[fault."{name}.Beat.length"]
+dtc = "U0422-81"
+"""
+
 
 def write_config(
     folder, *, buses=(("chassis", "loopback:127.0.0.1:29536"),), timeout_ms=300.0, more=""
@@ -34,7 +45,8 @@ def write_config(
     path = Path(folder) / "beat.toml"
     text = 'name = "beat"\n' + more
     for name, uri in buses:
-        text += BUS.format(name=name, uri=uri, timeout_ms=timeout_ms)
+        part = BUS.format(name=name, uri=uri, timeout_ms=timeout_ms)
+        text += part + (OTHER.format(name=name) if name != "chassis" else "")
     text += f'\n[output.dtc_frame]\nbus = "{buses[0][0]}"\ncycle_ms = 500.0\n'
     path.write_text(text)
     return path

@@ -1,18 +1,22 @@
 """The daemon while its interface goes down, away and comes back, on the real kernel."""
 
 import json
+import re
 import socket
 import subprocess
 import threading
 import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
 from bench_config import beat, write_config
-from kernel_can import can_frame, daemon, drops_of, ip, raw, wait_for
-from processes import GATEWAY
+from kernel_can import can_frame, daemon, drops_of, events_in, ip, raw, wait_for
+from processes import GATEWAY, process
 
 pytestmark = pytest.mark.vcan
+
+ROOT = Path(__file__).parents[3]
 
 
 def make(interface):
@@ -217,3 +221,18 @@ def test_the_kernel_says_the_same_of_a_socket_that_is_not_read():
             while idle.recv(16):
                 got += 1
         assert got + drops_of(idle) == 500
+
+
+def test_what_the_container_starts_works_with_the_interfaces_of_the_host(tmp_path, monkeypatch):
+    """CMD of the Dockerfile, as `docker run --network host` starts it."""
+    (command,) = re.findall(r"^CMD (\[.*\])$", (ROOT / "Dockerfile").read_text(), re.M)
+    words = json.loads(command)
+    assert words[0] == "run"
+    monkeypatch.setenv("GATEWAY_MEMORY__PATH", str(tmp_path / "faults.sqlite"))
+    with process(*words, "--json", cwd=tmp_path, ready="monitoring socketcan:vcan0") as running:
+        running.events = lambda: events_in(tmp_path)
+        wait_for(lambda: states(running, "open"))
+        healthy = [*GATEWAY, "doctor", "--running"]
+        wait_for(lambda: subprocess.run(healthy, cwd=tmp_path, check=False).returncode == 0)
+    assert running.code == 0
+    assert subprocess.run(healthy, cwd=tmp_path, check=False).returncode == 1, "HEALTHCHECK"

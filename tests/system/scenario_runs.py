@@ -1,0 +1,41 @@
+"""The shipped scenarios, each played by this process to a daemon of its own configuration."""
+
+import time
+
+import pytest
+from kernel_can import daemon
+
+from gateway.cli.simulate import simulate
+from gateway.faults import service
+from gateway.resources import shipped
+from gateway.vecu.scenario import load_scenario
+
+
+def by_config(ecu):
+    """Return the names of the scenarios of a kind of virtual ECU (None: of all), by configuration."""
+    found = {}
+    for path in sorted(shipped("scenarios").glob("*.toml")):
+        scenario = load_scenario(path)
+        if ecu is None or {entry.type for entry in scenario.ecu} == {ecu}:
+            found.setdefault(str(scenario.config.resolve()), []).append(path)
+    return found
+
+
+def run_all(config, scenarios, folder):
+    """Play scenarios to one daemon, one after the other, as ``gateway simulate --check`` does."""
+    with daemon(config, cwd=folder) as running, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("signal.signal", lambda *_: None)  # this process keeps its own
+        failed = []
+        for scenario in scenarios:
+            service.clear(folder / "f.sqlite")  # as on a bench before each drive
+            begun = time.monotonic()
+            code = simulate(
+                scenario, bus="socketcan:vcan0", check=True, wait=60, record=None, seed=None,
+                json=False,
+            )  # fmt: skip
+            print(f"{scenario.stem}: {time.monotonic() - begun:.1f} s")
+            if code:
+                failed.append(scenario.stem)
+    assert not failed
+    assert running.code == 0
+    assert not [line for line in running.log if "Traceback" in line]

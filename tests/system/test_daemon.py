@@ -1,0 +1,281 @@
+"""The daemon as a service: notifications, reload, a bus that comes back, several buses, an always-on recording."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from contextlib import ExitStack, contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import can
+import pytest
+from bench_config import beat, write_config
+from kernel_can import daemon, wait_for
+from processes import bus, gateway, process
+
+from gateway.bus.ring import read_recording, segments
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+
+
+@contextmanager
+def ecu_on(uri):
+    host, port = re.match(r"loopback:(.+):(\d+)", uri).groups()
+    with can.Bus(interface="socketcand", host=host, port=int(port), channel="can0") as opened:
+        yield lambda count: opened.send(
+            can.Message(arbitration_id=0x300, is_extended_id=False, data=beat(count))
+        )
+
+
+class Manager:
+    """What systemd is to a service: a datagram socket."""
+
+    def __init__(self, path):
+        self.path = str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(self.path)
+        self._socket.settimeout(20)
+        self.heard = []
+
+    def wait(self, wanted):
+        while True:
+            words = self._socket.recv(4096).decode().splitlines()
+            self.heard += [(time.monotonic(), word) for word in words]
+            if any(word.startswith(wanted) for word in words):
+                return words
+
+
+def test_a_service_manager_is_told_all_it_wants_to_know(tmp_path, monkeypatch):
+    manager = Manager(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", manager.path)
+    monkeypatch.setenv("WATCHDOG_USEC", "400000")
+    with bus(tmp_path) as uri:
+        config = write_config(tmp_path, buses=[("chassis", uri)], timeout_ms=60_000.0)
+        with daemon(config, cwd=tmp_path, bus=None) as running:
+            assert any("monitoring" in word for word in manager.wait("READY=1"))
+            for _ in range(5):
+                manager.wait("WATCHDOG=1")
+            beats = [at for at, word in manager.heard if word == "WATCHDOG=1"]
+            assert beats[-1] - beats[0] < 4 * 0.4, "more often than asked for"
+            running.send_signal(signal.SIGHUP)
+            reloading = manager.wait("RELOADING=1")
+            assert any(word.startswith("MONOTONIC_USEC=") for word in reloading)
+            manager.wait("READY=1")
+            running.send_signal(signal.SIGTERM)
+            manager.wait("STOPPING=1")
+    assert running.code == 0
+
+
+def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
+    """The loopback bus has the same supervision: lost, DTC set, back, DTC healed, nothing of the memory lost."""
+    with ExitStack() as stack:
+        with bus(tmp_path) as uri:
+            config = write_config(tmp_path, buses=[("chassis", uri)], timeout_ms=60_000.0)
+            running = stack.enter_context(daemon(config, cwd=tmp_path, bus=None))
+            with ecu_on(uri) as send:
+                for k in (0, 2, 4, 6, 8):
+                    send(k)
+                wait_for(lambda: ("U0401-82", 1) in dtcs(running))
+        wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 1))
+        port = uri.rpartition(":")[2]
+        with process("bus", f"127.0.0.1:{port}", cwd=tmp_path, ready="serving"):
+            wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 0), seconds=5)
+            with ecu_on(uri) as send:
+                for k in range(9, 70):
+                    send(k)
+                wait_for(lambda: dtcs(running)[-1] == ("U0401-82", 0))
+            running.terminate()
+            running.wait(20)
+    assert running.code == 0
+    assert [json.loads(line)["event"] for line in running.log] == ["bus lost", "bus is back"]
+
+
+def dtcs(running):
+    return [(e["dtc"], e["status"] & 1) for e in running.events() if e["event"] == "dtc"]
+
+
+def configs(running):
+    return [e["state"] for e in running.events() if e["event"] == "config"]
+
+
+def test_a_reload_under_traffic_loses_no_frame_no_memory_and_no_state(tmp_path):
+    with bus(tmp_path) as uri:
+        config = write_config(tmp_path, buses=[("chassis", uri)], timeout_ms=60_000.0)
+        text = config.read_text()
+        with daemon(config, cwd=tmp_path, bus=None) as running, ecu_on(uri) as send:
+            sent = []
+
+            def say(count, *, step=1):
+                for _ in range(count):
+                    sent.append((sent[-1] if sent else 0) + step)
+                    send(sent[-1])
+                    time.sleep(0.002)
+
+            def until(count):
+                limit = time.monotonic() + 20
+                while len(configs(running)) < count:
+                    say(10)
+                    assert time.monotonic() < limit
+
+            say(20)
+            say(4, step=3)
+            wait_for(lambda: dtcs(running) == [("U0401-82", 1)])
+            say(30)  # thirty of fifty good ones that heal it
+            config.write_text(text.replace('"beat"', '"changed"', 1))
+            running.send_signal(signal.SIGHUP)
+            until(1)
+            config.write_text(text.replace('"Beat"', '"Nobody"'))
+            running.send_signal(signal.SIGHUP)
+            until(2)
+            config.write_text(text + '\n[memory]\npath = "elsewhere.sqlite"\n')
+            running.send_signal(signal.SIGHUP)
+            until(3)
+            config.write_text(text.replace("60000.0", "-1.0"))
+            running.send_signal(signal.SIGHUP)
+            until(4)
+            say(60)
+    assert running.code == 0
+    events = running.events()
+    assert configs(running) == ["reloaded", "refused", "reloaded", "refused"], "-- memory overrides"
+    reasons = [e["reason"] for e in events if e["event"] == "config" and e["reason"]]
+    assert "beat.toml" in reasons[0]
+    assert "Nobody" in reasons[0]
+    assert "timeout_ms" in reasons[1]
+    (end,) = [e for e in events if e["event"] == "bus" and e["state"] == "closed"]
+    assert end["received"] == events[-1]["decoded"] == len(sent)
+    assert dtcs(running) == [("U0401-82", 1), ("U0401-82", 0)]
+    healed = [e for e in events if e["event"] == "dtc"][-1]
+    assert healed["occurrence"] == 1
+    shown = gateway("faults", "show", "U0401-82", "--memory", "f.sqlite", "--json", cwd=tmp_path)
+    assert json.loads(shown.stdout)["occurrence"] == 1
+    assert not (tmp_path / "elsewhere.sqlite").exists()
+
+
+def test_a_reload_may_change_buses(tmp_path):
+    """A second bus is opened, the first goes on without a gap; then the first is taken away."""
+    other = tmp_path / "other"
+    other.mkdir()
+    with bus(tmp_path) as uri, bus(other) as second:
+        config = write_config(tmp_path, buses=[("chassis", uri)], timeout_ms=60_000.0)
+        with daemon(config, cwd=tmp_path, bus=None) as running, ecu_on(uri) as send:
+            for k in range(10):
+                send(k)
+            write_config(tmp_path, buses=[("drive", second), ("chassis", uri)], timeout_ms=60_000.0)
+            running.send_signal(signal.SIGHUP)
+            wait_for(lambda: configs(running) == ["reloaded"])
+            with ecu_on(second) as send_second:
+                for k in range(10, 20):
+                    send(k)
+                    send_second(k)
+                write_config(tmp_path, buses=[("drive", second)], timeout_ms=60_000.0)
+                running.send_signal(signal.SIGHUP)
+                wait_for(lambda: len(configs(running)) == 2)
+                for k in range(20, 30):
+                    send(k)
+                    send_second(k)
+                time.sleep(0.5)
+    assert running.code == 0
+    assert running.events()[-1]["decoded"] == 10 + 20 + 10
+    assert not [code for code, _ in dtcs(running)], "no jump of an alive counter"
+    (end,) = [e for e in running.events() if e["event"] == "bus" and e["state"] == "closed"]
+    assert (end["bus"], end["received"]) == ("drive", 20)
+
+
+def test_the_recording_keeps_what_came_before_kill_9(tmp_path):
+    with bus(tmp_path) as uri:
+        more = f'[record]\nfolder = "{tmp_path}/ring"\nsegment_mb = 0.004\nkeep_mb = 0.02\n'
+        config = write_config(tmp_path, buses=[("chassis", uri)], more=more)
+        with daemon(config, cwd=tmp_path, bus=None) as running, ecu_on(uri) as send:
+            for k in range(1200):
+                send(k)
+                time.sleep(0.0005)
+            wait_for(lambda: newest(tmp_path / "ring") == 1199 % 256)
+            running.kill()
+            running.wait(20)
+        size = sum(path.stat().st_size for path in segments(tmp_path / "ring"))
+        assert size <= 0.024e6, "the bound, and what was begun meanwhile"
+        frames = [f for batch in read_recording(tmp_path / "ring") for f in batch]
+        kept = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300]
+        assert len(kept) > 100
+        assert all((b - a) % 256 == 1 for a, b in pairwise(kept)), "no gap"
+        replayed = gateway(
+            "replay", tmp_path / "ring", "-c", config, "--json", cwd=tmp_path
+        ).stdout.splitlines()
+        assert json.loads(replayed[-1])["decoded"] == len(kept)
+        first = segments(tmp_path / "ring")[-1].name
+        with daemon(config, cwd=tmp_path, bus=None):
+            pass
+        assert segments(tmp_path / "ring")[-1].name > first, "numbers go on"
+
+
+def newest(folder):
+    frames = [f for batch in read_recording(folder) for f in batch if f is not None]
+    mine = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300]
+    return mine[-1] if mine else -1
+
+
+@pytest.mark.parametrize("form", ["log", "blf"])
+def test_record_alone_takes_several_buses_down(tmp_path, form):
+    other = tmp_path / "other"
+    other.mkdir()
+    with bus(tmp_path) as uri, bus(other) as second:
+        target = ["--ring", "ring", "--format", form] if form == "log" else ["--out", "drive.blf"]
+        with (
+            process(
+                "record", uri, second, *target, "--json", cwd=tmp_path, ready="recording"
+            ) as recorder,
+            ecu_on(uri) as send,
+            ecu_on(second) as send_second,
+        ):
+            wait_for(lambda: len(opened(tmp_path)) == 2)
+            for k in range(30):
+                send(k)
+                send_second(k)
+                time.sleep(0.002)
+            time.sleep(0.5)
+        assert recorder.code == 0
+        assert "62 frames recorded" in "".join(recorder.log), "with the condition of each bus"
+    path = tmp_path / ("ring" if form == "log" else "drive.blf")
+    names = {f"127.0.0.1_{uri.rpartition(':')[2]}": 0, f"127.0.0.1_{second.rpartition(':')[2]}": 1}
+    channels = names if form == "log" else {"0": 0, "1": 1}
+    frames = [f for batch in read_recording(path, channels) for f in batch]
+    for index in (0, 1):
+        mine = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300 and f["bus"] == index]
+        assert mine == list(range(30))
+    stamps = [int(f["t_ns"]) for f in frames]
+    assert stamps == sorted(stamps), "merged by time"
+
+
+def opened(folder):
+    lines = (folder / "record.out").read_text().splitlines()
+    return [line for line in lines if json.loads(line)["state"] == "open"]
+
+
+def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path):
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        if os.environ.get("CI"):
+            pytest.fail("systemd-analyze is not installed (apt-get install systemd)")
+        pytest.skip("no systemd-analyze here")
+    unit = tmp_path / "gateway.service"
+    text = (ROOT / "deploy/gateway.service").read_text()
+    unit.write_text(text.replace("/opt/gateway/venv/bin/gateway", "/bin/true"))
+    verified = subprocess.run(
+        [analyze, "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False
+    )
+    assert verified.returncode == 0, verified.stderr
+    assert "Unknown" not in verified.stderr
+    exposure = subprocess.run(
+        [analyze, "security", "--offline=true", "--threshold=20", str(unit)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert exposure.returncode == 0, exposure.stdout[-400:]
+    (command,) = re.findall(r"^ExecStart=\S+/gateway (.*)$", text, re.M)
+    assert command.split()[0] == "run"

@@ -1,0 +1,19 @@
+"""Every shipped scenario of the brake pedal over the kernel's CAN."""
+
+import pytest
+from scenario_runs import by_config, run_all
+
+pytestmark = pytest.mark.vcan
+
+CONFIGS = by_config("pedal")
+
+
+@pytest.mark.parametrize("config", sorted(CONFIGS))
+def test_scenarios_pass_over_vcan(config, tmp_path):
+    run_all(config, CONFIGS[config], tmp_path)
+
+
+def test_no_scenario_is_left_out():
+    both = {**by_config("engine"), **CONFIGS}
+    assert both == by_config(None)
+    assert sum(map(len, both.values())) >= 18
