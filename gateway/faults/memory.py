@@ -419,6 +419,10 @@ class FaultMemory:
         """Return the entries with any of the mask's bits set."""
         return [entry for entry in self.entries() if entry.status & mask]
 
+    def count_by_status_mask(self, mask: int) -> int:
+        """Return how many entries :meth:`by_status_mask` finds."""
+        return sum(1 for r in self._records.values() if r.occurrence > 0 and r.status & mask)
+
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""
         return Status(self._records[fault].status)

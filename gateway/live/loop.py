@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import selectors
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -129,6 +130,10 @@ class Live:
             stop: asked after every turn.
             on_turn: called once a turn.
         """
+        # What was built for the start lives until the end: collecting it again and again would cost milliseconds in
+        # the middle of traffic.
+        gc.collect()
+        gc.freeze()
         while not stop():
             self.turn()
             if on_turn is not None:

@@ -133,7 +133,7 @@ class DtcFrameOutput(Output):
         ]
         if not due:
             return empty(0)
-        count = len(memory.by_status_mask(self._params.status_mask))
+        count = memory.count_by_status_mask(self._params.status_mask)
         frames = empty(len(due))
         for k, change in enumerate(due):
             name = change.definition.id
@@ -205,6 +205,7 @@ class DtcFrameOutput(Output):
                 "Index": min(index, 255),
                 "Count": min(count, 255),
                 "Occurrence": occurrence,
-            }
+            },
+            strict=False,  # all are within their ranges
         )
         put(frames, k, t_ns, self._message.frame_id, payload, bus=self._bus)

@@ -1,0 +1,341 @@
+"""The live daemon beside a loop of python-can's Notifier and cantools: frames without loss, and how long a DTC takes.
+
+Both get the same frames from a process of their own, as ``struct can_frame``: over a unix socket that stands in for the
+raw socket, or (``--interface vcan0``) over SocketCAN. 16 messages with alive counter and CRC, each frame checked and
+decoded. Every 20 ms one frame has a wrong CRC: a DTC frame must follow, and the next good frame heals it.
+
+    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import platform
+import select
+import socket
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+import can
+import cantools
+import crccheck
+import numpy as np
+from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
+
+from gateway.app import Gateway
+from gateway.bus.base import Bus
+from gateway.bus.can_structs import RawReceiver
+from gateway.bus.socketcan import SocketCanBus
+from gateway.bus.uri import open_bus
+from gateway.config import load_config
+from gateway.live.link import Link
+from gateway.live.loop import Live
+from gateway.resources import shipped
+
+MESSAGES = 16
+BASE = 0x300
+DTC_ID = 0x6F0
+EVERY_S = 0.02
+#: Receive buffer, as ``rcvbuf`` of a SocketCAN URI: what is lost is lost when this is full.
+BUFFER = 4 << 20
+
+MESSAGE = """BO_ {id} M{k}: 8 Ecu
+ SG_ Crc : 0|8@1+ (1,0) [0|255] "" Gateway
+ SG_ FrameCnt : 8|8@1+ (1,0) [0|255] "" Gateway
+ SG_ A : 16|16@1+ (0.1,0) [0|6553] "V" Gateway
+ SG_ B : 32|16@1- (0.01,0) [-300|300] "A" Gateway
+ SG_ C : 48|16@1+ (1,0) [0|65535] "rpm" Gateway
+"""
+
+
+def write_config(folder: Path) -> Path:
+    """Write the configuration of the gateway."""
+    dbc = 'VERSION ""\nNS_ :\nBS_:\nBU_: Ecu Gateway\n'
+    toml = 'name = "live"\n'
+    toml += '[[bus]]\nname = "b"\nuri = "test:live"\ndatabase = ["live.dbc"]\n'
+    faults = ""
+    for k in range(MESSAGES):
+        dbc += MESSAGE.format(id=BASE + k, k=k)
+        toml += f'[[bus.check]]\nmessage = "M{k}"\ntimeout_ms = 60000.0\n'
+        toml += f'counter = {{ signal = "FrameCnt" }}\ncrc = {{ signal = "Crc", data_id = {k} }}\n'
+        for j, name in enumerate(("timeout", "counter", "crc", "length")):
+            faults += (
+                f'[fault."b.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["M{k}.A"]\n'
+            )
+        faults += f'[fault."b.M{k}.crc".debounce]\n'
+        faults += "failed_after = 1\npassed_after = 1\njump_down = true\n"
+    toml += faults + "[output.dtc_frame]\nmin_interval_ms = 0\ncycle_ms = 1000.0\n"
+    (folder / "live.dbc").write_text(dbc)
+    (folder / "live.toml").write_text(toml)
+    return folder / "live.toml"
+
+
+def datagrams() -> list[bytes]:
+    """Return 256 rounds of all messages, as ``struct can_frame``, and the same with a wrong CRC."""
+    found = []
+    for count in range(256):
+        for k in range(MESSAGES):
+            body = bytes([count]) + (1200 + count).to_bytes(2, "little") + bytes([k, 1, 2, 3])
+            crc = crccheck.crc.Crc8SaeJ1850.calc(body + k.to_bytes(2, "little"))
+            found.append(
+                (BASE + k).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + bytes([crc]) + body
+            )
+    return found
+
+
+def spoilt(datagram: bytes) -> bytes:
+    """Return a frame with a wrong CRC."""
+    return datagram[:8] + bytes([datagram[8] ^ 0xFF]) + datagram[9:]
+
+
+class StructBus(SocketCanBus):
+    """What SocketCanBus does, on another datagram socket."""
+
+    def __init__(self, sock: socket.socket, index: int) -> None:
+        Bus.__init__(self, "test:live", index)
+        self._socket = sock
+        sock.setblocking(False)
+        self._receiver = RawReceiver(sock, self.statistics)
+
+    def set_filters(self, can_ids: object) -> None:
+        """Take all."""
+
+
+def our_side(
+    opener: object, config: Path, memory: Path | None, ready: object, end: object, out: object
+) -> None:
+    """Run the gateway's live loop in this process."""
+    gateway = Gateway(load_config(config), memory)
+    link = Link("test:live", 0, "b", opener)
+    link.start()
+    gateway.start(time.time_ns())
+    live = Live(gateway, [link], lambda event: None)
+    for _ in range(20):
+        live.turn()
+    ready.set()
+    live.run(end.is_set)
+    for _ in range(200):
+        live.turn()
+    out.put({"decoded": gateway.engine.counters()["decoded"], "lost": link.statistics.overflow})
+    link.close()
+    gateway.close()
+
+
+class StructCan(can.BusABC):
+    """python-can's SocketCAN code on another datagram socket."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.socket = sock
+        sock.setsockopt(socket.SOL_SOCKET, 35, 1)  # SO_TIMESTAMPNS
+        super().__init__(channel="live")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if select.select([self.socket], [], [], timeout)[0]:
+            return capture_message(self.socket), False
+        return None, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send as python-can packs it."""
+        self.socket.send(build_can_frame(msg))
+
+
+def their_side(
+    opener: object, config: Path, memory: object, ready: object, end: object, out: object
+) -> None:
+    """What one writes with the libraries: a Notifier, a listener that checks, decodes and sends."""
+    database = cantools.database.load_file(config.with_suffix(".dbc"))
+    by_id = {message.frame_id: message for message in database.messages}
+    dtc = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
+    last, failing = {}, {}
+    decoded = 0
+    bus = opener()
+
+    def listen(message: can.Message) -> None:
+        nonlocal decoded
+        known = by_id.get(message.arbitration_id)
+        if known is None:
+            return
+        k = message.arbitration_id - BASE
+        data = bytes(message.data)
+        wrong = crccheck.crc.Crc8SaeJ1850.calc(data[1:] + k.to_bytes(2, "little")) != data[0]
+        if wrong != failing.get(k, False):
+            failing[k] = wrong
+            values = {signal.name: 0 for signal in dtc.signals}
+            values |= {"Dtc": 0xD20000 | k << 8, "Status": 0x2F if wrong else 0x2E}
+            bus.send(
+                can.Message(arbitration_id=DTC_ID, is_extended_id=False, data=dtc.encode(values))
+            )
+        if wrong:
+            return
+        values = known.decode(data, decode_choices=False)
+        if k in last and (values["FrameCnt"] - last[k]) % 256 != 1:
+            failing[k, "counter"] = True
+        last[k] = values["FrameCnt"]
+        decoded += 1
+
+    notifier = can.Notifier(bus, [listen], timeout=0.1)
+    ready.set()
+    end.wait()
+    time.sleep(1.0)
+    notifier.stop()
+    out.put({"decoded": decoded, "lost": 0})
+    bus.shutdown()
+
+
+def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes]) -> dict:
+    """Send so many frames a second; returns how many, how many found the queue full, and the times to DTC frames [ms]."""
+    sock.setblocking(False)
+    begun = time.perf_counter()
+    sent = full = 0
+    next_wrong, asked, waiting = EVERY_S, 0.0, -1  # message whose DTC is waited for
+    times = []
+    while (now := time.perf_counter() - begun) < seconds:
+        due = int(now * rate)
+        while sent < due:
+            datagram = frames[sent % len(frames)]
+            wrong = now >= next_wrong and waiting < 0
+            if wrong:
+                datagram = spoilt(datagram)
+                asked, waiting = time.perf_counter(), datagram[0] & 0x0F
+                next_wrong = now + EVERY_S
+            try:
+                sock.send(datagram)
+            except BlockingIOError:
+                full += 1
+            except OSError as error:
+                if error.errno != 105:  # ENOBUFS
+                    raise
+                full += 1
+            sent += 1
+            if wrong:
+                break
+        try:
+            while True:
+                got = sock.recv(72)
+                # A change (index 0) of this message's DTC: bits 8 to 15 of the DTC are the message.
+                if got[0] == DTC_ID & 0xFF and got[9] == waiting and got[13] == 0:
+                    times.append((time.perf_counter() - asked) * 1e3)
+                    waiting = -1
+        except BlockingIOError:
+            pass
+        if waiting >= 0 and time.perf_counter() - asked > 1.0:
+            times.append(1e3)
+            waiting = -1
+    return {"sent": sent, "full": full, "times": times}
+
+
+def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float) -> dict:
+    """Run one receiver at one rate."""
+    context = multiprocessing.get_context("fork")
+    with tempfile.TemporaryDirectory() as name:
+        config = write_config(Path(name))
+        if interface is None:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            for sock in (ours, theirs):
+                try:
+                    sock.setsockopt(socket.SOL_SOCKET, 32, BUFFER)  # SO_SNDBUFFORCE
+                except PermissionError:
+                    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+            opener = (
+                partial(StructCan, ours)
+                if side is their_side
+                else lambda uri, index: StructBus(ours, index)
+            )
+        else:
+            theirs = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            theirs.bind((interface,))
+            opener = (
+                partial(can.Bus, interface, interface="socketcan")
+                if side is their_side
+                else lambda uri, index: open_bus(f"socketcan:{interface}", index)
+            )
+        ready, end, out = context.Event(), context.Event(), context.Queue()
+        path = Path(name) / "f.sqlite" if memory else None
+        child = context.Process(target=side, args=(opener, config, path, ready, end, out))
+        child.start()
+        if not ready.wait(300):
+            raise SystemExit("the receiver did not start")
+        found = send_at(theirs, rate, seconds, datagrams())
+        end.set()
+        found |= out.get(timeout=60)
+        child.join(20)
+        theirs.close()
+    wrong = len(found["times"]) + 1
+    found["missing"] = max(found["sent"] - found["full"] - found["decoded"] - wrong, 0)
+    found["lost_all"] = found["full"] + found["lost"] + found["missing"]
+    return found
+
+
+def sustained(side: object, interface: str | None, memory: bool, seconds: float) -> float:
+    """Return the highest rate of a ladder (steps of a fifth) at which no frame is lost [frames/s]."""
+    rate, good = 2000.0, 0.0
+    while rate < 2e6:
+        found = measure(side, interface, memory, rate, seconds)
+        reached = found["sent"] / seconds
+        if found["lost_all"] or reached < 0.9 * rate:
+            break
+        good = reached
+        rate *= 1.2
+    return good
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rates", type=int, nargs="+", default=[4000, 20_000, 80_000])
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--interface", help="SocketCAN interface instead of a unix socket")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    sides = [
+        ("gateway, memory durable", our_side, True),
+        ("gateway, memory in process", our_side, False),
+        ("python-can Notifier + cantools", their_side, False),
+    ]
+    rows = []
+    for name, side, memory in sides:
+        rate = sustained(side, options.interface, memory, min(options.seconds, 2.0))
+        rows.append({"name": f"{name}: sustained", "per_second": round(rate)})
+    against = rows[-1]["name"]
+    for row in rows:
+        row["ratio"] = round(row["per_second"] / max(rows[-1]["per_second"], 1), 1)
+        row["against"] = against
+    for rate in options.rates:
+        for name, side, memory in sides:
+            found = measure(side, options.interface, memory, rate, options.seconds)
+            times = np.asarray(found["times"] or [np.nan])
+            p50, p99, p999 = np.percentile(times, [50, 99, 99.9])
+            rows.append(
+                {
+                    "name": f"{name}: {rate}/s",
+                    "per_second": round(found["sent"] / options.seconds),
+                    "lost": found["lost_all"],
+                    "dtcs": len(found["times"]),
+                    "p50_ms": round(float(p50), 3),
+                    "p99_ms": round(float(p99), 3),
+                    "p99.9_ms": round(float(p999), 3),
+                }
+            )
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    if options.json:
+        print(json.dumps({"rows": rows, "machine": machine}, indent=2))
+        return
+    print(f"{machine}; over {options.interface or 'a unix socket'}; sender on another core")
+    for row in rows:
+        if "p50_ms" not in row:
+            print(f"{row['name']:48}{row['per_second']:>10,} frames/s{row['ratio']:>8.1f}x")
+    print(f"{'frame to DTC frame':48}{'lost':>10}{'DTCs':>7}{'p50':>9}{'p99':>9}{'p99.9':>9} ms")
+    for row in rows:
+        if "p50_ms" in row:
+            print(
+                f"{row['name']:48}{row['lost']:>10,}{row['dtcs']:>7}{row['p50_ms']:>9}"
+                f"{row['p99_ms']:>9}{row['p99.9_ms']:>9}"
+            )
+
+
+if __name__ == "__main__":
+    main()
