@@ -13,7 +13,12 @@ TESTS = Path(__file__).parent
 @pytest.mark.parametrize(
     "parts",
     [
-        ["engine", "signals/test_random_databases.py", "signals/test_crc_and_codec.py"],
+        [
+            "engine",
+            "bus/test_adapters.py",
+            "signals/test_random_databases.py",
+            "signals/test_crc_and_codec.py",
+        ],
         ["monitors"],
         ["fdi"],
     ],

@@ -84,6 +84,11 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
                     send(k)
                 wait_for(lambda: ("U0401-82", 1) in dtcs(running))
         wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 1))
+        wait_for(lambda: doctor(tmp_path)["buses"][0]["state"] == "lost")
+        ill = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
+        assert ill.returncode == 1
+        assert "chassis (loopback:" in ill.stdout
+        assert "lost 1 times" in ill.stdout
         port = uri.rpartition(":")[2]
         with process("bus", f"127.0.0.1:{port}", cwd=tmp_path, ready="serving"):
             wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 0), seconds=5)
@@ -91,10 +96,19 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
                 for k in range(9, 70):
                     send(k)
                 wait_for(lambda: dtcs(running)[-1] == ("U0401-82", 0))
+            wait_for(lambda: doctor(tmp_path)["buses"][0]["state"] == "open")
+            well = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
+            assert well.returncode == 0, well.stdout
             running.terminate()
             running.wait(20)
+        assert not doctor(tmp_path)["running"]
     assert running.code == 0
     assert [json.loads(line)["event"] for line in running.log] == ["bus lost", "bus is back"]
+
+
+def doctor(folder):
+    said = gateway("doctor", "--memory", "f.sqlite", "--json", cwd=folder).stdout
+    return json.loads(said)["daemon"]
 
 
 def dtcs(running):
