@@ -278,7 +278,11 @@ def assemble(config: Config) -> Parts:
     )
     _refuse_unknown(config, engine)
     catalogue = Catalogue(
-        define(slot.id, slot.fault, config.fault.get(slot.id)) for slot in engine.faults
+        replace(
+            define(slot.id, slot.fault, config.fault.get(slot.id)),
+            caused_by=gates.get(slot.id, Gate()).roots,
+        )
+        for slot in engine.faults
     )
     uds = config.output.uds
     return Parts(

@@ -100,6 +100,10 @@ class Live:
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._choose()
+        # What was built for the start lives until the end: looking through it again and again for garbage would cost
+        # milliseconds in the middle of traffic.
+        gc.collect()
+        gc.freeze()
 
     @property
     def links(self) -> Sequence[Link]:
@@ -130,10 +134,6 @@ class Live:
             stop: asked after every turn.
             on_turn: called once a turn.
         """
-        # What was built for the start lives until the end: collecting it again and again would cost milliseconds in
-        # the middle of traffic.
-        gc.collect()
-        gc.freeze()
         while not stop():
             self.turn()
             if on_turn is not None:

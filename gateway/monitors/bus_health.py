@@ -168,9 +168,6 @@ def _note_condition(h: Any, t_ns: int, word: int) -> None:
         h.passed = _ALL
         h.bad = 0
         h.count = 0
-        h.deadline_ns = NEVER
-        for k in range(h.until.shape[0]):
-            h.until[k] = NEVER
     elif condition == LOST:
         h.failed = 1 << GONE
         h.bad |= 1 << GONE

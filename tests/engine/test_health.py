@@ -18,8 +18,8 @@ def error(t_ms, classes, *, controller=0, protocol=0, location=0, tec=0, rec=0):
     return (t_ms, ERROR | classes, bytes([0, controller, protocol, location, 0, 0, tec, rec]))
 
 
-def condition(t_ms, kind, lost=0):
-    return (t_ms, ERROR, bytes([kind, 0, 0, 0]) + lost.to_bytes(4, "little"))
+def condition(t_ms, kind, lost=0, bus=0):
+    return (t_ms, ERROR, bytes([kind, 0, 0, 0]) + lost.to_bytes(4, "little"), bus)
 
 
 @pytest.fixture
@@ -38,7 +38,9 @@ def rig(build, tools):
         def feed(self, *rows, until=None):
             seen = tools.Collector()
             if rows:
-                self.engine.process(tools.batch(*rows), seen)
+                frames = tools.batch(*(row[:3] for row in rows))
+                frames["bus"] = [row[3] if len(row) > 3 else 0 for row in rows]
+                self.engine.process(frames, seen)
             if until is not None:
                 self.engine.advance(round(until * 1e6), seen)
             out = []
@@ -65,9 +67,13 @@ def test_bus_off_is_set_and_heals_when_the_controller_restarts_or_a_frame_comes(
     ]
     assert bus.feed(tools.alpha(4, 0)) == [(4, "a.bus_off", PASSED)], "it was received"
     assert bus.feed(error(5, c.CONTROLLER, controller=c.ACTIVE)) == [(5, "a.bus_passive", PASSED)]
+    # Active again proves the same without a restart; off at once with it is off.
+    assert bus.feed(error(6, c.BUS_OFF)) == [(6, "a.bus_off", FAILED)]
+    assert bus.feed(error(7, c.CONTROLLER, controller=c.ACTIVE)) == [(7, "a.bus_off", PASSED)]
+    assert bus.feed(error(8, c.BUS_OFF | c.RESTARTED)) == [(8, "a.bus_off", FAILED)]
     counts = bus.engine.error_counters(0)
     assert {name: n for name, n in counts.items() if n} == {
-        "bus_off": 2, "restarted": 1, "controller": 2
+        "bus_off": 4, "restarted": 2, "controller": 3
     }  # fmt: skip
     assert not any(bus.engine.error_counters(1).values())
 
@@ -99,6 +105,22 @@ def test_protocol_errors_are_a_fault_from_the_tenth_in_a_second_and_heal_by_sile
     assert bus.engine.error_counters(0)["lost_arbitration"] == 50
 
 
+def test_a_controllers_own_overflow_is_one_too(rig):
+    bus = rig()
+    overflow = error(1, c.CONTROLLER, controller=c.RX_OVERFLOW)
+    assert bus.feed(overflow, until=1000) == [(1, "a.bus_overflow", FAILED)]
+    assert bus.feed(until=1002) == [(1001, "a.bus_overflow", PASSED)]
+
+
+def test_an_interface_that_starts_anew_has_no_past(rig):
+    bus = rig()
+    bus.feed(*[error(k, c.PROTOCOL) for k in range(9)])
+    bus.feed(condition(10, c.RUNNING))
+    assert not bus.feed(error(11, c.PROTOCOL)), "the first, not the tenth"
+    bus.feed(condition(20, c.LOSS, 1), condition(21, c.RUNNING))
+    assert not bus.feed(until=5000), "healed at once, not once more later"
+
+
 def test_an_interface_that_is_lost_and_back(rig, tools):
     bus = rig()
     running = bus.feed(condition(0, c.RUNNING))
@@ -118,10 +140,22 @@ def test_frames_lost_in_a_queue_are_a_fault_of_ours_not_of_the_sender(rig, tools
     found = bus.feed(condition(5, c.LOSS, 7), tools.alpha(6, 0, count=12))
     assert found == [(5, "a.bus_overflow", FAILED)]
     assert bus.evidence["a.bus_overflow", FAILED] == (7, 0, 7, 0, 0)
+    counter = bus.names.index("comm.Alpha.counter")
+    assert bus.engine.fault_detection_counter(counter) < 0, "not one failed result"
+    # Lost on the other bus, the jump is the sender's; after an interface was away nobody can tell.
+    bus.feed(condition(7, c.LOSS, 7, bus=1), tools.alpha(8, 0, count=3))
+    assert bus.engine.fault_detection_counter(counter) > 0
+    bus.feed(tools.alpha(9, 0, count=4), tools.alpha(9.5, 0, count=5))
+    before = bus.engine.fault_detection_counter(counter)
+    bus.feed(condition(10, c.LOST), condition(11, c.RUNNING), tools.alpha(12, 0, count=12))
+    assert bus.engine.fault_detection_counter(counter) < before
     assert not bus.feed(*[tools.alpha(20 + k, 0, count=13 + k & 15) for k in range(3)])
     steady = [tools.alpha(t, 0, count=t // 50 & 15) for t in range(50, 1050, 50)]
     healed = bus.feed(condition(30, c.LOSS, 2), *steady, until=1031)
-    assert healed == [(1030, "a.bus_overflow", PASSED)]
+    assert [h for h in healed if h[1] == "a.bus_overflow"] == [
+        (30, "a.bus_overflow", FAILED),
+        (1030, "a.bus_overflow", PASSED),
+    ]
     assert bus.engine.error_counters(0)["lost"] == 9
     # Without the word of the queue the same jump is a failure of the alive counter.
     other = rig(checks=[check])
@@ -139,6 +173,9 @@ def test_silence_of_a_lost_bus_is_no_fault_of_each_message_on_it(rig, tools):
     # Back again: a whole timeout from now, not from the last frame.
     assert bus.feed(condition(5001, c.RUNNING), until=5100) == [(5001, "a.bus_lost", PASSED)]
     assert bus.feed(until=5102) == [(5101, "comm.Alpha.timeout", FAILED)]
+    assert bus.evidence["comm.Alpha.timeout", FAILED][0] == 100, (
+        "silent for so long, not since ever"
+    )
 
 
 def test_a_bus_that_is_not_watched_is_counted_only(rig):

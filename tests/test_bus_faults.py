@@ -1,0 +1,125 @@
+"""Bus faults in a whole gateway: what is watched by default, and what a user may change."""
+
+import numpy as np
+import pytest
+from bench_config import beat, write_config
+
+from gateway.app import Gateway
+from gateway.bus import conditions as c
+from gateway.bus.conditions import condition_frame
+from gateway.bus.frames import ERROR, empty, put
+from gateway.config import load_config
+from gateway.errors import InputErrors
+
+MS = 1_000_000
+
+
+def gateway_of(folder, change=lambda text: text, **options):
+    path = write_config(folder, **options)
+    path.write_text(change(path.read_text()))
+    return Gateway(load_config(path), file=path)
+
+
+def frame(t_ms, can_id, data):
+    out = empty(1)
+    put(out, 0, t_ms * MS, can_id, data)
+    return out
+
+
+def dtcs(gateway, *, active=True):
+    return [str(e.dtc) for e in gateway.memory.entries() if bool(e.status & 1) == active]
+
+
+def silence_of_a_lost_bus(gateway):
+    gateway.start(0)
+    gateway.feed(condition_frame(0, 0, c.RUNNING))
+    gateway.feed(frame(1, 0x300, beat(0)))
+    gateway.feed(condition_frame(50 * MS, 0, c.LOST))
+    gateway.advance(5000 * MS)
+    return dtcs(gateway)
+
+
+def test_a_lost_bus_is_one_dtc_by_default(tmp_path):
+    gateway = gateway_of(tmp_path)
+    assert silence_of_a_lost_bus(gateway) == ["U0001-31"]
+    known = {d.id: d.caused_by for d in gateway.catalogue}
+    assert known["chassis.Beat.timeout"] == ("chassis.bus_off", "chassis.bus_lost")
+    assert known["chassis.Beat.counter"] == ()
+
+
+def test_without_the_watch_the_messages_are_missed(tmp_path):
+    def unwatched(text):
+        return text.replace("[[bus.check]]", "health = { watched = false }\n[[bus.check]]")
+
+    gateway = gateway_of(tmp_path, unwatched)
+    assert silence_of_a_lost_bus(gateway) == ["U0100-87"]
+    assert not any("bus_" in d.id for d in gateway.catalogue)
+
+
+def test_a_cause_of_ones_own_takes_the_place_of_the_bus(tmp_path):
+    def own(text):
+        return text + '\n[fault."chassis.Beat.timeout"]\ncaused_by = ["chassis.Beat.length"]\n'
+
+    gateway = gateway_of(tmp_path, own)
+    assert silence_of_a_lost_bus(gateway) == ["U0001-31", "U0100-87"]
+
+
+def test_settings_of_a_bus_fault_are_those_of_any_fault(tmp_path):
+    def own(text):
+        return (
+            text + '\n[fault."chassis.bus_off"]\ndtc = "U0073-88"\npriority = 1\nindicator = true\n'
+        )
+
+    gateway = gateway_of(tmp_path, own)
+    gateway.start(0)
+    gateway.feed(frame(1, ERROR | c.BUS_OFF, bytes(8)))
+    (entry,) = gateway.memory.entries()
+    assert str(entry.dtc) == "U0073-88"
+    assert entry.status & 0x80, "the warning indicator is asked for"
+
+
+def test_a_wrong_setting_is_named(tmp_path):
+    path = write_config(tmp_path)
+    text = path.read_text()
+    path.write_text(
+        text.replace("[[bus.check]]", 'health = { code = "X0001", errors = 0 }\n[[bus.check]]')
+    )
+    with pytest.raises(InputErrors) as error:
+        load_config(path)
+    assert "bus[0].health.code" in str(error.value)
+    assert "bus[0].health.errors" in str(error.value)
+
+
+def test_a_recording_with_its_conditions_replays_to_the_same_faults(tmp_path):
+    """What happened to the bus is in the log, as candump writes error frames."""
+    from gateway.bus.logs import open_writer, read_log
+
+    frames = np.concatenate(
+        [
+            condition_frame(0, 0, c.RUNNING),
+            frame(1, 0x300, beat(0)),
+            frame(2, ERROR | c.BUS_OFF, bytes(8)),
+            frame(3, ERROR | c.RESTARTED, bytes(8)),
+            condition_frame(4 * MS, 0, c.LOSS, 12),
+            condition_frame(9 * MS, 0, c.LOST),
+            condition_frame(20 * MS, 0, c.RUNNING),
+        ]
+    )
+    told = []
+    for k in range(2):
+        if k:
+            with open_writer(tmp_path / "drive.log") as log:
+                log.write(frames)
+            (frames,) = read_log(tmp_path / "drive.log")
+        gateway, events = gateway_of(tmp_path), []
+        gateway.listen(events.append)
+        gateway.start(0)
+        gateway.feed(frames)
+        told.append(events)
+        assert gateway.summary(1.0)["buses"]["chassis"] == {
+            "bus_off": 1, "restarted": 1, "lost": 12
+        }  # fmt: skip
+    assert told[0] == told[1]
+    assert [e["dtc"] for e in told[0] if e["event"] == "dtc" and e["status"] & 1] == [
+        "U0001-88", "U0001-04", "U0001-31"
+    ]  # fmt: skip
