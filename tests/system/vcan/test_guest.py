@@ -16,7 +16,11 @@ import pytest
 
 HERE = Path(__file__).parent
 UML = shutil.which("linux.uml")
-FILES = sorted(path.name for path in HERE.glob("test_*.py") if path.name != "test_guest.py")
+#: The scenarios take longest.
+FILES = sorted(
+    (path.name for path in HERE.glob("test_*.py") if path.name != "test_guest.py"),
+    key=lambda name: ("scenarios" not in name, name),
+)
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 
