@@ -149,6 +149,9 @@ class EventPrinter:
         odd = {k: v for k, v in event["counters"].items() if v and k not in {"frames", "decoded"}}
         if odd:
             print_("counters: " + "  ".join(f"{k} {v}" for k, v in odd.items()))
+        for name, counts in event["buses"].items():
+            if counts:
+                print_(f"bus {name}: " + "  ".join(f"{k} {n}" for k, n in counts.items()))
         print_("DTCs: " + (", ".join(event["dtcs"]) or "none"))
 
 

@@ -267,6 +267,24 @@ def test_record_alone_takes_several_buses_down(tmp_path, form):
     assert stamps == sorted(stamps), "merged by time"
 
 
+def test_a_log_of_several_buses_is_replayed_by_its_names(tmp_path):
+    """By the name of the bus, of its interface, or can0, can1 as logs without names have them."""
+    config = write_config(
+        tmp_path, buses=[("chassis", "socketcan:can5"), ("drive", "loopback:127.0.0.1:1")]
+    )
+    for names in (("can5", "drive"), ("chassis", "drive"), ("can0", "can1")):
+        lines = [
+            f"({k / 100 + index / 1000:.6f}) {name} 300#{beat(k).hex()}\n"
+            for k in range(20)
+            for index, name in enumerate(names)
+        ]
+        (tmp_path / "two.log").write_text("".join(lines) + "(9.0) vcan9 300#00\n")
+        said = gateway("replay", "two.log", "-c", config, "--json", cwd=tmp_path).stdout
+        assert json.loads(said.splitlines()[-1])["decoded"] == 40
+        assert "U0401" not in said
+        assert "U0422" not in said
+
+
 def opened(folder):
     lines = (folder / "record.out").read_text().splitlines()
     return [line for line in lines if json.loads(line)["state"] == "open"]
