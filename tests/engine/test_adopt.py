@@ -1,0 +1,128 @@
+"""An engine that takes over from another one: the same configuration changes nothing, a changed one only what changed."""
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gateway.bus import conditions as c
+from gateway.bus.frames import ERROR
+from gateway.engine.adopt import adopt
+from gateway.engine.build import BusInstance
+from gateway.engine.events import QUALIFIED_FAILED
+from gateway.monitors.shape import Debounce
+
+CHECK = {"message": "Alpha", "timeout_ms": 50.0, "counter": {"signal": "Count"}}
+MONITOR = ("m", 0, {"wake_ms": 70.0, "tag": 1.0})
+
+
+def make(build, *monitors, check=CHECK, debounce=None, **options):
+    return build(
+        *(monitors or (MONITOR,)),
+        checks=[check],
+        buses=[BusInstance("a")],
+        debounce=None if debounce is None else lambda name, fault: debounce,
+        **options,
+    )
+
+
+def run(engines, pieces, tools, until):
+    """Feed each engine a piece, each taking over from the one before; returns the events and the last engine."""
+    seen = tools.Collector()
+    old = None
+    for engine, piece in zip(engines, pieces, strict=True):
+        if old is not None:
+            adopt(engine, old, {0: 0}, {})
+        if piece:
+            engine.process(tools.batch(*piece), seen)
+        old = engine
+    old.advance(round(until * 1e6), seen)
+    return seen.events, old
+
+
+def frame(kind, t_ms, value, tools):
+    if kind == "error":
+        return (t_ms, ERROR | (c.PROTOCOL if value % 3 else c.BUS_OFF), bytes(8))
+    if kind == "condition":
+        return (t_ms, ERROR, bytes([1 + value % 3, 0, 0, 0, value, 0, 0, 0]))
+    return tools.alpha(t_ms, value - 8.0, count=value % 16)
+
+
+@pytest.mark.parametrize("timed", [False, True])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["frame"] * 5 + ["error"] * 3 + ["condition"]),
+            st.integers(0, 120),
+            st.integers(0, 31),
+        ),
+        min_size=2,
+        max_size=60,
+    ),
+    st.data(),
+)
+def test_taking_over_at_any_frame_changes_nothing(build, tools, timed, rows, data):
+    now, frames = 0.0, []
+    for kind, gap, value in rows:
+        now += gap
+        frames.append(frame(kind, now, value, tools))
+    cuts = sorted(data.draw(st.lists(st.integers(1, len(frames) - 1), max_size=3)))
+    pieces = [frames[a:b] for a, b in zip([0, *cuts], [*cuts, None], strict=True)]
+    debounce = Debounce(failed_ms=30.0, passed_ms=40.0) if timed else None
+    engines = [make(build, debounce=debounce) for _ in pieces]
+    whole, one = run([make(build, debounce=debounce)], [frames], tools, now + 3000)
+    parts, last = run(engines, pieces, tools, now + 3000)
+    assert parts == whole
+    assert last.counters() == one.counters()
+    assert last.readout() == one.readout()
+    assert last.error_counters(0) == one.error_counters(0)
+    faults = range(len(one.faults))
+    assert [last.fold_statistics(k) for k in faults] == [one.fold_statistics(k) for k in faults]
+
+
+def failures(events, engine):
+    return [(e[0] / 1e6, engine.faults[e[1]].id) for e in events if e[2] == QUALIFIED_FAILED]
+
+
+def test_a_changed_check_starts_anew_with_its_own_timeout(build, tools):
+    old, new = make(build), make(build, check={**CHECK, "timeout_ms": 20.0})
+    frames = [tools.alpha(k, 0, count=k) for k in range(5)]
+    # The old deadline would be at 54 ms; the new check waits its own 20 ms from the change on.
+    events, last = run([old, new], [frames, []], tools, 40)
+    assert (24.0, "comm.Alpha.timeout") in failures(events, last)
+    old, new = make(build), make(build, check={**CHECK, "timeout_ms": 500.0})
+    events, last = run([old, new], [frames, [tools.alpha(5, 0, count=9)]], tools, 490)
+    assert "comm.Alpha.timeout" not in {name for _, name in failures(events, last)}
+    counter = [slot.id for slot in last.faults].index("comm.Alpha.counter")
+    assert last.fault_detection_counter(counter) <= 0, "its first counter is not judged"
+
+
+def test_a_changed_monitor_starts_anew(build, tools):
+    old, new = make(build), make(build, ("m", 0, {"wake_ms": 70.0, "tag": 2.0}))
+    frames = [tools.alpha(k, 1.0, count=k) for k in range(6)]
+    _, last = run([old, new], [frames[:4], frames[4:]], tools, 10)
+    assert last.readout()["m"]["steps"] == 2
+    assert last.readout()["m"]["total"] == 2.0
+    assert last.counters()["frames"] == 6
+
+
+def test_a_changed_debounce_starts_anew(build, tools):
+    old = make(build, debounce=Debounce(failed_after=100, passed_after=100))
+    new = make(build, debounce=Debounce(failed_after=3, passed_after=3))
+    bad = [tools.alpha(k, 99.0, count=k % 16) for k in range(60)]
+    events, last = run([old, new], [bad[:57], bad[57:59]], tools, 59)
+    assert "m.high" not in {name for _, name in failures(events, last)}, "57 of 100 are not 57 of 3"
+    events, last = run([old, new], [[], bad[59:]], tools, 60)
+    assert (59.0, "m.high") in failures(events, last)
+
+
+def test_settings_of_the_health_are_the_new_ones(build, tools):
+    old = make(build)
+    new = build(
+        MONITOR,
+        checks=[CHECK],
+        buses=[BusInstance("a", BusInstance("a").params.model_copy(update={"errors": 3}))],
+    )
+    errors = [(k, ERROR | c.PROTOCOL, bytes(8)) for k in range(4)]
+    events, last = run([old, new], [errors[:2], errors[2:]], tools, 10)
+    assert (2.0, "a.bus_errors") in failures(events, last), "two before, the third after the change"
