@@ -98,6 +98,7 @@ class StructBus(SocketCanBus):
 
     def __init__(self, sock: socket.socket, index: int) -> None:
         Bus.__init__(self, "test:live", index)
+        self._gone = None
         self._socket = sock
         sock.setblocking(False)
         self._receiver = RawReceiver(sock, self.statistics)

@@ -81,6 +81,15 @@ def test_what_changed_starts_anew_and_the_rest_goes_on():
     assert last.memory.definition("crank.missed_pulse").description == "no longer monitored"
 
 
+def test_the_frames_around_a_failure_are_kept_though_the_change_comes_between():
+    """The recording is cut where the configuration changes: 0.1 s after the failure instead of 0.5 s."""
+    config, frames = frames_of("crank_missed_tooth", 6.0)
+    cut = int(np.searchsorted(frames["t_ns"], 4.1e9))
+    _, _, last = play(config, frames, [cut])
+    (recording,) = last.store.recordings("crank.missed_pulse")
+    assert 300 < recording.frames < 600, "a second before, and what there was after"
+
+
 def test_active_faults_stay_active_over_a_reload():
     config, frames = frames_of("crank_missed_tooth", 8.0)
     cut = int(np.searchsorted(frames["t_ns"], 4.3e9))

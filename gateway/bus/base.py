@@ -36,7 +36,6 @@ class Bus(ABC):
 
     Attributes:
         losses: (place in the batch received last, frames lost in a queue right before it).
-        gone: why nothing will come any more, None while the bus is there. What it had received still comes.
     """
 
     def __init__(self, uri: str, index: int) -> None:
@@ -44,7 +43,6 @@ class Bus(ABC):
         self.index = index
         self.statistics = Statistics()
         self.losses: list[tuple[int, int]] = []
-        self.gone: str | None = None
 
     @abstractmethod
     def fileno(self) -> int:
@@ -61,7 +59,7 @@ class Bus(ABC):
             how many frames; as many as ``out`` holds means there may be more.
 
         Raises:
-            BusError: the bus is gone.
+            BusError: the bus is gone, and all that it had received has been taken.
         """
 
     @abstractmethod

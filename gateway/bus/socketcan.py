@@ -49,6 +49,7 @@ class SocketCanBus(Bus):
         self, uri: str, index: int, interface: str, *, fd: bool = True, rcvbuf: int = RCVBUF
     ) -> None:
         super().__init__(uri, index)
+        self._gone: str | None = None  # why nothing will come any more
         family = getattr(socket, "AF_CAN", None)
         if family is None:
             raise UnsupportedError(
@@ -92,14 +93,14 @@ class SocketCanBus(Bus):
         try:
             count = self._receiver.receive(out, self.index)
         except OSError as error:
-            self.gone = f"{self.uri}: {_help(error, '')}"
+            self._gone = f"{self.uri}: {_help(error, '')}"
             try:
                 count = self._receiver.receive(out, self.index)
             except OSError:
                 count = 0
         self.losses = self._receiver.losses
-        if not count and self.gone is not None:
-            raise BusError(self.gone)
+        if not count and self._gone is not None:
+            raise BusError(self._gone)
         return count
 
     def send(self, frames: Frames) -> int:

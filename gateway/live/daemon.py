@@ -90,6 +90,7 @@ class Daemon:
             self._live.run(stop, on_turn=self._on_turn)
         finally:
             self._notifier.stopping()
+        self._live.drain()
         gateway = self.gateway
         gateway.advance(self._clock_ns() - GRACE_NS)
         gateway.stop(gateway.engine.now_ns)
@@ -197,6 +198,7 @@ class Daemon:
             for link in opened:
                 link.close()
             raise
+        self._live.drain()
         gateway.succeed(old)
         self.gateway = gateway
         for index, (link, entry) in enumerate(zip(links, new.config.bus, strict=True)):

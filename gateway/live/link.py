@@ -133,8 +133,6 @@ class Link:
         frames = self._batch[:count]
         if self._bus.losses:
             frames = self._with_losses(frames, self._bus.losses)
-        if self._bus.gone is not None:
-            self._lose(self._bus.gone)
         return (_joined([*told, frames]) if told else frames), count == BATCH
 
     def send(self, frames: Frames) -> None:

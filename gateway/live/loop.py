@@ -190,18 +190,22 @@ class Live:
                 break
         return any_fed
 
-    def _read_all(self) -> bool:
+    def drain(self) -> None:
+        """Feed all that has come until now; nothing is held back."""
+        self._read_all(final=True)
+
+    def _read_all(self, *, final: bool = False) -> bool:
         """Feed what several buses have, in order of time; returns whether there was any."""
         read_ns = self._clock_ns()
         parts = []
         for link in self._links:
             pieces: list[Frames] = []
             more = True
-            while more and len(pieces) < TURN:
+            while more and (final or len(pieces) < TURN):
                 frames, more = link.receive()
                 pieces.append(frames.copy())
             parts.append((np.concatenate(pieces), more))
-        frames = self._merger.take(parts, read_ns)
+        frames = self._merger.take(parts, read_ns, final=final)
         if len(frames):
             self._feed(frames)
         return bool(len(frames)) or self._merger.holding

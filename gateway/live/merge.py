@@ -26,12 +26,15 @@ class Merger:
         """Whether frames wait for the next :meth:`take`."""
         return bool(len(self._held))
 
-    def take(self, parts: Sequence[tuple[Frames, bool]], read_ns: int) -> Frames:
+    def take(
+        self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False
+    ) -> Frames:
         """Return the frames that are due, in order of time.
 
         Args:
             parts: of each bus: frames in order of time, and whether it had more than were read.
             read_ns: time right before the first bus was read [ns].
+            final: nothing is held back.
         """
         frames = np.concatenate([self._held, *(part for part, _ in parts)])
         if not len(frames):
@@ -48,5 +51,7 @@ class Merger:
         old = np.flatnonzero(since < read_ns - LONGEST_NS)
         if len(old):
             due = max(due, int(old[-1]) + 1)
+        if final:
+            due = len(frames)
         self._held, self._read_ns = frames[due:], since[due:]
         return frames[:due]

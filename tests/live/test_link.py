@@ -30,10 +30,8 @@ class Cable(Bus):
         self.losses, self.world.losses = self.world.losses, []
         self.statistics.received += len(waiting)
         self.statistics.overflow += sum(lost for _, lost in self.losses)
-        if not self.world.plugged:
-            self.gone = "network is down"
-            if not waiting:
-                raise BusError(self.gone)
+        if not self.world.plugged and not waiting:
+            raise BusError("network is down")
         return len(waiting)
 
     def send(self, frames):

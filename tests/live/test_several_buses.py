@@ -120,6 +120,7 @@ def run(config, streams, *, steps_ns, delays_ns):
     while now < end:
         now += int(rng.choice(steps_ns))
         live.turn()
+    live.drain()
     counters = gateway.engine.counters()
     live.close()
     for link in links:
@@ -178,6 +179,16 @@ def test_a_signal_of_no_bus_is_named(tmp_path, second, match):
     with pytest.raises((InputError, InputErrors), match=match) as error:
         Gateway(config)
     assert "brake" in str(error.value)
+
+
+def test_what_is_held_back_is_fed_at_the_end(tmp_path, drive):
+    two = config_of(tmp_path, ["chassis", "other"], "chassis.", "other.")
+    last = drive[:300].copy()
+    last["t_ns"][-1] = (
+        int(last["t_ns"].max()) + 2 * 10**8 - 1
+    )  # as the loop ends, too new to be sure of
+    _, counters = run(two, [last, empty(1)], steps_ns=[int(last["t_ns"][-1]) + 1], delays_ns=[0, 0])
+    assert counters["frames"] >= 300
 
 
 def test_an_empty_bus_holds_nobody_back(tmp_path, drive):

@@ -188,6 +188,7 @@ def test_a_reload_may_change_buses(tmp_path):
                 for k in range(10, 20):
                     send(k)
                     send_second(k)
+                time.sleep(0.2)  # through the hub; from then on none may be lost
                 write_config(tmp_path, buses=[("drive", second)], timeout_ms=60_000.0)
                 running.send_signal(signal.SIGHUP)
                 wait_for(lambda: len(configs(running)) == 2)
