@@ -208,7 +208,7 @@ class Live:
         frames = self._merger.take(parts, read_ns, final=final)
         if len(frames):
             self._feed(frames)
-        return bool(len(frames)) or self._merger.holding
+        return bool(len(frames))
 
     def _feed(self, frames: Frames) -> None:
         for tap in self._taps:

@@ -143,6 +143,16 @@ def test_structs_go_into_the_batch_and_come_out_of_it(rows, random):
         assert statistics.received == len(rows)
 
 
+def test_each_call_may_bring_a_batch_of_its_own(pair):
+    ours, theirs = pair
+    receiver = RawReceiver(ours, Statistics())
+    batches = [empty(2) for _ in range(3)]
+    for k, out in enumerate(batches):
+        theirs.send(struct.pack("=IBBBB8s", 0x100 + k, 1, 0, 0, 0, bytes(8)))
+        assert receiver.receive(out, 0) == 1
+    assert [int(out[0]["can_id"]) for out in batches] == [0x100, 0x101, 0x102]
+
+
 def test_bytes_beyond_the_length_are_not_taken(pair):
     ours, theirs = pair
     receiver = RawReceiver(ours, Statistics())

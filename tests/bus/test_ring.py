@@ -76,11 +76,13 @@ def test_a_folder_that_fails_costs_frames_and_nothing_else(tmp_path):
     assert ring.lost == 20
     folder.unlink()
     folder.mkdir()
-    ring._resume = 0.0
     ring.write(batch(20, 10))
+    assert ring.lost == 30, "not tried again at each batch"
+    ring._resume = 0.0
+    ring.write(batch(30, 10))
     ring.close()
-    assert numbers(folder) == list(range(20, 30))
-    assert ring.lost == 20
+    assert numbers(folder) == list(range(30, 40))
+    assert ring.lost == 30
 
 
 def test_what_power_loss_cut_off_hides_nothing_behind_it(tmp_path):

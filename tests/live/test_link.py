@@ -115,6 +115,18 @@ def test_what_was_received_before_the_loss_still_comes_then_the_loss():
     assert (world.opened, world.closed) == (2, 1)
 
 
+def test_a_link_may_get_another_index():
+    world = World()
+    link = world.link()
+    link.start()
+    link.receive()
+    link.index = 3
+    world.waiting, world.losses = [1], [(0, 2)]
+    assert link.receive()[0]["bus"].tolist() == [3, 3]
+    world.plugged = False
+    assert link.receive()[0]["bus"].tolist() == [3]
+
+
 def test_a_loss_noticed_while_sending():
     world = World()
     link = world.link()
