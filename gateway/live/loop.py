@@ -30,6 +30,8 @@ REPORT_S = 1.0
 KEEP_S = 10.0
 #: Batches taken from a bus before the others, and the rest of the work, have their turn.
 TURN = 16
+#: The same, when there is no next turn: more than any queue holds.
+LAST_TURN = 4096
 
 log = structlog.get_logger(__name__)
 
@@ -100,10 +102,7 @@ class Live:
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._choose()
-        # What was built for the start lives until the end: looking through it again and again for garbage would cost
-        # milliseconds in the middle of traffic.
-        gc.collect()
-        gc.freeze()
+        _settle()
 
     @property
     def links(self) -> Sequence[Link]:
@@ -116,6 +115,7 @@ class Live:
         self._links, self._taps = list(links), list(taps)
         self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
         self._choose()
+        _settle()
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are."""
@@ -201,7 +201,7 @@ class Live:
         for link in self._links:
             pieces: list[Frames] = []
             more = True
-            while more and (final or len(pieces) < TURN):
+            while more and len(pieces) < (LAST_TURN if final else TURN):
                 frames, more = link.receive()
                 pieces.append(frames.copy())
             parts.append((np.concatenate(pieces), more))
@@ -213,6 +213,8 @@ class Live:
     def _feed(self, frames: Frames) -> None:
         for tap in self._taps:
             tap.write(frames)
+        if self._taps:  # what we have sent came back for them only
+            frames = frames[frames["flags"] & OWN == 0]
         self._note(frames)
         self._send(self._gateway.feed(frames))
 
@@ -234,7 +236,7 @@ class Live:
             if not len(mine):
                 continue
             link.send(mine)
-            if self._taps and not link.echoes:
+            if self._taps and link.running and not link.echoes:
                 # Nobody tells when they were on the bus: taken down as they leave.
                 sent = mine.copy()
                 sent["flags"] |= OWN
@@ -264,6 +266,17 @@ class Live:
 
     def _states(self) -> list[dict[str, Any]]:
         return [bus_event(link, link_state(link), self._clock_ns()) for link in self._links]
+
+
+def _settle() -> None:
+    """Take what was built for the start out of the collector's sight.
+
+    It lives until the end, or the next configuration; looking through it again and again would cost milliseconds in the
+    middle of traffic.
+    """
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
 
 
 def link_state(link: Link) -> str:

@@ -1,0 +1,151 @@
+"""The live loop: what the taps get, what the gateway gets, and in what order work is done."""
+
+import os
+
+from gateway.bus.base import Bus
+from gateway.bus.frames import ERROR, OWN, empty, put
+from gateway.live.link import Link
+from gateway.live.loop import Live
+from gateway.live.record import Nobody
+
+
+class Queue(Bus):
+    """Gives what was put in; may return what it sends."""
+
+    def __init__(self, uri, index, *, echoing=False):
+        super().__init__(uri, index)
+        self._event = os.eventfd(1)
+        self.waiting = []
+        self.sent = []
+        self.echoing = echoing
+        self.filters = []
+
+    def fileno(self):
+        return self._event
+
+    def receive(self, out):
+        part, self.waiting = self.waiting[: len(out)], self.waiting[len(out) :]
+        for k, (can_id, flags) in enumerate(part):
+            put(out, k, 10**9 + k, can_id, b"", bus=self.index, flags=flags)
+        self.statistics.received += len(part)
+        return len(part)
+
+    def send(self, frames):
+        self.sent += frames["can_id"].tolist()
+        return len(frames)
+
+    def set_filters(self, can_ids):
+        self.filters.append(can_ids)
+
+    def set_echo(self, on):
+        return on and self.echoing
+
+    def close(self):
+        os.close(self._event)
+
+
+class Talker(Nobody):
+    """Sends a frame for each batch, and wants one identifier."""
+
+    def __init__(self):
+        super().__init__()
+        self.got = []
+        self.noted = []
+
+    def feed(self, frames):
+        self.got += frames["can_id"].tolist()
+        out = empty(1)
+        put(out, 0, 0, 0x6F0, b"")
+        return out
+
+    def identifiers_on(self, bus):
+        return [0x10]
+
+    def note_buses(self, states):
+        self.noted.append(states)
+
+
+class Tap:
+    def __init__(self):
+        self.got = []
+
+    def write(self, frames):
+        self.got += [(int(f["can_id"]), bool(f["flags"] & OWN)) for f in frames]
+
+
+def rig(*, echoing=False, taps=()):
+    queues = []
+
+    def opener(uri, index):
+        queues.append(Queue(uri, index, echoing=echoing))
+        return queues[-1]
+
+    link = Link("test:queue", 0, "b", opener)
+    link.start()
+    gateway, events = Talker(), []
+    live = Live(gateway, [link], events.append, taps=taps, tick_s=0.0)
+    live.turn()
+    return live, gateway, queues[0], events, link
+
+
+def test_without_taps_the_bus_is_filtered_and_with_them_it_is_not():
+    live, _, queue, _, _ = rig()
+    assert queue.filters[-1] == [0x10]
+    live.close()
+    tap = Tap()
+    live, gateway, queue, _, _ = rig(taps=[tap])
+    assert queue.filters[-1] is None
+    live.replace(gateway, live.links, [])
+    assert queue.filters[-1] == [0x10], "the recording has ended"
+    live.close()
+
+
+def test_own_frames_that_come_back_are_for_the_taps_only():
+    tap = Tap()
+    live, gateway, queue, _, _ = rig(echoing=True, taps=[tap])
+    queue.waiting = [(0x10, 0), (0x6F0, OWN), (0x11, 0)]
+    live.turn()
+    assert gateway.got == [ERROR, 0x10, 0x11]
+    assert tap.got == [(ERROR, False), (0x10, False), (0x6F0, True), (0x11, False)]
+    live.close()
+
+
+def test_where_they_do_not_come_back_they_are_recorded_as_they_leave():
+    tap = Tap()
+    live, _, queue, _, link = rig(taps=[tap])
+    queue.waiting = [(0x10, 0)]
+    live.turn()
+    assert tap.got == [(ERROR, False), (0x6F0, True), (0x10, False), (0x6F0, True)]
+    assert queue.sent == [0x6F0, 0x6F0]
+    link.close()
+    queue.waiting = []
+    live.turn()
+    live.close()
+
+
+def test_lost_frames_are_told_once_a_second_at_most_and_kept():
+    live, gateway, queue, events, _ = rig()
+    assert [e["state"] for e in events] == ["open"]
+    for _ in range(5):
+        queue.statistics.overflow += 3
+        queue.losses = [(0, 3)]
+        queue.waiting = [(0x10, 0)]
+        live._poll = 0.0
+        live.turn()
+    told = [e["overflow"] for e in events if e["state"] == "overflow"]
+    assert told == [3]
+    assert gateway.noted[-1][0]["overflow"] >= 3
+    live._told = {key: (count, when - 2.0) for key, (count, when) in live._told.items()}
+    live._poll = 0.0
+    live.turn()
+    assert [e["overflow"] for e in events if e["state"] == "overflow"] == [3, 15]
+    live.close()
+
+
+def test_conditions_of_a_bus_are_events_but_lost_frames_are_not_one_each():
+    live, _, queue, events, _ = rig()
+    queue.losses = [(0, 1)]
+    queue.waiting = [(0x10, 0)]
+    live.turn()
+    assert [e["state"] for e in events] == ["open"]
+    live.close()
