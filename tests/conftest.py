@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+import structlog
 from hypothesis import settings
 
 # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
@@ -13,3 +15,9 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 def pytest_collection_modifyitems(items):
     """Begin with what takes longest, so that no worker is left with it at the end."""
     items.sort(key=lambda item: "test_guest" not in item.nodeid)
+
+
+@pytest.fixture(autouse=True)
+def _plain_logging():
+    """Log lines go to this test's standard error, whatever a test of the command line has set up."""
+    structlog.reset_defaults()
