@@ -221,7 +221,6 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
             _wait(h, OVERFLOW, t_ns)
     if classes & BUS_OFF:
         h.failed |= 1 << OFF
-        h.passed &= ~(1 << OFF)
         h.bad |= 1 << OFF
         h.limit = 255.0
     if classes & _WRONG:
