@@ -152,8 +152,6 @@ class Gateway:
 
         What the returned frames say is in the fault memory before they are returned.
         """
-        if self._emitted:
-            frames = self._without_echo(frames)
         if self._recorder is not None:
             self._recorder.on_frames(frames)
         sent: list[Frames] = []
@@ -166,8 +164,8 @@ class Gateway:
                 sent.append(self._allowed(output, made))
         return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
 
-    def _without_echo(self, frames: Frames) -> Frames:
-        """Return the frames without those that our monitors have sent: the engine had them when it made them."""
+    def without_own(self, frames: Frames) -> Frames:
+        """Return a recording's frames without those that our monitors had sent: they send them again."""
         own = frames["flags"] & OWN != 0
         if not own.any():
             return frames

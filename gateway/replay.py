@@ -14,6 +14,9 @@ class Fed(Protocol):
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
 
+    def without_own(self, frames: Frames) -> Frames:
+        """Return the frames without those that it will make itself."""
+
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames; returns the frames to send."""
 
@@ -44,7 +47,7 @@ def replay(
             continue
         if not count:
             gateway.start(int(frames[0]["t_ns"]))
-        gateway.feed(frames)
+        gateway.feed(gateway.without_own(frames))
         count += len(frames)
         last_ns = int(frames[-1]["t_ns"])
         if progress is not None:
