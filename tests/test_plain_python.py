@@ -10,6 +10,7 @@ import pytest
 TESTS = Path(__file__).parent
 
 
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "parts",
     [
@@ -32,7 +33,7 @@ def test_kernels_run_uncompiled(parts):
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=570,
         check=False,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stdout[-3000:] + ended.stderr[-1000:]
