@@ -18,10 +18,10 @@ class Full(Bus):
         self.taken = []
 
     def fileno(self):
-        raise NotImplementedError
+        return -1
 
     def receive(self, out):
-        raise NotImplementedError
+        return 0
 
     def send(self, frames):
         count = min(len(frames), self.room)
