@@ -265,7 +265,10 @@ class Live:
         self._gateway.note_buses(self._states())
 
     def _states(self) -> list[dict[str, Any]]:
-        return [bus_event(link, link_state(link), self._clock_ns()) for link in self._links]
+        return [
+            bus_event(link, "open" if link.running else "lost", self._clock_ns())
+            for link in self._links
+        ]
 
 
 def _settle() -> None:
@@ -277,11 +280,6 @@ def _settle() -> None:
     gc.unfreeze()
     gc.collect()
     gc.freeze()
-
-
-def link_state(link: Link) -> str:
-    """Return the state of a bus in one word."""
-    return "open" if link.running else "lost"
 
 
 def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:

@@ -51,12 +51,17 @@ class Talker(Nobody):
         super().__init__()
         self.got = []
         self.noted = []
+        self.advanced = 0
 
     def feed(self, frames):
         self.got += frames["can_id"].tolist()
         out = empty(1)
         put(out, 0, 0, 0x6F0, b"")
         return out
+
+    def advance(self, t_ns):
+        self.advanced += 1
+        return empty(0)
 
     def identifiers_on(self, bus):
         return [0x10]
@@ -86,6 +91,20 @@ def rig(*, echoing=False, taps=()):
     live = Live(gateway, [link], events.append, taps=taps, tick_s=0.0)
     live.turn()
     return live, gateway, queues[0], events, link
+
+
+def test_time_does_not_overtake_frames_that_wait():
+    """After a pause of the process more is queued than one turn takes: no timer may run ahead of it."""
+    live, gateway, queue, _, _ = rig()
+    queue.waiting = [(0x10, 0)] * 5000
+    while queue.waiting:
+        live.turn()
+    assert len(gateway.got) == 1 + 5000
+    assert gateway.advanced == 0
+    os.eventfd_read(queue.fileno())
+    live.turn()
+    assert gateway.advanced == 1, "without traffic it passes"
+    live.close()
 
 
 def test_without_taps_the_bus_is_filtered_and_with_them_it_is_not():
