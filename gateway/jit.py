@@ -83,13 +83,21 @@ def cache_is_warm() -> bool:
     return not COMPILED or any(CACHE.rglob("*.nbi"))
 
 
+def _changed(path: Path) -> float:
+    """When a file was changed; 0 if another process has just deleted it."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
 def prune_cache(keep: int = 3) -> None:
     """Delete the caches of older sources, all but the ``keep`` newest."""
     if not CACHE.parent.is_dir():
         return
     old = sorted(
         (path for path in CACHE.parent.glob("kernels-*") if path != CACHE),
-        key=lambda path: path.stat().st_mtime,
+        key=_changed,
         reverse=True,
     )
     for path in old[max(keep - 1, 0) :]:

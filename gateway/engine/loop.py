@@ -17,93 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from gateway.bus.conditions import LOSS, RUNNING
-from gateway.engine.debounce import count, fault_detection_counter, hold, mature, turn
+from gateway.engine.bus_checks import conclude, on_error_frame
+from gateway.engine.debounce import mature
 from gateway.engine.emission import emit
-from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, RESULT_CHANGED
+from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
 from gateway.engine.gate import closed, reached
+from gateway.engine.message_checks import judge, pass_over, time_out
+from gateway.engine.results import not_tested, push, tested, witness
 from gateway.engine.tables import NEVER, Tables, borrowed
 from gateway.jit import borrow, call_entry, kernel
-from gateway.monitors.bus_health import disproved, elapsed, note
-from gateway.monitors.communication import (
-    ACCEPT,
-    COUNTER,
-    CRC,
-    LENGTH,
-    REJECT,
-    TIMEOUT,
-    check_crc,
-    counter_step,
-)
-from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED, TIMER
+from gateway.monitors.bus_health import disproved, elapsed
+from gateway.monitors.communication import ACCEPT, REJECT
+from gateway.monitors.shape import FAILED, NOT_TESTED, TIMER
 from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
 
 _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
-
-
-@kernel
-def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, limit: float) -> int:
-    """Append an event to the ring; returns its place, -1 when the ring is full (counted)."""
-    clock = T.clock[0]
-    place = clock.events
-    if place >= T.ring.shape[0]:
-        clock.events_lost += 1
-        return -1
-    event = T.ring[place]
-    d = T.debounces[fault]
-    event.t_ns = t_ns
-    event.fault = fault
-    event.kind = kind
-    event.result = result
-    event.fdc = fault_detection_counter(d, t_ns)
-    event.bus = d.bus
-    event.value = value
-    event.threshold = limit
-    for k in range(event.evidence.shape[0]):
-        event.evidence[k] = 0.0
-    clock.events = place + 1
-    if kind != RESULT_CHANGED:
-        clock.stop = 1
-    return int(place)
-
-
-@kernel
-def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
-    """Debounce one test result; returns the place of the event it made, -1 for none."""
-    d = T.debounces[fault]
-    if (d.gated == 1 or T.clock[0].held == 1) and closed(T, t_ns, d):
-        not_tested(T, t_ns, fault)
-        return -1
-    result = FAILED if failed else PASSED
-    if d.timed == 1:
-        d.value, d.limit = value, limit
-        kind = turn(d, t_ns, result)
-        clock = T.clock[0]
-        clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)
-    else:
-        kind = count(d, result)
-    if kind == 0:
-        return -1
-    return push(T, t_ns, fault, kind, result, value, limit)
-
-
-@kernel
-def witness(T: Any, fault: int, place: int, k: int, value: float) -> None:
-    """Keep evidence value ``k`` of a result: with its event, and for one that time makes of it later."""
-    if place >= 0:
-        T.ring[place].evidence[k] = value
-    if T.debounces[fault].timed == 1:
-        T.debounces[fault].evidence[k] = value
-
-
-@kernel
-def not_tested(T: Any, t_ns: int, fault: int) -> None:
-    """Note that a fault's test could not run, or does not count; its counter is held."""
-    d = T.debounces[fault]
-    changed = d.last != NOT_TESTED
-    hold(d, t_ns)
-    if changed:
-        push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0)
 
 
 @kernel
@@ -157,31 +85,6 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
 
 
 @kernel
-def time_out(T: Any, due: int, c: Any) -> None:
-    """Report one elapsed timeout of a message, and set its next deadline."""
-    T.clock[0].timeouts += 1
-    c.deadline_ns += c.timeout_ns
-    c.silent_ns += c.timeout_ns
-    place = tested(T, due, c.fault[TIMEOUT], True, c.silent_ns * 1e-6, c.timeout_ns * 1e-6)
-    witness(T, c.fault[TIMEOUT], place, 0, c.silent_ns * 1e-6)
-
-
-@kernel
-def pass_over(T: Any, t_ns: int, c: Any) -> None:
-    """Let the deadlines go by that can change nothing any more: the timeout is qualified already.
-
-    A jump of the clock by years must not cost a step for each timeout in it.
-    """
-    d = T.debounces[c.fault[TIMEOUT]]
-    settled = d.timed == 1 or d.counter == d.failed_after or d.last == NOT_TESTED
-    if settled and c.deadline_ns <= t_ns:
-        skipped = (t_ns - c.deadline_ns) // c.timeout_ns + 1
-        T.clock[0].timeouts += skipped
-        c.deadline_ns += skipped * c.timeout_ns
-        c.silent_ns += skipped * c.timeout_ns
-
-
-@kernel
 def ripen(T: Any, due: int, fault: int) -> None:
     """Let time qualify the verdict of a fault; if its gate is closed by now, its time starts anew."""
     d = T.debounces[fault]
@@ -193,47 +96,6 @@ def ripen(T: Any, due: int, fault: int) -> None:
         if place >= 0:
             for e in range(d.evidence.shape[0]):
                 T.ring[place].evidence[e] = d.evidence[e]
-
-
-@kernel
-def conclude(T: Any, t_ns: int, h: Any) -> None:
-    """Debounce the verdicts that the health of a bus has just come to."""
-    for k in range(h.fault.shape[0]):
-        fault, bit = h.fault[k], 1 << k
-        if fault >= 0 and (h.failed | h.passed) & bit:
-            failed = h.failed & bit != 0
-            place = tested(T, t_ns, fault, failed, h.value if failed else 0.0, h.limit)
-            for e in range(h.evidence.shape[0]):
-                witness(T, fault, place, e, h.evidence[e] if failed else 0.0)
-
-
-@kernel
-def start_anew(T: Any, t_ns: int, bus: int, condition: int) -> None:
-    """Forget what a gap in the frames of a bus would make look like a fault of the senders."""
-    for k in range(T.checks.shape[0]):
-        c = T.checks[k]
-        if c.bus != bus:
-            continue
-        c.seen = 0
-        if condition == RUNNING and c.timeout_ns > 0:
-            c.deadline_ns = t_ns + c.timeout_ns
-            c.silent_ns = 0
-            T.clock[0].deadline_ns = min(T.clock[0].deadline_ns, c.deadline_ns)
-
-
-@kernel
-def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
-    """Judge what a bus says of itself."""
-    clock = T.clock[0]
-    clock.error += 1
-    if bus >= T.health.shape[0]:
-        return
-    h = T.health[bus]
-    condition = note(h, t_ns, can_id, word)
-    if condition in (LOSS, RUNNING):
-        start_anew(T, t_ns, bus, condition)
-    conclude(T, t_ns, h)
-    clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
 
 
 @kernel
@@ -299,57 +161,6 @@ def watch(T: Any, t_ns: int, w: Any) -> None:
     for k in range(event.evidence.shape[0]):
         event.evidence[k] = 0.0
     clock.events += 1
-
-
-@kernel
-def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> int:
-    """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
-
-    Args:
-        T: the tables.
-        t_ns: the frame's time.
-        c: its record of CHECK.
-        words: payload, 8 little-endian uint64.
-        length: payload length [byte].
-        status: of the decoder.
-    """
-    clock = T.clock[0]
-    if c.timeout_ns > 0:
-        c.deadline_ns = t_ns + c.timeout_ns
-        c.silent_ns = 0
-        clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
-        tested(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
-    if c.fault[LENGTH] >= 0:
-        place = tested(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
-        witness(T, c.fault[LENGTH], place, 0, length)
-    if status != OK:
-        c.unread += 1
-        return REJECT
-    if c.fault[CRC] >= 0:
-        received, computed = check_crc(c, words, length, T.crc_tables)
-        place = tested(T, t_ns, c.fault[CRC], received != computed, received, computed)
-        witness(T, c.fault[CRC], place, 0, received)
-        witness(T, c.fault[CRC], place, 1, computed)
-        if received != computed:
-            clock.crc_failed += 1
-            c.unread += 1
-            return REJECT
-    if c.fault[COUNTER] >= 0:
-        received = int(T.values[c.counter])
-        step_by = counter_step(c, received)
-        # The counters of rejected frames went by unread; those frames were not lost.
-        wrong = step_by == 0 or step_by > c.max_step + c.unread
-        c.unread = 0
-        place = tested(T, t_ns, c.fault[COUNTER], wrong, step_by, c.max_step)
-        witness(T, c.fault[COUNTER], place, 0, step_by)
-        witness(T, c.fault[COUNTER], place, 1, c.last_counter)
-        witness(T, c.fault[COUNTER], place, 2, received)
-        c.last_counter = received
-        c.seen = 1
-        if step_by == 0:
-            clock.repeated += 1
-            return REJECT
-    return ACCEPT
 
 
 @kernel

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from gateway.monitors import brake_pedal, crank_sync
+from gateway.monitors import brake_pedal, crank_sync, steering_angle
 from gateway.monitors.shape import Monitor
 
 MONITORS: dict[str, Monitor] = {
-    monitor.type: monitor for monitor in (crank_sync.MONITOR, brake_pedal.PAIR, brake_pedal.TRIPLE)
+    monitor.type: monitor
+    for monitor in (
+        crank_sync.MONITOR,
+        brake_pedal.PAIR,
+        brake_pedal.TRIPLE,
+        steering_angle.MONITOR,
+    )
 }

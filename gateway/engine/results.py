@@ -1,0 +1,76 @@
+"""From a test result to an event: debounce, the event ring, and the evidence of both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.engine.debounce import count, fault_detection_counter, hold, turn
+from gateway.engine.events import RESULT_CHANGED
+from gateway.engine.gate import closed
+from gateway.jit import kernel
+from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED
+
+
+@kernel
+def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, limit: float) -> int:
+    """Append an event to the ring; returns its place, -1 when the ring is full (counted)."""
+    clock = T.clock[0]
+    place = clock.events
+    if place >= T.ring.shape[0]:
+        clock.events_lost += 1
+        return -1
+    event = T.ring[place]
+    d = T.debounces[fault]
+    event.t_ns = t_ns
+    event.fault = fault
+    event.kind = kind
+    event.result = result
+    event.fdc = fault_detection_counter(d, t_ns)
+    event.bus = d.bus
+    event.value = value
+    event.threshold = limit
+    for k in range(event.evidence.shape[0]):
+        event.evidence[k] = 0.0
+    clock.events = place + 1
+    if kind != RESULT_CHANGED:
+        clock.stop = 1
+    return int(place)
+
+
+@kernel
+def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
+    """Debounce one test result; returns the place of the event it made, -1 for none."""
+    d = T.debounces[fault]
+    if (d.gated == 1 or T.clock[0].held == 1) and closed(T, t_ns, d):
+        not_tested(T, t_ns, fault)
+        return -1
+    result = FAILED if failed else PASSED
+    if d.timed == 1:
+        d.value, d.limit = value, limit
+        kind = turn(d, t_ns, result)
+        clock = T.clock[0]
+        clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)
+    else:
+        kind = count(d, result)
+    if kind == 0:
+        return -1
+    return push(T, t_ns, fault, kind, result, value, limit)
+
+
+@kernel
+def witness(T: Any, fault: int, place: int, k: int, value: float) -> None:
+    """Keep evidence value ``k`` of a result: with its event, and for one that time makes of it later."""
+    if place >= 0:
+        T.ring[place].evidence[k] = value
+    if T.debounces[fault].timed == 1:
+        T.debounces[fault].evidence[k] = value
+
+
+@kernel
+def not_tested(T: Any, t_ns: int, fault: int) -> None:
+    """Note that a fault's test could not run, or does not count; its counter is held."""
+    d = T.debounces[fault]
+    changed = d.last != NOT_TESTED
+    hold(d, t_ns)
+    if changed:
+        push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0)

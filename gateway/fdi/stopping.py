@@ -1,0 +1,131 @@
+"""Stopping rules: from a symptom to an alarm (paper 001, Fig. 2; Gustafsson, Adaptive Filtering and Change Detection).
+
+Every rule makes one number of its symptom, the level, and alarms when that reaches the threshold::
+
+    direct      g = |x|
+    gma         m += (1 - lambda) (x - m),  g = |m|                           geometric moving average
+    cusum       up = max(0, up + x - nu), down = max(0, down - x - nu),  g = max(up, down)
+    sprt        up += mu/sigma^2 (x - mu/2), from ``low`` on anew; likewise down for -mu,  g = max(up, down)
+    chi_square  g = sum of (x/sigma)^2 over the last N samples
+
+CUSUM with nu = mu/2 is the SPRT that starts anew at 0 and counts in units of sigma^2/mu. Levels do not depend on the
+threshold, so that one run over healthy data tells what any threshold would have done.
+"""
+
+from __future__ import annotations
+
+from math import log
+from typing import Any, Literal, get_args
+
+import numpy as np
+from scipy.stats import chi2
+
+from gateway.jit import f8, i8, kernel, record
+
+Rule = Literal["direct", "gma", "cusum", "sprt", "chi_square"]
+RULES: tuple[Rule, ...] = get_args(Rule)
+_DIRECT, _GMA, _CUSUM, _SPRT, _CHI_SQUARE = range(5)
+#: Longest window of chi-square.
+WINDOW = 64
+
+CONST = record(rule=i8, threshold=f8, share=f8, drift=f8, shift=f8, variance=f8, low=f8, window=i8)
+#: ``peak``: largest level since somebody set it to 0.
+STATE = record(level=f8, up=f8, down=f8, ring=(f8, WINDOW), at=i8, peak=f8)
+
+
+def prepare(
+    c: np.void,
+    rule: Rule,
+    threshold: float,
+    *,
+    forget: float = 0.98,
+    drift: float = 0.0,
+    shift: float = 1.0,
+    sigma: float = 1.0,
+    low: float = -4.6,
+    window: int = 20,
+) -> None:
+    """Fill a record of CONST.
+
+    Args:
+        c: record of CONST.
+        rule: which.
+        threshold: of the level.
+        forget: lambda of the moving average.
+        drift: nu of CUSUM.
+        shift: mu, the change of the mean that the SPRT looks for.
+        sigma: standard deviation of the symptom, for SPRT and chi-square.
+        low: log likelihood ratio at which the SPRT accepts that all is well, and starts anew.
+        window: N of chi-square, at most 64.
+
+    Raises:
+        ValueError: the window is too long or empty.
+    """
+    if not 1 <= window <= WINDOW:
+        raise ValueError(f"a window has 1 to {WINDOW} samples, not {window}")
+    c["rule"], c["threshold"] = RULES.index(rule), threshold
+    c["share"], c["drift"], c["shift"], c["variance"] = 1.0 - forget, drift, shift, sigma**2
+    c["low"], c["window"] = low, window
+
+
+def sprt_bounds(false_alarm: float, missed: float) -> tuple[float, float]:
+    """Return Wald's bounds of the log likelihood ratio: accept below the first, alarm from the second on."""
+    return log(missed / (1.0 - false_alarm)), log((1.0 - missed) / false_alarm)
+
+
+def chi_square_threshold(window: int, false_alarm: float) -> float:
+    """Return the level that white Gaussian noise exceeds with a probability."""
+    return float(chi2.isf(false_alarm, window))
+
+
+@kernel
+def update(s: Any, c: Any, x: float) -> bool:
+    """Take one value of a symptom; returns whether the level has reached the threshold.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        x: the symptom.
+    """
+    if c.rule == _DIRECT:
+        s.level = abs(x)
+    elif c.rule == _GMA:
+        s.up += c.share * (x - s.up)
+        s.level = abs(s.up)
+    elif c.rule == _CUSUM:
+        s.up = max(0.0, s.up + x - c.drift)
+        s.down = max(0.0, s.down - x - c.drift)
+        s.level = max(s.up, s.down)
+    elif c.rule == _SPRT:
+        weight = c.shift / c.variance
+        s.up += weight * (x - 0.5 * c.shift)
+        s.down += weight * (-x - 0.5 * c.shift)
+        if s.up < c.low:
+            s.up = 0.0
+        if s.down < c.low:
+            s.down = 0.0
+        s.level = max(s.up, s.down, 0.0)
+    else:
+        square = x * x / c.variance
+        s.up += square - s.ring[s.at]
+        s.ring[s.at] = square
+        s.at += 1
+        if s.at == c.window:
+            s.at = 0
+            s.up = 0.0  # the running sum, made anew once a window: rounding does not add up
+            for k in range(c.window):
+                s.up += s.ring[k]
+        s.level = s.up
+    s.peak = max(s.peak, s.level)
+    return bool(s.level >= c.threshold)
+
+
+@kernel
+def reset(s: Any) -> None:
+    """Start anew; the peak stays."""
+    s.level = 0.0
+    s.up = 0.0
+    s.down = 0.0
+    s.at = 0
+    for k in range(WINDOW):
+        s.ring[k] = 0.0

@@ -1,0 +1,213 @@
+"""The motor's side: estimators in parallel, and what they say of angle sensor, currents and voltages.
+
+Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
+weak spots:
+
+increment  the sensor's step less the one that the alpha-beta filter's speed makes: sees what changes at once, at rest too
+angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
+           (E_d, E_q) = c_M omega (-sin, cos) of the angle's error. Resistance and dead time act along the current,
+           which the controller keeps on q, so that E_d knows hardly anything of them; blind at rest
+balance    the EMF vector less c_M omega of the sensor's own speed: currents or voltages are wrong, or the angle
+"""
+
+from __future__ import annotations
+
+from math import atan2, hypot, pi, sin
+from typing import Any
+
+from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
+from gateway.fdi.filters.motor import warm_resistance
+from gateway.fdi.filters.transforms import clarke, inverse_park, park, wrap
+from gateway.jit import f8, i8, kernel, record
+
+#: Share of a new value in the EMF's average, per millisecond.
+AVERAGE = 0.05
+#: Frames at rest after which it is known whether the sensor is lively.
+LEARNED = 300
+
+CONST = record(
+    pole_pairs=f8,
+    emf=f8,
+    period=f8,
+    resistance=f8,
+    warm=i8,
+    compare=i8,
+    gate=f8,
+    share=f8,
+    resistance_error=f8,
+    flux_error=f8,
+    dead=f8,
+    noise=f8,
+    input_gain=f8,
+    quiet=f8,
+    silent=i8,
+    luenberger=luenberger.CONST,
+    reduced=reduced_luenberger.CONST,
+    dq=ekf_dq.CONST,
+    filter=ekf_alpha_beta.CONST,
+    forward=feedforward.CONST,
+)
+
+#: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]. ``increment`` [rad, mechanical];
+#: ``e_d``, ``e_q``: EMF in the controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN
+#: where the EMF is too small to tell; ``balance``: in units of what parameter errors explain. ``strict``: the EMF is larger than what a wrong
+#: resistance makes, too. ``repeated``: frames for which the sensor has said the same, ``longest`` of its life, ``still``:
+#: what it should have moved meanwhile [rad]; of the ``slow`` frames so many were ``lively``: it said something new. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not
+#: explain, of the last frame alone [V], in the frame at ``middle``; ``speed`` of the sensor [rad/s].
+STATE = record(
+    started=i8,
+    frames=i8,
+    theta=f8,
+    turned=f8,
+    speed=f8,
+    increment=f8,
+    e_d=f8,
+    e_q=f8,
+    angle=f8,
+    r_d=f8,
+    r_q=f8,
+    balance=f8,
+    nis=f8,
+    repeated=i8,
+    longest=i8,
+    slow=i8,
+    lively=i8,
+    still=f8,
+    strict=i8,
+    i_alpha=f8,
+    i_beta=f8,
+    odd_d=f8,
+    odd_q=f8,
+    middle=f8,
+    luenberger=luenberger.STATE,
+    reduced=reduced_luenberger.STATE,
+    dq=ekf_dq.STATE,
+    filter=ekf_alpha_beta.STATE,
+    forward=feedforward.STATE,
+)
+
+
+@kernel
+def _compare(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
+    """Run the estimators that use the sensor's angle for Park: the paper's own."""
+    luenberger.step(s.luenberger, c.luenberger, u_q, i_q)
+    reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
+    ekf_dq.step(s.dq, c.dq, u_d, u_q, i_d, i_q)
+
+
+@kernel
+def _listen(s: Any, c: Any) -> None:
+    """Note whether the sensor says something new: a live one does so, at rest too, because of its noise."""
+    same = s.turned == 0.0
+    if abs(s.filter.x[2]) < c.quiet and s.slow < LEARNED:
+        s.slow += 1
+        s.lively += 0 if same else 1
+    if same:
+        s.repeated += 1
+        s.still += s.increment
+        return
+    if s.repeated < c.silent:
+        s.longest = max(s.longest, s.repeated)
+    s.repeated = 0
+    s.still = 0.0
+
+
+@kernel
+def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) -> None:
+    """Average the EMF in the controller's frame; find the sensor's error and the balance of voltages."""
+    f = s.forward
+    u_alpha, u_beta = inverse_park(u_d, u_q, middle)
+    e_alpha, e_beta = feedforward.emf(
+        f, c.forward, u_alpha, u_beta, s.i_alpha, s.i_beta, s.filter.resistance
+    )
+    if not usable:
+        return
+    e_d, e_q = park(e_alpha, e_beta, middle)
+    way = 1.0 if s.filter.x[2] >= 0.0 else -1.0
+    s.e_d += c.share * (way * e_d - s.e_d)
+    s.e_q += c.share * (way * e_q - s.e_q)
+    size, current = hypot(s.e_d, s.e_q), hypot(s.i_alpha, s.i_beta)
+    s.angle = -atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else float("nan")
+    s.strict = 1 if size > c.gate + c.resistance_error * s.filter.resistance * current else 0
+    s.odd_d, s.odd_q, s.middle = e_d, e_q - c.emf * s.speed, middle
+    s.r_d += c.share * (s.odd_d - s.r_d)
+    s.r_q += c.share * (s.odd_q - s.r_q)
+    allowed = (
+        c.noise
+        + c.dead
+        + c.resistance_error * s.filter.resistance * current
+        + c.flux_error * c.emf * abs(s.speed)
+    )
+    s.balance = hypot(s.r_d, s.r_q) / allowed
+
+
+@kernel
+def step(
+    s: Any,
+    c: Any,
+    i_u: float,
+    i_v: float,
+    theta: float,
+    u_d: float,
+    u_q: float,
+    celsius: float,
+    periods: float,
+    trusted: bool,
+) -> None:
+    """Take a pair of motor frames.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        i_u: phase current at the frame's end [A].
+        i_v: likewise.
+        theta: electrical angle used for Park there [rad].
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        celsius: temperature of the winding [degC].
+        periods: frames since the last pair, 1 if none was lost.
+        trusted: the sensor may anchor the filter at standstill.
+    """
+    f = s.filter
+    i_alpha, i_beta = clarke(i_u, i_v)
+    mechanical = theta / c.pole_pairs
+    if s.started == 0:
+        s.started = 1
+        ekf_alpha_beta.begin(f, c.filter, mechanical)
+        s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
+        s.forward.alpha, s.forward.beta = i_alpha, i_beta
+        s.angle = float("nan")
+        return
+    if c.warm == 1:
+        f.resistance = warm_resistance(c.resistance, celsius)
+    s.frames += 1
+    s.turned = wrap(theta - s.theta, 2.0 * pi)
+    dt = periods * c.period
+    before = f.x[2]
+    # The filter's steps have one length; frames that were lost are taken like the one that came.
+    count = int(min(periods, 8.0))
+    for k in range(count):
+        share = s.turned / count
+        ekf_alpha_beta.predict(f, c.filter, u_d, u_q, s.theta + k * share, share)
+    # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
+    odd = wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi)
+    blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(odd), pi))
+    n = c.filter.n
+    f.p[0] += blur * blur
+    f.p[n + 1] += blur * blur
+    ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
+    s.nis = f.nis
+    if trusted:
+        ekf_alpha_beta.hold(f, c.filter, mechanical)
+    s.increment = (
+        wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi) / c.pole_pairs
+    )
+    s.speed = s.turned / (c.pole_pairs * dt)
+    _listen(s, c)
+    s.i_alpha, s.i_beta = i_alpha, i_beta
+    middle = s.theta + 0.5 * s.turned
+    _emf(s, c, u_d, u_q, middle, periods == 1.0)
+    if c.compare == 1 and periods == 1.0:
+        d, q = park(i_alpha, i_beta, theta)
+        _compare(s, c, u_d, u_q, d, q)
+    s.theta = theta

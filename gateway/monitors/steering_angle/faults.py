@@ -1,0 +1,74 @@
+"""What a steering can have, by the component that is at fault."""
+
+from __future__ import annotations
+
+from gateway.monitors.shape import Debounce, Fault
+
+#: Faults by their place. The motor's angle sensor, in the ways it can fail; then the others.
+(
+    OFFSET,
+    DRIFT,
+    STUCK,
+    SCALE,
+    NOISE,
+    INTERMITTENT,
+    IMPLAUSIBLE,
+    WHEEL,
+    PINION,
+    ANGLES,
+    CURRENT,
+    VOLTAGE,
+    ELECTRIC,
+    PAIRING,
+    RATIO,
+) = range(15)
+
+_EVIDENCE = (
+    "increment residual [rad]",
+    "angle of the EMF [rad]",
+    "parity [deg]",
+    "balance",
+    "steering wheel against its rate [deg]",
+    "normalised innovation squared",
+    "speed, estimated [rad/s]",
+    "repeated [frames]",
+)
+
+_FOUND = Debounce(failed_after=1, passed_after=500)
+_SEEN = Debounce(failed_after=5, passed_after=500)
+
+#: Name, DTC, description, debounce. Chassis codes from C1A00 on are the manufacturer's; failure types of SAE J2012-DA.
+_ROWS = (
+    ("motor_angle_offset", "C1A01-28", "motor angle sensor: jumped, and stays off", _FOUND),
+    ("motor_angle_drift", "C1A01-26", "motor angle sensor: moves away slowly", _FOUND),
+    ("motor_angle_stuck", "C1A01-2A", "motor angle sensor: repeats its reading", _FOUND),
+    ("motor_angle_scale", "C1A01-25", "motor angle sensor: its error grows with the angle", _FOUND),
+    ("motor_angle_noise", "C1A01-2F", "motor angle sensor: noisy", _FOUND),
+    ("motor_angle_intermittent", "C1A01-1F", "motor angle sensor: jumps to and fro", _FOUND),
+    (
+        "motor_angle_implausible",
+        "C1A01-64",
+        "motor angle sensor: contradicts gear and EMF, nobody knows how yet",
+        _FOUND,
+    ),
+    ("wheel_angle", "C1A02-64", "steering wheel angle contradicts its rate and the gear", _FOUND),
+    ("pinion_angle", "C1A03-64", "pinion angle contradicts motor and steering wheel", _FOUND),
+    (
+        "angles",
+        "C1A04-62",
+        "motor, steering wheel and pinion angle do not fit; which one is wrong is not known (yet)",
+        _FOUND,
+    ),
+    ("current", "C1A05-64", "a current sensor contradicts voltages and motion", _FOUND),
+    ("voltage", "C1A06-64", "inverter or voltage contradicts currents and motion", _FOUND),
+    (
+        "electric",
+        "C1A07-62",
+        "currents, voltages and motion do not fit; which is wrong is not known",
+        _FOUND,
+    ),
+    ("pairing", "C1A08-82", "current and voltage frames do not belong together", _SEEN),
+    ("ratio", "C1A09-64", "road wheel angle does not follow the ratio asked for", _SEEN),
+)
+
+FAULTS = tuple(Fault(name, dtc, text, _EVIDENCE, debounce) for name, dtc, text, debounce in _ROWS)

@@ -1,0 +1,363 @@
+"""Active front steering: angle sensors, current sensors and inverter of its motor.
+
+Source: Reinelt, Lundquist, Johansson, "On-Line Sensor Monitoring in an Active Front Steering System using Extended
+Kalman Filtering" (SAE 2005). Its four estimators run as it has them, with their misprints corrected
+(:mod:`gateway.fdi.filters`), but three of them need the sensor that they monitor. What decides is independent of it:
+an extended Kalman filter in stator co-ordinates, anchored at standstill, the EMF's angle, and the gear's equation (1).
+
+A step a frame; a pair of motor frames is taken when both have the same counter. A voltage frame that comes after the
+next current frame is paired with the one that it belongs to.
+"""
+
+from __future__ import annotations
+
+from math import exp, isnan, nan, pi
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi import stopping
+from gateway.fdi.filters import (
+    ekf_alpha_beta,
+    ekf_dq,
+    feedforward,
+    luenberger,
+    reduced_luenberger,
+)
+from gateway.fdi.filters.transforms import inverse_park
+from gateway.jit import f8, i8, kernel, record
+from gateway.monitors.shape import TIMER, Emission, Monitor, Wiring, inputs, report
+from gateway.monitors.steering_angle import decision, electrics, kinematics, road_wheel
+from gateway.monitors.steering_angle.decision import NONE
+from gateway.monitors.steering_angle.faults import (
+    ANGLES,
+    FAULTS,
+    IMPLAUSIBLE,
+    OFFSET,
+    PAIRING,
+    PINION,
+    RATIO,
+    WHEEL,
+)
+from gateway.monitors.steering_angle.params import Params
+
+#: Quality of the motor's angle that is sent.
+STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
+#: Without a pair of motor frames for so many periods the angle is invalid.
+SILENCE = 50
+#: From this period on the current's time constant is missed [ms].
+COARSE = 5.0
+
+CONST = record(
+    period_ns=i8,
+    degraded=i8,
+    electrics=electrics.CONST,
+    kinematics=kinematics.CONST,
+    decision=decision.CONST,
+    road_wheel=road_wheel.CONST,
+)
+
+#: ``pairs`` of motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the newest.
+STATE = record(
+    value=f8,
+    speed=f8,
+    load=f8,
+    quality=i8,
+    pairs=i8,
+    unpaired=i8,
+    found=i8,
+    paired=i8,
+    current_counter=i8,
+    voltage_counter=i8,
+    angle_counter=i8,
+    wheel_counter=i8,
+    i_u=f8,
+    i_v=f8,
+    theta=f8,
+    valid=i8,
+    older_counter=i8,
+    older_u=f8,
+    older_v=f8,
+    older_theta=f8,
+    older_valid=i8,
+    motor=f8,
+    parity=f8,
+    electrics=electrics.STATE,
+    kinematics=kinematics.STATE,
+    decision=decision.STATE,
+    road_wheel=road_wheel.STATE,
+)
+
+_CURRENT = ("I_U", "I_V", "Theta_park", "MC_cur", "Valid_cur")
+_VOLTAGE = ("U_sd_mean", "U_sq_mean", "MC_vol", "T_wdg")
+_ANGLE = ("Delta_M", "Delta_G", "MC_ang", "Valid_ang")
+_WHEEL = ("Delta_S", "Delta_S_dot", "MC_sas", "Valid_sas")
+_SPEED = ("v_X", "Valid_v")
+
+INPUTS = inputs(
+    **{name.lower(): f8 for group in (_CURRENT, _VOLTAGE, _ANGLE, _WHEEL, _SPEED) for name in group}
+)
+
+
+def _wire(p: Params) -> Wiring:
+    optional = ["AFS_Angle", "SAS_Angle"]
+    signals = [
+        f"{message}.{name}"
+        for message, group in (
+            ("AFS_MotCur", _CURRENT),
+            ("AFS_MotVol", _VOLTAGE),
+            ("AFS_Angle", _ANGLE),
+            ("SAS_Angle", _WHEEL),
+        )
+        for name in group
+    ]
+    if p.ratio is None:
+        signals += ["AFS_MotCur.I_U"] * len(_SPEED)  # not looked at
+    else:
+        optional.append("ESC_Speed")
+        signals += [f"ESC_Speed.{name}" for name in _SPEED]
+    triggers = ("AFS_MotCur", "AFS_MotVol", "AFS_Angle", "SAS_Angle")
+    return Wiring(triggers, tuple(signals), tuple(optional))
+
+
+def _prepare_electrics(p: Params, c: np.void) -> None:
+    motor, period = p.motor.motor, p.period_ms * 1e-3
+    c["pole_pairs"], c["emf"], c["period"] = motor.pole_pairs, motor.emf, period
+    c["resistance"], c["warm"], c["compare"] = motor.resistance, p.temperature, p.compare
+    c["quiet"], c["silent"] = 2.0, max(round(35.0 / p.period_ms), 10)
+    c["share"] = 1.0 - (1.0 - electrics.AVERAGE) ** p.period_ms
+    c["gate"], c["noise"] = 5.0 * motor.emf, 0.05
+    c["resistance_error"], c["flux_error"] = p.resistance_error, p.flux_error
+    c["dead"] = p.dead_volts
+    c["input_gain"] = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
+    luenberger.prepare(c["luenberger"], motor, period)
+    reduced_luenberger.prepare(c["reduced"], motor, period)
+    ekf_dq.prepare(c["dq"], motor, period, load=True)
+    ekf_alpha_beta.prepare(c["filter"], motor, period, slow=p.slow)
+    feedforward.prepare(c["forward"], motor, period)
+
+
+def _prepare_decision(p: Params, c: np.void) -> None:
+    t = p.thresholds
+    rules = c["rules"]
+    stopping.prepare(rules[decision.JUMP], "direct", t.jump)
+    stopping.prepare(rules[decision.RESTLESS], "gma", t.restless, forget=0.98**p.period_ms)
+    stopping.prepare(rules[decision.ANGLE], "direct", t.angle)
+    stopping.prepare(rules[decision.PARITY], "cusum", t.parity, drift=0.5 * t.parity)
+    stopping.prepare(rules[decision.BALANCE], "direct", t.balance)
+    stopping.prepare(rules[decision.SURPRISE], "gma", t.surprise, forget=0.8**p.period_ms)
+    stopping.prepare(rules[decision.RATE], "direct", t.rate)
+
+    def frames(ms: float) -> int:
+        return max(round(ms / p.period_ms), 1)
+
+    c["window"] = max(frames(40.0), 12)
+    c["silent"], c["confirm"] = max(frames(35.0), 10), max(frames(8.0), 4)
+    c["wait"], c["hold"], c["exonerate"] = frames(15.0), frames(1000.0), frames(60.0)
+    c["ratio"] = p.motor_ratio
+
+
+def _prepare(p: Params, s: np.void, c: np.void) -> None:
+    c["period_ns"] = round(p.period_ms * 1e6)
+    c["degraded"] = p.period_ms >= COARSE
+    _prepare_electrics(p, c["electrics"])
+    k = c["kinematics"]
+    k["motor_ratio"], k["wheel_ratio"] = p.motor_ratio, p.wheel_ratio
+    k["delay_ns"], k["age_ns"], k["leak"] = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
+    _prepare_decision(p, c["decision"])
+    road_wheel.prepare(c["road_wheel"], p.ratio)
+    s["decision"]["found"] = NONE
+    s["found"] = NONE
+    for name in ("paired", "current_counter", "voltage_counter", "angle_counter"):
+        s[name] = -1
+    s["wheel_counter"] = s["older_counter"] = -1
+    s["electrics"]["angle"] = nan
+
+
+@kernel
+def _report(s: Any, fault: int, failed: bool, value: float, limit: float, out: Any) -> None:
+    """Report a test with the symptoms as evidence."""
+    at = report(out, fault, failed, value, limit)
+    if at < 0 or not failed:
+        return
+    e, m = out.results[at].evidence, s.electrics
+    e[0], e[1], e[2], e[3] = m.increment, m.angle, s.parity, m.balance
+    e[4], e[5], e[6], e[7] = s.kinematics.wheel, m.nis, m.filter.x[2], m.repeated
+    if isnan(e[1]):
+        e[1] = 0.0
+
+
+@kernel
+def _conclude(s: Any, c: Any, out: Any) -> None:
+    """Report all tests that this pair of frames has carried out."""
+    d = s.decision
+    s.found = d.found
+    if d.found != NONE:
+        level = d.rules[decision.PARITY].level
+        _report(s, d.found, True, level, c.decision.rules[decision.PARITY].threshold, out)
+        for fault in (ANGLES, IMPLAUSIBLE):
+            if d.found != fault:  # what was not known then is known now
+                _report(s, fault, False, 0.0, 0.0, out)
+    elif d.window == 0 and d.quiet > 0:
+        for fault in range(PAIRING):
+            _report(s, fault, False, 0.0, 0.0, out)
+
+
+@kernel
+def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: float) -> None:
+    """Take a pair of motor frames with the counter ``u_frame``."""
+    m, d = s.electrics, s.decision
+    periods = 1.0
+    if s.paired >= 0:
+        periods = float((u_frame - s.paired) % 16)
+    s.paired = u_frame
+    s.pairs += 1
+    trusted = not OFFSET <= d.found <= IMPLAUSIBLE
+    electrics.step(
+        m,
+        c.electrics,
+        i_u,
+        i_v,
+        theta * pi / 180.0,
+        u.u_sd_mean,
+        u.u_sq_mean,
+        u.t_wdg,
+        periods,
+        trusted,
+    )
+    if m.frames < 2 or periods > 1.0:
+        return
+    decision.hear(d, c.decision, decision.JUMP, m.increment)
+    # A single jump is no noise.
+    usual = min(abs(m.increment), 2.0 * c.decision.rules[decision.JUMP].threshold)
+    decision.hear(d, c.decision, decision.RESTLESS, usual * usual)
+    decision.hear(d, c.decision, decision.ANGLE, 0.0 if isnan(m.angle) else m.angle)
+    decision.hear(d, c.decision, decision.BALANCE, m.balance)
+    decision.hear(d, c.decision, decision.SURPRISE, m.nis)
+    r_alpha, r_beta = inverse_park(m.odd_d, m.odd_q, m.middle)
+    decision.remember(d, r_alpha, r_beta)
+    silent = m.repeated >= max(c.decision.silent, 3 * m.longest) and 5 * m.lively > m.slow
+    if m.slow < electrics.LEARNED:
+        silent = False
+    if abs(m.still) > 2.0 * c.decision.rules[decision.JUMP].threshold:
+        silent = silent or m.repeated >= c.decision.confirm
+    decision.decide(
+        d,
+        c.decision,
+        m.increment,
+        m.angle if m.strict == 1 else nan,
+        s.parity,
+        s.kinematics.wheel,
+        silent,
+        i_u,
+        i_v,
+    )
+
+
+@kernel
+def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take whichever motor frame has come, and a pair if it is complete."""
+    came, told = int(u.mc_cur), int(u.mc_vol)
+    if came != s.current_counter:
+        s.older_counter, s.older_u, s.older_v = s.current_counter, s.i_u, s.i_v
+        s.older_theta, s.older_valid = s.theta, s.valid
+        s.current_counter, s.i_u, s.i_v, s.theta = came, u.i_u, u.i_v, u.theta_park
+        s.valid = 1 if u.valid_cur > 0.0 else 0
+    fresh = told != s.voltage_counter
+    s.voltage_counter = told
+    if told == s.paired and not fresh:
+        return
+    if told == came and told != s.paired:
+        if s.valid == 1:
+            _pair(s, c, u, told, s.i_u, s.i_v, s.theta)
+            _conclude(s, c, out)
+        _report(s, PAIRING, False, 0.0, 1.0, out)
+    elif fresh and told == s.older_counter and told != s.paired:
+        # One frame late: it belongs to the current frame before the newest.
+        s.unpaired += 1
+        if s.older_valid == 1:
+            _pair(s, c, u, told, s.older_u, s.older_v, s.older_theta)
+            _conclude(s, c, out)
+        _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
+    elif fresh:
+        s.unpaired += 1
+        _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
+
+
+@kernel
+def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take a frame of the steering wheel: parity and rate."""
+    k, d = s.kinematics, s.decision
+    kinematics.follow(k, c.kinematics, u.t_ns, u.delta_s, u.delta_s_dot)
+    decision.hear(d, c.decision, decision.RATE, k.wheel)
+    if kinematics.fit(k, c.kinematics, u.t_ns - c.kinematics.delay_ns, u.delta_s):
+        s.parity = k.parity
+        decision.hear(d, c.decision, decision.PARITY, k.parity)
+        decision.note_parity(d, k.parity, s.motor)
+    if c.road_wheel.points > 0 and u.valid_v > 0.0 and s.motor == s.motor:
+        tested = road_wheel.check(s.road_wheel, c.road_wheel, u.delta_g, u.delta_s, u.v_x)
+        if tested:
+            off, limit = abs(s.road_wheel.off), c.road_wheel.tolerance
+            _report(s, RATIO, off > limit, off, limit, out)
+
+
+@kernel
+def _value(s: Any, c: Any, u: Any) -> None:
+    """Find the motor angle to send: measured, or out of the gear when the sensor is at fault."""
+    m, d = s.electrics, s.decision
+    s.speed, s.load = m.filter.x[2], m.filter.x[4]
+    s.value = u.delta_m
+    s.quality = DEGRADED if c.degraded == 1 else MEASURED
+    if isnan(u.delta_m):
+        s.quality = STARTING
+    elif OFFSET <= d.found <= IMPLAUSIBLE:
+        s.quality = INVALID
+        if not isnan(u.delta_s):
+            s.value = c.kinematics.motor_ratio * (u.delta_g - u.delta_s / c.kinematics.wheel_ratio)
+            s.quality = REPLACED
+    elif d.found in (ANGLES, WHEEL, PINION):
+        s.quality = DEGRADED
+
+
+@kernel
+def step(s: Any, c: Any, u: Any, out: Any) -> None:
+    """Take one frame, or the timer of a silent bus."""
+    if u.trigger == TIMER:
+        s.quality = INVALID
+    else:
+        pairs = s.pairs
+        if u.mc_ang != s.angle_counter and not isnan(u.mc_ang):
+            s.angle_counter = int(u.mc_ang)
+            if u.valid_ang > 0.0:
+                s.motor = u.delta_m
+                kinematics.keep(s.kinematics, u.t_ns, u.delta_m, u.delta_g)
+        if u.mc_sas != s.wheel_counter and not isnan(u.mc_sas):
+            s.wheel_counter = int(u.mc_sas)
+            if u.valid_sas > 0.0:
+                _wheel_frame(s, c, u, out)
+        _motor_frames(s, c, u, out)
+        out.wake_ns = u.t_ns + SILENCE * c.period_ns
+        if s.pairs == pairs:
+            return
+        _value(s, c, u)
+    out.send = 1
+    out.values[0] = 0.0 if isnan(s.value) else s.value
+    out.values[1] = s.speed
+    out.values[2] = s.quality
+    out.values[3] = s.found + 1
+    out.values[4] = s.load
+
+
+MONITOR = Monitor(
+    type="steering_angle",
+    params=Params,
+    state=STATE,
+    const=CONST,
+    inputs=INPUTS,
+    step=step,
+    faults=FAULTS,
+    wire=_wire,
+    prepare=_prepare,
+    readout=("value", "speed", "load", "quality", "pairs", "unpaired", "found", "parity"),
+    emission=Emission("GW_Steering", ("MotorAngle", "MotorSpeed", "Quality", "Found", "Load")),
+)
