@@ -304,7 +304,7 @@ def _prepare_check(
     for kind, wanted in enumerate(asked):
         row["fault"][kind] = first_fault + len(slots) if wanted else -1
         if wanted:
-            fault = communication.FAULTS[kind]
+            fault = p.fault_of(kind)
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["bus"] = check.bus
     row["length"] = message.length

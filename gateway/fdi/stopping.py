@@ -9,7 +9,8 @@ Every rule makes one number of its symptom, the level, and alarms when that reac
     chi_square  g = sum of (x/sigma)^2 over the last N samples
 
 CUSUM with nu = mu/2 is the SPRT that starts anew at 0 and counts in units of sigma^2/mu. Levels do not depend on the
-threshold, so that one run over healthy data tells what any threshold would have done.
+threshold, so that one run over healthy data tells what any threshold would have done; but those of CUSUM and SPRT are
+cut off at ``most``, so that an alarm ends soon after its cause has.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ _DIRECT, _GMA, _CUSUM, _SPRT, _CHI_SQUARE = range(5)
 #: Longest window of chi-square.
 WINDOW = 64
 
-CONST = record(rule=i8, threshold=f8, share=f8, drift=f8, shift=f8, variance=f8, low=f8, window=i8)
+CONST = record(
+    rule=i8, threshold=f8, share=f8, drift=f8, shift=f8, variance=f8, low=f8, most=f8, window=i8
+)
 #: ``peak``: largest level since somebody set it to 0.
 STATE = record(level=f8, up=f8, down=f8, ring=(f8, WINDOW), at=i8, peak=f8)
 
@@ -43,6 +46,7 @@ def prepare(
     shift: float = 1.0,
     sigma: float = 1.0,
     low: float = -4.6,
+    most: float = np.inf,
     window: int = 20,
 ) -> None:
     """Fill a record of CONST.
@@ -56,6 +60,7 @@ def prepare(
         shift: mu, the change of the mean that the SPRT looks for.
         sigma: standard deviation of the symptom, for SPRT and chi-square.
         low: log likelihood ratio at which the SPRT accepts that all is well, and starts anew.
+        most: the levels of CUSUM and SPRT do not rise beyond.
         window: N of chi-square, at most 64.
 
     Raises:
@@ -65,7 +70,7 @@ def prepare(
         raise ValueError(f"a window has 1 to {WINDOW} samples, not {window}")
     c["rule"], c["threshold"] = RULES.index(rule), threshold
     c["share"], c["drift"], c["shift"], c["variance"] = 1.0 - forget, drift, shift, sigma**2
-    c["low"], c["window"] = low, window
+    c["low"], c["most"], c["window"] = low, most, window
 
 
 def sprt_bounds(false_alarm: float, missed: float) -> tuple[float, float]:
@@ -93,13 +98,13 @@ def update(s: Any, c: Any, x: float) -> bool:
         s.up += c.share * (x - s.up)
         s.level = abs(s.up)
     elif c.rule == _CUSUM:
-        s.up = max(0.0, s.up + x - c.drift)
-        s.down = max(0.0, s.down - x - c.drift)
+        s.up = min(max(0.0, s.up + x - c.drift), c.most)
+        s.down = min(max(0.0, s.down - x - c.drift), c.most)
         s.level = max(s.up, s.down)
     elif c.rule == _SPRT:
         weight = c.shift / c.variance
-        s.up += weight * (x - 0.5 * c.shift)
-        s.down += weight * (-x - 0.5 * c.shift)
+        s.up = min(s.up + weight * (x - 0.5 * c.shift), c.most)
+        s.down = min(s.down + weight * (-x - 0.5 * c.shift), c.most)
         if s.up < c.low:
             s.up = 0.0
         if s.down < c.low:

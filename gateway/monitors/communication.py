@@ -11,7 +11,8 @@ calculation incorrect, 81 invalid serial data received.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -79,6 +80,10 @@ class CrcCheck(StrictModel):
     )
 
 
+#: Base code of a DTC in TOML: a network code without its failure type.
+BaseCode = Annotated[str, Field(pattern=r"^U[0-3][0-9A-F]{3}$")]
+
+
 class Params(MonitorParams):
     """Checks of one message."""
 
@@ -89,6 +94,18 @@ class Params(MonitorParams):
     counter: CounterCheck | None = None
     crc: CrcCheck | None = None
     length: bool = Field(True, description="judge frames shorter than the message")
+    lost: BaseCode = Field(
+        "U0100", description="base code of the timeout's DTC: lost communication, U01xx"
+    )
+    invalid: BaseCode = Field(
+        "U0401", description="base code of the other checks' DTCs: invalid data received, U04xx"
+    )
+
+    def fault_of(self, kind: int) -> Fault:
+        """Return one of :data:`FAULTS` with the DTC it has for this message."""
+        fault = FAULTS[kind]
+        base = self.lost if kind == TIMEOUT else self.invalid
+        return replace(fault, dtc=f"{base}-{fault.dtc.rpartition('-')[2]}")
 
 
 #: Constants and state of the checks of one message. ``fault`` is the engine's index of each fault,

@@ -11,9 +11,11 @@ from gateway.errors import InputError
 from gateway.vecu.engine_ecu import engine_frames
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pedal_ecu import pedal_frames
-from gateway.vecu.pedal_params import SensorFault
+from gateway.vecu.pedal_params import PedalParams, SensorFault
 from gateway.vecu.pulse_faults import Truth
 from gateway.vecu.scenario import Scenario
+from gateway.vecu.steering_ecu import steering_frames
+from gateway.vecu.steering_faults import SteeringFault
 from gateway.vecu.wire_faults import apply_wire_faults
 
 
@@ -55,9 +57,12 @@ class Player:
             if isinstance(ecu, EngineParams):
                 pulse = [fault for fault in mine if isinstance(fault, PulseFault)]
                 frames, truth = engine_frames(ecu, pulse, scenario.duration_s, bus=bus, rng=rng)
-            else:
+            elif isinstance(ecu, PedalParams):
                 sensor = [fault for fault in mine if isinstance(fault, SensorFault)]
                 frames, truth = pedal_frames(ecu, sensor, scenario.duration_s, bus=bus, rng=rng)
+            else:
+                steered = [fault for fault in mine if isinstance(fault, SteeringFault)]
+                frames, truth = steering_frames(ecu, steered, scenario.duration_s, bus=bus, rng=rng)
             runs.append(frames)
             self.truth += truth
         frames = np.concatenate(runs)

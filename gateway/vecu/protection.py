@@ -27,12 +27,19 @@ def _table() -> NDArray[np.uint8]:
     return crc8_table(_CRC)
 
 
-def protect(message: Message, values: dict[str, Any]) -> bytes:
-    """Encode a message whose byte 0 is its CRC, and put that in."""
-    data = bytearray(message.encode({**values, "Crc": 0}))
+def protect(message: Message, values: dict[str, Any], crc: str = "Crc") -> bytes:
+    """Encode a message, and put in the CRC over its other bytes and its identifier.
+
+    Args:
+        message: to encode.
+        values: of all its signals but the CRC.
+        crc: name of the CRC's signal: 8 bits on a byte boundary.
+    """
+    data = bytearray(message.encode({**values, crc: 0}))
     words = np.frombuffer(bytes(data).ljust(64, b"\0"), "<u8")
+    at = message.get_signal_by_name(crc).start // 8
     algorithm = ALGORITHMS[_CRC]
-    data[0] = crc8(
-        words, len(data), 0, message.frame_id, _table(), algorithm.init, algorithm.xorout
+    data[at] = crc8(
+        words, len(data), at, message.frame_id, _table(), algorithm.init, algorithm.xorout
     )
     return bytes(data)

@@ -11,6 +11,8 @@ from gateway.faults.settings import DtcText
 from gateway.tomlfile import StrictModel, load
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pedal_params import PedalParams, SensorFault
+from gateway.vecu.steering_faults import SteeringFault
+from gateway.vecu.steering_params import SteeringParams
 
 
 def _type(ecu: Any) -> str:
@@ -19,12 +21,22 @@ def _type(ecu: Any) -> str:
 
 
 Ecu = Annotated[
-    Annotated[EngineParams, Tag("engine")] | Annotated[PedalParams, Tag("pedal")],
+    Annotated[EngineParams, Tag("engine")]
+    | Annotated[PedalParams, Tag("pedal")]
+    | Annotated[SteeringParams, Tag("steering")],
     Discriminator(
-        _type, custom_error_type="ecu_type", custom_error_message="the types are engine, pedal"
+        _type,
+        custom_error_type="ecu_type",
+        custom_error_message="the types are engine, pedal, steering",
     ),
 ]
-SensedFault = Annotated[PulseFault | SensorFault, Field(discriminator="kind")]
+EcuFault = Annotated[PulseFault | SensorFault | SteeringFault, Field(discriminator="kind")]
+#: Which faults an ECU of a type can have.
+_FAULTS: dict[str, type[StrictModel]] = {
+    "engine": PulseFault,
+    "pedal": SensorFault,
+    "steering": SteeringFault,
+}
 
 
 class WireFault(StrictModel):
@@ -72,7 +84,7 @@ class Scenario(StrictModel):
     seed: int = Field(1, ge=0)
     config: Path = Field(Path("../gateway.toml"), description="relative to the scenario")
     ecu: tuple[Ecu, ...] = Field(min_length=1)
-    fault: tuple[SensedFault, ...] = ()
+    fault: tuple[EcuFault, ...] = ()
     wire: tuple[WireFault, ...] = ()
     expect: tuple[Expectation, ...] = ()
     unexpected: Literal["fail", "allow"] = Field("fail", description="DTCs that no line expects")
@@ -86,7 +98,7 @@ class Scenario(StrictModel):
             if fault.ecu not in names:
                 raise ValueError(f"no ECU {fault.ecu!r}; there are {', '.join(names)}")
             ecu = self.ecu[names.index(fault.ecu)]
-            if isinstance(fault, SensorFault) != isinstance(ecu, PedalParams):
+            if type(fault) is not _FAULTS[ecu.type]:
                 raise ValueError(f"ECU {ecu.name!r} is of type {ecu.type}: it has no {fault.kind}")
             if isinstance(fault, SensorFault) and isinstance(ecu, PedalParams):
                 most = len(ecu.sensors)

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.engine.tables import table
-from gateway.evaluate.steering.cases import DURATION, demand, load, times, wheel
+from gateway.evaluate.steering.cases import DURATION
 from gateway.jit import kernel
 from gateway.monitors.shape import FAILED, RESULTS
 from gateway.monitors.steering_angle import MONITOR, monitor
 from gateway.monitors.steering_angle.faults import FAULTS
 from gateway.monitors.steering_angle.params import Params
-from gateway.vecu.steering_column import Column, pinion, sampled
-from gateway.vecu.steering_faults import SteeringFault, disturb, falsify
-from gateway.vecu.steering_plant import CONTROL, Plant, drive, undisturbed
+from gateway.vecu.steering_column import Column
+from gateway.vecu.steering_course import sweep, times
+from gateway.vecu.steering_faults import SteeringFault
+from gateway.vecu.steering_plant import CONTROL, Plant
+from gateway.vecu.steering_signals import sense
 
 Array = NDArray[np.float64]
 
@@ -40,12 +41,6 @@ class Run:
     samples: NDArray[np.void]
 
 
-@cache
-def _course() -> tuple[Array, Array, Array]:
-    t = times()
-    return demand(t), load(t), wheel(t)
-
-
 def make(
     plant: Plant,
     scale: float,
@@ -53,10 +48,9 @@ def make(
     rng: np.random.Generator,
     *,
     period: float = 1e-3,
-    column: Column | None = None,
     celsius: float = 20.0,
 ) -> Run:
-    """Return a run.
+    """Return a run of the study's course.
 
     Args:
         plant: motor and drive.
@@ -64,21 +58,16 @@ def make(
         faults: what goes wrong.
         rng: source of all randomness.
         period: of the motor's frames [s].
-        column: gear and sensors around it.
         celsius: what the winding's sensor says [degC].
     """
-    column = column or Column()
-    asked, torque, turned = _course()
-    wrong = undisturbed(len(asked))
-    for fault in faults:
-        disturb(wrong, fault, rng)
-    samples = drive(plant, asked, scale * torque, wrong, rng, period)
+    column = Column()
+    told = sense(plant, column, sweep(times(DURATION), scale), faults, period, rng)
+    samples = told.samples
     n = len(samples)
-    per = round(period / CONTROL)
-    u = np.zeros(n, MONITOR.inputs)
     k = np.arange(n)
+    u = np.zeros(n, MONITOR.inputs)
     u["t_ns"] = np.rint((k + 1) * period * 1e9).astype(np.int64)
-    u["i_u"], u["i_v"] = np.rint(samples["i_u"] * 100) / 100, np.rint(samples["i_v"] * 100) / 100
+    u["i_u"], u["i_v"] = (np.rint(samples[f"i_{x}"] * 100) / 100 for x in "uv")
     step = 360.0 / 65536.0
     electrical = np.degrees(plant.believed.pole_pairs * samples["sensor"])
     u["theta_park"] = np.rint(electrical / step) % 65536 * step
@@ -87,35 +76,19 @@ def make(
     u["t_wdg"] = np.rint(celsius)
     for name in ("valid_cur", "valid_ang", "valid_sas", "valid_v"):
         u[name] = 1.0
-    # What turns slowly is known at the frames; in between it is straight.
-    fine = np.interp(np.arange(len(asked)), (k + 1) * per, samples["theta"])
-    true_pinion = pinion(column, fine, turned)
-    told_pinion, told_wheel = true_pinion, turned
-    for fault in faults:
-        told_pinion = falsify(told_pinion, fault, "pinion")
-        told_wheel = falsify(told_wheel, fault, "wheel")
 
-    def held(values: Array, every: float) -> tuple[Array, NDArray[np.int64]]:
-        """Return what is known at each motor frame, NaN before the first; and of which frame, from 1."""
-        number = ((k + 1) * per) // round(every / CONTROL)
-        padded = np.concatenate([[np.nan], values])
-        return padded[np.minimum(number, len(values))], number
+    def arrived(every: float, counter: str, columns: dict[str, Array]) -> None:
+        """Put in what is known at each motor frame of a message of another period; NaN before its first."""
+        number = (k + 1) * round(period / CONTROL) // round(every / CONTROL)
+        u[counter] = np.where(number > 0, number % 16, np.nan)
+        for name, values in columns.items():
+            padded = np.concatenate([[np.nan], values])
+            u[name] = padded[np.minimum(number, len(values))]
 
-    every = column.angle_period if column.angle_period >= period else period
-    stride = round(every / period)
-    told_motor = np.rint(np.degrees(samples["sensor"]) / 0.02) * 0.02
-    u["delta_m"], number = held(told_motor[stride - 1 :: stride], every)
-    u["delta_g"], _ = held(sampled(told_pinion, every, column.pinion_lsb), every)
-    u["mc_ang"] = np.where(number > 0, number % 16, np.nan)
-    delay = column.wheel_delay
-    u["delta_s"], number = held(
-        sampled(told_wheel, column.wheel_period, column.wheel_lsb, delay), column.wheel_period
-    )
-    rate = np.gradient(turned, CONTROL)
-    u["delta_s_dot"], _ = held(
-        sampled(rate, column.wheel_period, column.rate_lsb, delay), column.wheel_period
-    )
-    u["mc_sas"] = np.where(number > 0, number % 16, np.nan)
+    every = max(column.angle_period, period)
+    motor = np.rint(told.motor / 0.02) * 0.02
+    arrived(every, "mc_ang", {"delta_m": motor, "delta_g": told.pinion})
+    arrived(column.wheel_period, "mc_sas", {"delta_s": told.wheel, "delta_s_dot": told.rate})
     return Run(u, samples["theta"], samples["omega"], samples)
 
 

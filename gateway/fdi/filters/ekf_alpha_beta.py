@@ -181,10 +181,17 @@ def correct(s: Any, c: Any, i_alpha: float, i_beta: float) -> None:
 
 
 @kernel
-def hold(s: Any, c: Any, theta: float) -> None:
-    """Anchor the angle at the sensor's [rad, mechanical] while the motor is slow."""
+def hold(s: Any, c: Any, theta: float, doubt: float) -> None:
+    """Anchor the angle at the sensor's while the motor is slow.
+
+    Args:
+        s: record of STATE.
+        c: record of CONST.
+        theta: the sensor's angle [rad, mechanical].
+        doubt: factor of the sensor's standard deviation, 1 if nothing is known against it.
+    """
     s.held = 0
     if abs(s.x[2]) < c.slow:
         s.held = 1
         innovation = wrap(theta - s.x[3], 2.0 * pi / c.motor.pole_pairs)
-        gaussian.anchor(s.x, s.p, s.w, 3, innovation, c.sensor, c.n)
+        gaussian.anchor(s.x, s.p, s.w, 3, innovation, c.sensor * doubt * doubt, c.n)

@@ -272,8 +272,10 @@ def _look_at_currents(s: Any, c: Any, i_u: float, i_v: float) -> int:
     same = i_u == s.last_u or i_v == s.last_v
     s.last_u, s.last_v = i_u, i_v
     s.frozen = s.frozen + 1 if same else 0
-    if s.alarm[SURPRISE] == 1 or s.alarm[BALANCE] == 1:
-        s.electric += 1
+    if s.found != NONE and s.found < CURRENT:
+        s.electric = 0  # a wrong angle upsets the currents, too
+    elif s.alarm[SURPRISE] == 1 or s.alarm[BALANCE] == 1:
+        s.electric = min(s.electric + 1, c.window)
     elif s.electric > 0:
         s.electric -= 1
     if s.electric < c.window // 2 or s.alarm[PARITY] == 1:
@@ -287,7 +289,7 @@ def _quiet(s: Any) -> bool:
     for k in range(SYMPTOMS):
         if s.alarm[k] == 1:
             return False
-    return s.window == 0
+    return bool(s.window == 0)
 
 
 @kernel

@@ -24,6 +24,10 @@ from gateway.jit import f8, i8, kernel, record
 AVERAGE = 0.05
 #: Frames at rest after which it is known whether the sensor is lively.
 LEARNED = 300
+#: Factor of the anchor's standard deviation while the sensor is at fault.
+DOUBT = 20.0
+#: For so long the filter's speed may ask for more EMF than there is [s].
+LOST = 0.05
 
 CONST = record(
     pole_pairs=f8,
@@ -49,7 +53,8 @@ CONST = record(
 )
 
 #: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]. ``increment`` [rad, mechanical];
-#: ``e_d``, ``e_q``: EMF in the controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN
+#: ``size`` of the EMF [V]; ``restarts`` of the
+#: filter; ``e_d``, ``e_q``: EMF in the controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN
 #: where the EMF is too small to tell; ``balance``: in units of what parameter errors explain. ``strict``: the EMF is larger than what a wrong
 #: resistance makes, too. ``repeated``: frames for which the sensor has said the same, ``longest`` of its life, ``still``:
 #: what it should have moved meanwhile [rad]; of the ``slow`` frames so many were ``lively``: it said something new. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not
@@ -61,6 +66,9 @@ STATE = record(
     turned=f8,
     speed=f8,
     increment=f8,
+    size=f8,
+    lost=i8,
+    restarts=i8,
     e_d=f8,
     e_q=f8,
     angle=f8,
@@ -96,6 +104,20 @@ def _compare(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> 
 
 
 @kernel
+def _watch(s: Any, c: Any, mechanical: float) -> None:
+    """Start the filter anew if its speed asks for an EMF that is not there: it has lost its angle."""
+    f = s.filter
+    if c.emf * abs(f.x[2]) > 2.0 * s.size + 2.0 * c.gate:
+        s.lost += 1
+    else:
+        s.lost = 0
+    if s.lost * c.period > LOST:
+        s.lost = 0
+        s.restarts += 1
+        ekf_alpha_beta.begin(f, c.filter, mechanical)
+
+
+@kernel
 def _listen(s: Any, c: Any) -> None:
     """Note whether the sensor says something new: a live one does so, at rest too, because of its noise."""
     same = s.turned == 0.0
@@ -123,6 +145,7 @@ def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) ->
     if not usable:
         return
     e_d, e_q = park(e_alpha, e_beta, middle)
+    s.size += c.share * (hypot(e_d, e_q) - s.size)
     way = 1.0 if s.filter.x[2] >= 0.0 else -1.0
     s.e_d += c.share * (way * e_d - s.e_d)
     s.e_q += c.share * (way * e_q - s.e_q)
@@ -166,7 +189,7 @@ def step(
         u_q: likewise.
         celsius: temperature of the winding [degC].
         periods: frames since the last pair, 1 if none was lost.
-        trusted: the sensor may anchor the filter at standstill.
+        trusted: nothing is known against the sensor that anchors the filter at standstill.
     """
     f = s.filter
     i_alpha, i_beta = clarke(i_u, i_v)
@@ -197,8 +220,7 @@ def step(
     f.p[n + 1] += blur * blur
     ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
     s.nis = f.nis
-    if trusted:
-        ekf_alpha_beta.hold(f, c.filter, mechanical)
+    ekf_alpha_beta.hold(f, c.filter, mechanical, 1.0 if trusted else DOUBT)
     s.increment = (
         wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi) / c.pole_pairs
     )
@@ -207,6 +229,7 @@ def step(
     s.i_alpha, s.i_beta = i_alpha, i_beta
     middle = s.theta + 0.5 * s.turned
     _emf(s, c, u_d, u_q, middle, periods == 1.0)
+    _watch(s, c, mechanical)
     if c.compare == 1 and periods == 1.0:
         d, q = park(i_alpha, i_beta, theta)
         _compare(s, c, u_d, u_q, d, q)

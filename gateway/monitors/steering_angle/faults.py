@@ -34,8 +34,8 @@ _EVIDENCE = (
     "repeated [frames]",
 )
 
-_FOUND = Debounce(failed_after=1, passed_after=500)
-_SEEN = Debounce(failed_after=5, passed_after=500)
+_FOUND = Debounce(failed_after=1, passed_after=200)
+_SEEN = Debounce(failed_after=5, passed_after=200)
 
 #: Name, DTC, description, debounce. Chassis codes from C1A00 on are the manufacturer's; failure types of SAE J2012-DA.
 _ROWS = (

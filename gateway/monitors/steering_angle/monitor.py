@@ -143,7 +143,9 @@ def _prepare_decision(p: Params, c: np.void) -> None:
     stopping.prepare(rules[decision.JUMP], "direct", t.jump)
     stopping.prepare(rules[decision.RESTLESS], "gma", t.restless, forget=0.98**p.period_ms)
     stopping.prepare(rules[decision.ANGLE], "direct", t.angle)
-    stopping.prepare(rules[decision.PARITY], "cusum", t.parity, drift=0.5 * t.parity)
+    stopping.prepare(
+        rules[decision.PARITY], "cusum", t.parity, drift=0.5 * t.parity, most=4.0 * t.parity
+    )
     stopping.prepare(rules[decision.BALANCE], "direct", t.balance)
     stopping.prepare(rules[decision.SURPRISE], "gma", t.surprise, forget=0.8**p.period_ms)
     stopping.prepare(rules[decision.RATE], "direct", t.rate)
