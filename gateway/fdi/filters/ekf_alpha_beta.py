@@ -195,3 +195,19 @@ def hold(s: Any, c: Any, theta: float, doubt: float) -> None:
         s.held = 1
         innovation = wrap(theta - s.x[3], 2.0 * pi / c.motor.pole_pairs)
         gaussian.anchor(s.x, s.p, s.w, 3, innovation, c.sensor * doubt * doubt, c.n)
+
+
+@kernel
+def step(
+    s: Any,
+    c: Any,
+    u_d: float,
+    u_q: float,
+    frame: float,
+    turned: float,
+    i_alpha: float,
+    i_beta: float,
+) -> None:
+    """Take one step: predict with the voltages, correct by the currents; arguments as above."""
+    predict(s, c, u_d, u_q, frame, turned)
+    correct(s, c, i_alpha, i_beta)

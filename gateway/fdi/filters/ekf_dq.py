@@ -45,10 +45,10 @@ def prepare(
     *,
     load: bool,
     steps: int = 8,
-    voltage: float = 0.03,
-    torque: float = 0.03,
-    wander: float = 0.5,
-    current: float = 0.2,
+    voltage: float = 0.06,
+    torque: float = 0.1,
+    wander: float = 2.0,
+    current: float = 0.13,
 ) -> None:
     """Fill a record of CONST.
 

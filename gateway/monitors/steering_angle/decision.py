@@ -44,9 +44,9 @@ SYMPTOMS = 7
 #: Nothing found.
 NONE = -1
 #: Voltage residuals, and parities, that are kept.
-RING, HISTORY = 64, 64
+RING, HISTORY = 256, 64
 #: Of the last voltage residuals so many are searched for the onset; before it, and behind it, so many are averaged.
-SEARCH, BEFORE, BEHIND = 40, 12, 6
+SEARCH, BEFORE, BEHIND = 220, 12, 6
 #: First sample of a current sensor's error over the following ones lies above, a voltage's below.
 FIRST = 1.5
 #: Parity beyond which the steering wheel's rate would have told of its error [deg].
@@ -132,7 +132,7 @@ def current_or_voltage(s: Any) -> int:
     """Tell by the first sample of the voltage residual's step what is wrong."""
     if s.frozen >= 20:
         return CURRENT
-    if s.filled < SEARCH + BEFORE + 1:
+    if s.filled < RING:
         return ELECTRIC
     best, ratio = 0.0, 0.0
     for back in range(BEHIND + 1, SEARCH):

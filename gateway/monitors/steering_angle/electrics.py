@@ -28,6 +28,8 @@ LEARNED = 300
 DOUBT = 20.0
 #: For so long the filter's speed may ask for more EMF than there is [s].
 LOST = 0.05
+#: Share of a resistance's largest error that is taken for noise of a step, squared.
+SHARE = 0.25
 
 CONST = record(
     pole_pairs=f8,
@@ -215,9 +217,11 @@ def step(
     # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
     odd = wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi)
     blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(odd), pi))
+    # What a wrong resistance makes of the current, taken for noise.
+    warm = c.input_gain * c.resistance_error * f.resistance * hypot(i_alpha, i_beta)
     n = c.filter.n
-    f.p[0] += blur * blur
-    f.p[n + 1] += blur * blur
+    f.p[0] += blur * blur + SHARE * warm * warm
+    f.p[n + 1] += blur * blur + SHARE * warm * warm
     ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
     s.nis = f.nis
     ekf_alpha_beta.hold(f, c.filter, mechanical, 1.0 if trusted else DOUBT)

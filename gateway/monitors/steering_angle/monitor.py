@@ -138,17 +138,15 @@ def _prepare_electrics(p: Params, c: np.void) -> None:
 
 
 def _prepare_decision(p: Params, c: np.void) -> None:
-    t = p.thresholds
-    rules = c["rules"]
-    stopping.prepare(rules[decision.JUMP], "direct", t.jump)
-    stopping.prepare(rules[decision.RESTLESS], "gma", t.restless, forget=0.98**p.period_ms)
-    stopping.prepare(rules[decision.ANGLE], "direct", t.angle)
-    stopping.prepare(
-        rules[decision.PARITY], "cusum", t.parity, drift=0.5 * t.parity, most=4.0 * t.parity
-    )
-    stopping.prepare(rules[decision.BALANCE], "direct", t.balance)
-    stopping.prepare(rules[decision.SURPRISE], "gma", t.surprise, forget=0.8**p.period_ms)
-    stopping.prepare(rules[decision.RATE], "direct", t.rate)
+    levels = p.thresholds.at(p.period_ms)
+    forget = {decision.RESTLESS: 0.98**p.period_ms, decision.SURPRISE: 0.8**p.period_ms}
+    for k, level in enumerate(levels):
+        if k == decision.PARITY:
+            stopping.prepare(c["rules"][k], "cusum", level, drift=0.7 * level, most=4.0 * level)
+        elif k in forget:
+            stopping.prepare(c["rules"][k], "gma", level, forget=forget[k])
+        else:
+            stopping.prepare(c["rules"][k], "direct", level)
 
     def frames(ms: float) -> int:
         return max(round(ms / p.period_ms), 1)

@@ -39,13 +39,30 @@ class MotorParams(StrictModel):
 class Thresholds(StrictModel):
     """Levels from which on symptoms alarm; ``gateway calibrate`` finds them from healthy logs."""
 
-    jump: float = Field(0.03, gt=0, description="increment residual [rad]")
-    restless: float = Field(2.0e-4, gt=0, description="its square, moving average [rad^2]")
+    jump: float | None = Field(
+        None,
+        gt=0,
+        description="increment residual [rad]; default 0.03 at 1 ms, more with longer periods",
+    )
+    restless: float | None = Field(
+        None, gt=0, description="its square, moving average [rad^2]; default 2e-4 at 1 ms"
+    )
     angle: float = Field(0.075, gt=0, description="sensor against EMF, leaky average [rad]")
-    parity: float = Field(0.14, gt=0, description="CUSUM of (1) [deg at the pinion]")
+    parity: float = Field(0.10, gt=0, description="CUSUM of (1) [deg at the pinion]")
     balance: float = Field(1.8, gt=0, description="voltages, in units of what parameters explain")
-    surprise: float = Field(60.0, gt=0, description="normalised innovation squared, moving average")
+    surprise: float = Field(45.0, gt=0, description="normalised innovation squared, moving average")
     rate: float = Field(0.35, gt=0, description="steering wheel against its own rate [deg]")
+
+    def at(self, period_ms: float) -> tuple[float, ...]:
+        """Return all levels in their order, for a period of the motor's frames [ms].
+
+        The filter's speed is worse with longer periods, and its error acts for longer: measured, the increment
+        residual grows with about the power 0.6.
+        """
+        longer = period_ms**0.6
+        jump = 0.03 * longer if self.jump is None else self.jump
+        restless = 2e-4 * longer**2 if self.restless is None else self.restless
+        return (jump, restless, self.angle, self.parity, self.balance, self.surprise, self.rate)
 
 
 class Ratio(StrictModel):
