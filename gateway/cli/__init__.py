@@ -176,6 +176,46 @@ def evaluate_voters(
     raise typer.Exit(work(runs=seeds, seed=seed, json=json, plot=plot))
 
 
+@evaluate_app.command("steering")
+def evaluate_steering(
+    runs: Annotated[int, typer.Option(min=0, help="Runs of each fault; 0: none.")] = 40,
+    healthy: Annotated[int, typer.Option(min=0, help="Healthy runs of 24 s.")] = 120,
+    seed: Annotated[
+        int,
+        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
+    ] = 100_000,
+    rules: Annotated[
+        bool, typer.Option("--rules", help="Also all filters, distances and stopping rules.")
+    ] = False,
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")
+    ] = None,
+) -> None:
+    """Steering motor angle: estimators, faults found and named, operations of the paper's Table 1."""
+    from gateway.cli.evaluate.steering import steering as work
+
+    raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))
+
+
+@app.command()
+def calibrate(
+    config: Annotated[Path, typer.Argument(help="Configuration.")],
+    logs: Annotated[list[Path], typer.Argument(help="Logs of healthy drives.")],
+    mtfa: Annotated[
+        float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")
+    ] = 3600.0,
+    into: Annotated[
+        bool, typer.Option("--write", help="Put the thresholds into the configuration.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Find the thresholds of stopping rules from healthy logs, and say how far these carry."""
+    from gateway.cli.calibrate import calibrate_logs as work
+
+    raise typer.Exit(work(config, logs, mtfa=mtfa, into=into, json=json))
+
+
 @app.command()
 def bus(
     address: Annotated[str, typer.Argument(help="Loopback address and port.")] = "127.0.0.1:29536",

@@ -159,6 +159,21 @@ class Emission:
 
 
 @dataclass(frozen=True)
+class Calibration:
+    """Stopping rules of a monitor whose thresholds healthy logs can set.
+
+    Attributes:
+        names: keys of the table ``thresholds`` of its parameters.
+        rules: state record -> states of these rules, in their order: records with a field ``peak``.
+        levels: parameters -> their thresholds now, in that order.
+    """
+
+    names: tuple[str, ...]
+    rules: Callable[[np.void], Any]
+    levels: Callable[[Any], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
 class Monitor:
     """A type of monitor; configured instances of it share the kernel.
 
@@ -176,6 +191,8 @@ class Monitor:
         emission: the message it sends, if any.
         dtcs: parameters -> DTCs by name of the fault, where they are not those of ``faults``.
         message: parameters -> name of the message it sends, where it is not that of ``emission``.
+        calibration: what ``gateway calibrate`` sets.
+        warnings: parameters -> what ``gateway check`` says of them, though they are not wrong.
     """
 
     type: str
@@ -191,6 +208,8 @@ class Monitor:
     emission: Emission | None = None
     dtcs: Callable[[Any], Mapping[str, str]] | None = None
     message: Callable[[Any], str] | None = None
+    calibration: Calibration | None = None
+    warnings: Callable[[Any], tuple[str, ...]] | None = None
 
     def faults_of(self, params: MonitorParams) -> tuple[Fault, ...]:
         """Return what an instance with these parameters can report."""

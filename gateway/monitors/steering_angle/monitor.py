@@ -26,7 +26,7 @@ from gateway.fdi.filters import (
 )
 from gateway.fdi.filters.transforms import inverse_park
 from gateway.jit import f8, i8, kernel, record
-from gateway.monitors.shape import TIMER, Emission, Monitor, Wiring, inputs, report
+from gateway.monitors.shape import TIMER, Calibration, Emission, Monitor, Wiring, inputs, report
 from gateway.monitors.steering_angle import decision, electrics, kinematics, road_wheel
 from gateway.monitors.steering_angle.decision import NONE
 from gateway.monitors.steering_angle.faults import (
@@ -39,7 +39,7 @@ from gateway.monitors.steering_angle.faults import (
     RATIO,
     WHEEL,
 )
-from gateway.monitors.steering_angle.params import Params
+from gateway.monitors.steering_angle.params import Params, Thresholds
 
 #: Quality of the motor's angle that is sent.
 STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
@@ -348,6 +348,16 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
     out.values[4] = s.load
 
 
+def _warnings(p: Params) -> tuple[str, ...]:
+    if p.period_ms < COARSE:
+        return ()
+    constant = 1e3 * p.motor.inductance / p.motor.resistance
+    return (
+        f"period_ms = {p.period_ms}: the currents' time constant is {constant:.2f} ms; detection is degraded "
+        "(noise and scale of the motor angle are found late or not at all), and the quality sent says so",
+    )
+
+
 MONITOR = Monitor(
     type="steering_angle",
     params=Params,
@@ -360,4 +370,10 @@ MONITOR = Monitor(
     prepare=_prepare,
     readout=("value", "speed", "load", "quality", "pairs", "unpaired", "found", "parity"),
     emission=Emission("GW_Steering", ("MotorAngle", "MotorSpeed", "Quality", "Found", "Load")),
+    calibration=Calibration(
+        names=tuple(Thresholds.model_fields),
+        rules=lambda s: s["decision"]["rules"],
+        levels=lambda p: p.thresholds.at(p.period_ms),
+    ),
+    warnings=_warnings,
 )

@@ -1,0 +1,264 @@
+"""Thresholds from healthy logs: what a target of the mean time between false alarms asks for, and what the data carry.
+
+Each stopping rule keeps the largest level it has seen. Read once a second of recorded time, these maxima tell for any
+threshold how many alarms there would have been: seconds beyond it that follow each other are one. If the logs are
+longer than the target, the threshold is where the alarms are as rare as asked for. If they are not, the maxima's tail is
+continued as an exponential (mean excess over the 90 % quantile), and the result says by how much the target lies
+beyond the data. What the data assure, with 95 %, is chi-square: T / 3.0 without an alarm in the time T.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from gateway.app import Gateway
+from gateway.bus.frames import Frames
+from gateway.bus.ring import read_recording
+from gateway.config import Config, channels_of, monitor_of
+from gateway.errors import InputError
+
+#: Time whose largest levels are kept together [ns], and left out at the begin of each log.
+BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000
+#: Quantile from which on the maxima are the tail.
+TAIL = 0.9
+#: A threshold is not below the largest healthy level times this.
+MARGIN = 1.05
+
+Array = NDArray[np.float64]
+
+
+def assured(seconds: float, alarms: int) -> float:
+    """Return the mean time between false alarms that holds with 95 % [s], alarms being a Poisson process."""
+    return float(2.0 * seconds / chi2.ppf(0.95, 2 * alarms + 2))
+
+
+def alarms(maxima: Array, threshold: float) -> int:
+    """Return how many alarms a threshold would have given; maxima beyond it that follow each other are one."""
+    over = maxima >= threshold
+    return int((over[1:] & ~over[:-1]).sum() + bool(len(over) and over[0]))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A threshold for one symptom.
+
+    Attributes:
+        monitor: name of the monitor.
+        symptom: key in its ``thresholds``.
+        now: threshold of the configuration.
+        largest: level in the logs.
+        threshold: proposed.
+        alarms: that it would have given in the logs.
+        alarms_now: that the present one would have.
+        assured_s: mean time between its false alarms that the data assure.
+        beyond: target over the length of the logs; above 1 the threshold is extrapolated.
+    """
+
+    monitor: str
+    symptom: str
+    now: float
+    largest: float
+    threshold: float
+    alarms: int
+    alarms_now: int
+    assured_s: float
+    beyond: float
+
+
+def propose(maxima: Array, seconds: float, target: float) -> float:
+    """Return the threshold of one symptom.
+
+    Args:
+        maxima: largest level of each block, shape (blocks,).
+        seconds: of the logs.
+        target: mean time between false alarms asked for [s].
+    """
+    largest = float(maxima.max(initial=0.0))
+    allowed = int(seconds / target)
+    if allowed >= 1:
+        for level in np.unique(maxima)[::-1]:
+            if alarms(maxima, float(level)) > allowed:
+                break
+            best = float(level)
+        return float(np.nextafter(best, np.inf)) if allowed > 1 else largest * MARGIN
+    from_level = float(np.quantile(maxima, TAIL)) if len(maxima) else 0.0
+    over = maxima[maxima > from_level] - from_level
+    if not len(over):
+        return largest * MARGIN
+    reached = from_level + float(over.mean()) * log(max(len(over) * target / seconds, 1.0))
+    return max(reached, largest * MARGIN)
+
+
+def digest(logs: Iterable[Path]) -> str:
+    """Return the first 12 digits of the SHA-256 of the logs' contents."""
+    total = hashlib.sha256()
+    for path in logs:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        for file in files:
+            total.update(file.read_bytes())
+    return total.hexdigest()[:12]
+
+
+def _blocks(frames: Frames, end_ns: int) -> Iterator[tuple[Frames, bool]]:
+    """Yield parts of a batch; True behind a part at whose end a block ends."""
+    first = 0
+    while first < len(frames):
+        last = int(np.searchsorted(frames["t_ns"], end_ns))
+        yield frames[first:last], last < len(frames)
+        if last >= len(frames):
+            return
+        first = last
+        end_ns += BLOCK_NS
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What healthy logs did to the stopping rules.
+
+    Attributes:
+        seconds: that count.
+        maxima: monitor -> largest levels, shape (blocks, symptoms).
+        failed: DTCs that the logs set.
+    """
+
+    seconds: float
+    maxima: dict[str, Array]
+    failed: tuple[str, ...]
+
+
+def levels(
+    config: Config,
+    logs: Sequence[Path],
+    *,
+    file: Path | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Levels:
+    """Replay logs, each with a gateway of its own, and keep the largest levels of each second.
+
+    Args:
+        config: the configuration.
+        logs: recordings without a fault.
+        file: of the configuration, for errors.
+        progress: called with the number of frames of each batch.
+
+    Raises:
+        InputError: no monitor of the configuration can be calibrated, or a log cannot be read.
+    """
+    chosen = []
+    for k, entry in enumerate(config.monitor):
+        calibration = monitor_of(entry)[0].calibration
+        if calibration is not None:
+            chosen.append((k, entry.name, calibration))
+    if not chosen:
+        raise InputError(
+            "no monitor here has thresholds that logs can set", file=file, key="monitor"
+        )
+    found: dict[str, list[Array]] = {name: [] for _, name, _ in chosen}
+    failed: set[str] = set()
+    blocks = 0
+    for path in logs:
+        gateway = Gateway(config, None, file=file)
+        gateway.listen(
+            lambda event: failed.add(str(event["dtc"])) if event["event"] == "dtc" else None
+        )
+        rules = [
+            (name, calibration.rules(gateway.engine.state_of(k)[0]))
+            for k, name, calibration in chosen
+        ]
+        begun = 0
+        end_ns = 0
+        try:
+            for frames in read_recording(path, channels_of(config)):
+                if not len(frames):
+                    continue
+                if not begun:
+                    begun = int(frames[0]["t_ns"])
+                    end_ns = begun + WARM_UP_NS
+                    gateway.start(begun)
+                for part, ended in _blocks(gateway.without_own(frames), end_ns):
+                    gateway.feed(part)
+                    if not ended:
+                        continue
+                    for name, states in rules:
+                        if end_ns > begun + WARM_UP_NS:
+                            found[name].append(np.array(states["peak"]))
+                        states["peak"] = 0.0
+                    blocks += end_ns > begun + WARM_UP_NS
+                    end_ns += BLOCK_NS
+                progress(len(frames))
+        finally:
+            gateway.close()
+    if not blocks:
+        raise InputError("the logs hold less than 3 s of traffic", file=logs[0] if logs else None)
+    stacked = {name: np.array(rows) for name, rows in found.items()}
+    return Levels(blocks * BLOCK_NS * 1e-9, stacked, tuple(sorted(failed)))
+
+
+def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:
+    """Return a threshold for each symptom; the target is that of all of a monitor's symptoms together.
+
+    Args:
+        config: the configuration.
+        seen: what :func:`levels` found.
+        target: mean time between false alarms [s].
+    """
+    proposals = []
+    for entry in config.monitor:
+        monitor, params = monitor_of(entry)
+        if monitor.calibration is None:
+            continue
+        maxima = seen.maxima[entry.name]
+        each = target * len(monitor.calibration.names)
+        now = monitor.calibration.levels(params)
+        for j, (symptom, present) in enumerate(zip(monitor.calibration.names, now, strict=True)):
+            threshold = propose(maxima[:, j], seen.seconds, each)
+            count = alarms(maxima[:, j], threshold)
+            proposals.append(
+                Proposal(
+                    monitor=entry.name,
+                    symptom=symptom,
+                    now=present,
+                    largest=float(maxima[:, j].max()),
+                    threshold=threshold,
+                    alarms=count,
+                    alarms_now=alarms(maxima[:, j], present),
+                    assured_s=assured(seen.seconds, count),
+                    beyond=each / seen.seconds,
+                )
+            )
+    return proposals
+
+
+def write(path: Path, proposals: Sequence[Proposal], source: str) -> None:
+    """Put thresholds into a configuration file; all else in it stays as it is.
+
+    Args:
+        path: of the configuration.
+        proposals: to put in; a threshold of 0 (the symptom never spoke) is left out.
+        source: what they come from, for ``calibrated``.
+    """
+    document = tomlkit.parse(path.read_text())
+    for entry in _tables(document):
+        mine = [p for p in proposals if p.monitor == entry.get("name") and p.threshold > 0.0]
+        if not mine:
+            continue
+        table = tomlkit.inline_table()
+        for proposal in mine:
+            table[proposal.symptom] = float(f"{proposal.threshold:.4g}")
+        entry["thresholds"] = table
+        entry["calibrated"] = source
+    path.write_text(tomlkit.dumps(document))
+
+
+def _tables(document: Any) -> list[Any]:
+    return list(document.get("monitor", []))
