@@ -310,8 +310,12 @@ def test_feedforward_finds_the_rotor_from_the_paper_s_own_equations(omega, i_q, 
         at, middle = theta0 + w * h * k, theta0 + w * h * (k - 0.5)
         flux = M.lq * i_q
         # u = R i + d/dt (L i + psi), with i = i_q (-sin, cos)
-        u_a = -M.resistance * i_q * np.sin(middle) - w * (flux * np.cos(middle) + M.flux * np.sin(middle))
-        u_b = M.resistance * i_q * np.cos(middle) - w * (flux * np.sin(middle) - M.flux * np.cos(middle))
+        u_a = -M.resistance * i_q * np.sin(middle) - w * (
+            flux * np.cos(middle) + M.flux * np.sin(middle)
+        )
+        u_b = M.resistance * i_q * np.cos(middle) - w * (
+            flux * np.sin(middle) - M.flux * np.cos(middle)
+        )
         feedforward.step(s, c, u_a, u_b, -i_q * np.sin(at), i_q * np.cos(at))
     error = s["theta_e"] - middle
     error -= pi * round(error / pi)

@@ -19,7 +19,9 @@ MOTOR = Motor()
 
 def profile(t):
     """Speed asked for [rad/s]: rest, 60, rest, -110, rest."""
-    return np.interp(t, [0, 0.2, 0.6, 1.0, 1.3, 1.5, 2.0, 2.4, 2.7, 3.0], [0, 0, 60, 60, 0, 0, -110, -110, 0, 0])
+    return np.interp(
+        t, [0, 0.2, 0.6, 1.0, 1.3, 1.5, 2.0, 2.4, 2.7, 3.0], [0, 0, 60, 60, 0, 0, -110, -110, 0, 0]
+    )
 
 
 @cache
@@ -98,7 +100,14 @@ def follow(per, noise, rng, load=True):
         mean_a, mean_b = u_a[k - per + 1 : k + 1].mean(), u_b[k - per + 1 : k + 1].mean()
         n = rng.normal(size=4) * noise
         ekf_alpha_beta.step(
-            s[0], c[0], mean_a + 0.15 * n[0], mean_b + 0.15 * n[1], 0.0, 0.0, i_a[k] + n[2], i_b[k] + n[3]
+            s[0],
+            c[0],
+            mean_a + 0.15 * n[0],
+            mean_b + 0.15 * n[1],
+            0.0,
+            0.0,
+            i_a[k] + n[2],
+            i_b[k] + n[3],
         )
         errors.append(s[0]["x"][3] - rows[k, 1])
     return np.array(errors)
@@ -111,7 +120,9 @@ def inverse_park_all(d, q, theta):
 
 def test_the_filter_follows_a_motor_of_other_make():
     rms = {
-        (per, noise): np.degrees(np.sqrt(np.mean(follow(per, noise, np.random.default_rng(1)) ** 2)))
+        (per, noise): np.degrees(
+            np.sqrt(np.mean(follow(per, noise, np.random.default_rng(1)) ** 2))
+        )
         for per, noise in ((1, 0.0), (10, 0.0), (10, 0.2))
     }
     print(rms)

@@ -51,6 +51,8 @@ SEARCH, BEFORE, BEHIND = 220, 12, 6
 FIRST = 1.5
 #: Parity beyond which the steering wheel's rate would have told of its error [deg].
 CLEAR = 0.3
+#: A first increment beyond so many thresholds is a jump.
+SUDDEN = 3.0
 #: Share of odd increments in a window from which on a sensor is noisy.
 NOISY = 0.12
 
@@ -67,7 +69,7 @@ CONST = record(
 )
 
 #: ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it. ``window``: frames left in which a
-#: jump is looked at. ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the
+#: jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it began ``sudden``ly. ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the
 #: motor's angle; ``accused``: how often against it in a row.
 STATE = record(
     rules=(stopping.STATE, SYMPTOMS),
@@ -81,6 +83,8 @@ STATE = record(
     late=i8,
     net=f8,
     largest=f8,
+    back=f8,
+    sudden=i8,
     before=f8,
     surprised=i8,
     open=i8,
@@ -205,7 +209,11 @@ def _look_at_jumps(s: Any, c: Any, increment: float, parity: float) -> int:
             return NONE
         s.window = c.window
         s.odd = s.up = s.down = s.late = s.surprised = 0
-        s.net = s.largest = 0.0
+        s.net = s.largest = s.back = 0.0
+        # A wrong current or voltage surprises the filter before its speed is wrong.
+        s.sudden = 1 if abs(increment) > SUDDEN * c.rules[JUMP].threshold else 0
+        if s.alarm[SURPRISE] == 1:
+            s.sudden = 0
         s.before = parity
     s.window -= 1
     s.net += increment
@@ -218,14 +226,20 @@ def _look_at_jumps(s: Any, c: Any, increment: float, parity: float) -> int:
         if 2 * s.window < c.window:
             s.late += 1
         if abs(increment) > abs(s.largest):
+            if increment * s.largest < 0.0:
+                s.back = abs(s.largest)
             s.largest = increment
+        elif increment * s.largest < 0.0:
+            s.back = max(s.back, abs(increment))
     s.surprised += s.alarm[SURPRISE]
     if s.window > 0:
         return NONE
     moved = (parity - s.before) * c.ratio * pi / 180.0
     if s.odd > 0 and abs(moved - s.largest) < 0.4 * abs(s.largest):
         return OFFSET  # a jump that the gear has not made, and that stays
-    if 2 * s.surprised > s.odd:
+    if s.sudden == 1 and s.back < 0.6 * abs(s.largest):
+        return OFFSET
+    if s.sudden == 0 and 2 * s.surprised > s.odd:
         return NONE  # currents or voltages: the filter's speed is wrong, not the sensor
     if s.odd > NOISY * c.window and s.late > 0 and min(s.up, s.down) > 0:
         return NOISE
@@ -240,13 +254,22 @@ def _look_at_jumps(s: Any, c: Any, increment: float, parity: float) -> int:
 
 
 @kernel
+def _agree(c: Any, angle: float, parity: float) -> bool:
+    """Tell whether EMF and gear find the same error of the motor's angle, and not a small one."""
+    expected = parity * c.ratio * pi / 180.0
+    large = abs(angle) > 0.5 * c.rules[ANGLE].threshold
+    return bool(large and abs(expected - angle) < 0.5 * abs(angle))
+
+
+@kernel
 def _look_at_angles(s: Any, c: Any, angle: float, parity: float, wheel: float) -> int:
     """Find out which angle breaks the parity, or that the EMF contradicts the sensor."""
     if s.window > 0:
         return NONE  # what just jumped is looked at first
     against = s.alarm[ANGLE] == 1
     s.accused = s.accused + 1 if against else 0
-    if s.alarm[PARITY] == 0:
+    agreed = s.accused >= c.confirm and _agree(c, angle, parity)
+    if s.alarm[PARITY] == 0 and not agreed:
         s.open = s.cleared = 0
         return NONE
     s.open += 1
@@ -267,12 +290,13 @@ def _look_at_angles(s: Any, c: Any, angle: float, parity: float, wheel: float) -
 
 
 @kernel
-def _look_at_currents(s: Any, c: Any, i_u: float, i_v: float) -> int:
+def _look_at_currents(s: Any, c: Any, angle: float, parity: float, i_u: float, i_v: float) -> int:
     """Find out whether currents and voltages contradict each other for long enough."""
     same = i_u == s.last_u or i_v == s.last_v
     s.last_u, s.last_v = i_u, i_v
     s.frozen = s.frozen + 1 if same else 0
-    if s.found != NONE and s.found < CURRENT:
+    sudden = s.window > 0 and s.sudden == 1
+    if (s.found != NONE and s.found < CURRENT) or sudden or _agree(c, angle, parity):
         s.electric = 0  # a wrong angle upsets the currents, too
     elif s.alarm[SURPRISE] == 1 or s.alarm[BALANCE] == 1:
         s.electric = min(s.electric + 1, c.window)
@@ -319,7 +343,7 @@ def decide(
     """
     jumped = _look_at_jumps(s, c, increment, parity)
     angles = _look_at_angles(s, c, angle, parity, wheel)
-    electric = _look_at_currents(s, c, i_u, i_v)
+    electric = _look_at_currents(s, c, angle, parity, i_u, i_v)
     s.quiet = s.quiet + 1 if _quiet(s) and not silent else 0
     if s.found != NONE and s.quiet >= c.hold:
         s.found = NONE

@@ -5,7 +5,7 @@ weak spots:
 
 increment  the sensor's step less the one that the alpha-beta filter's speed makes: sees what changes at once, at rest too
 angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
-           (E_d, E_q) = c_M omega (-sin, cos) of the angle's error. Resistance and dead time act along the current,
+           (E_d, E_q) = c_M omega (sin, cos) of the sensor's error. Resistance and dead time act along the current,
            which the controller keeps on q, so that E_d knows hardly anything of them; blind at rest
 balance    the EMF vector less c_M omega of the sensor's own speed: currents or voltages are wrong, or the angle
 """
@@ -30,6 +30,10 @@ DOUBT = 20.0
 LOST = 0.05
 #: Share of a resistance's largest error that is taken for noise of a step, squared.
 SHARE = 0.25
+#: What a silent sensor should have moved is forgotten, share a frame: at rest the filter's speed is noise.
+STILL = 0.02
+#: After so many lost frames everything starts anew.
+GAP = 8.0
 
 CONST = record(
     pole_pairs=f8,
@@ -128,7 +132,7 @@ def _listen(s: Any, c: Any) -> None:
         s.lively += 0 if same else 1
     if same:
         s.repeated += 1
-        s.still += s.increment
+        s.still += s.increment - STILL * s.still
         return
     if s.repeated < c.silent:
         s.longest = max(s.longest, s.repeated)
@@ -152,7 +156,7 @@ def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) ->
     s.e_d += c.share * (way * e_d - s.e_d)
     s.e_q += c.share * (way * e_q - s.e_q)
     size, current = hypot(s.e_d, s.e_q), hypot(s.i_alpha, s.i_beta)
-    s.angle = -atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else float("nan")
+    s.angle = atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else float("nan")
     s.strict = 1 if size > c.gate + c.resistance_error * s.filter.resistance * current else 0
     s.odd_d, s.odd_q, s.middle = e_d, e_q - c.emf * s.speed, middle
     s.r_d += c.share * (s.odd_d - s.r_d)
@@ -196,8 +200,9 @@ def step(
     f = s.filter
     i_alpha, i_beta = clarke(i_u, i_v)
     mechanical = theta / c.pole_pairs
-    if s.started == 0:
+    if s.started == 0 or periods > GAP:
         s.started = 1
+        s.frames = 0
         ekf_alpha_beta.begin(f, c.filter, mechanical)
         s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
         s.forward.alpha, s.forward.beta = i_alpha, i_beta
@@ -210,7 +215,7 @@ def step(
     dt = periods * c.period
     before = f.x[2]
     # The filter's steps have one length; frames that were lost are taken like the one that came.
-    count = int(min(periods, 8.0))
+    count = int(periods)
     for k in range(count):
         share = s.turned / count
         ekf_alpha_beta.predict(f, c.filter, u_d, u_q, s.theta + k * share, share)

@@ -13,9 +13,10 @@ from gateway.jit import f8, i8, kernel, record
 #: History of the frames with motor and pinion.
 KEPT = 32
 
-CONST = record(motor_ratio=f8, wheel_ratio=f8, delay_ns=i8, age_ns=i8, blur=f8, leak=f8, slack=f8)
+CONST = record(motor_ratio=f8, wheel_ratio=f8, delay_ns=i8, age_ns=i8, leak=f8, jitter=f8)
 
-#: ``parity``: what is left of (1) [deg, pinion]; ``fresh``: it is of this step. ``wheel``: the steering wheel's angle
+#: ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one
+#: of the last three, less what late frames explain. ``wheel``: the steering wheel's angle
 #: less the integral of its rate, forgetting [deg].
 STATE = record(
     at=i8,
@@ -24,7 +25,9 @@ STATE = record(
     motor=(f8, KEPT),
     pinion=(f8, KEPT),
     parity=f8,
-    known=i8,
+    sure=f8,
+    before=f8,
+    last=f8,
     wheel=f8,
     last_wheel=f8,
     last_rate=f8,
@@ -48,7 +51,7 @@ def fit(s: Any, c: Any, t_ns: int, wheel: float) -> bool:
     """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
 
     Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
-    one the newest two are extrapolated, not further than ``age_ns``.
+    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first.
     """
     if s.kept < 2:
         return False
@@ -68,7 +71,13 @@ def fit(s: Any, c: Any, t_ns: int, wheel: float) -> bool:
     motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
-    s.known = 1
+    # What a frame that was late on the bus makes of a turning wheel.
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio
+    # One that was is not like those before and behind it.
+    one, two, three = s.before, s.last, s.parity
+    s.before, s.last = s.last, s.parity
+    middle = max(min(one, two), min(max(one, two), three))
+    s.sure = middle - min(max(middle, -slack), slack)
     return True
 
 
@@ -81,3 +90,10 @@ def follow(s: Any, c: Any, t_ns: int, wheel: float, rate: float) -> None:
         s.wheel += odd - min(c.leak * dt, 1.0) * s.wheel
     s.started = 1
     s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns
+
+
+@kernel
+def now(s: Any, c: Any, t_ns: int) -> float:
+    """Return the steering wheel's angle at a time, continued with its rate [deg]."""
+    age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
+    return float(s.last_wheel + s.last_rate * age)

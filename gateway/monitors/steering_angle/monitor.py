@@ -67,6 +67,7 @@ STATE = record(
     unpaired=i8,
     found=i8,
     paired=i8,
+    paired_ns=i8,
     current_counter=i8,
     voltage_counter=i8,
     angle_counter=i8,
@@ -142,7 +143,7 @@ def _prepare_decision(p: Params, c: np.void) -> None:
     forget = {decision.RESTLESS: 0.98**p.period_ms, decision.SURPRISE: 0.8**p.period_ms}
     for k, level in enumerate(levels):
         if k == decision.PARITY:
-            stopping.prepare(c["rules"][k], "cusum", level, drift=0.7 * level, most=4.0 * level)
+            stopping.prepare(c["rules"][k], "cusum", level, drift=p.blind, most=4.0 * level)
         elif k in forget:
             stopping.prepare(c["rules"][k], "gma", level, forget=forget[k])
         else:
@@ -164,6 +165,7 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
     k = c["kinematics"]
     k["motor_ratio"], k["wheel_ratio"] = p.motor_ratio, p.wheel_ratio
     k["delay_ns"], k["age_ns"], k["leak"] = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
+    k["jitter"] = 1e-3 * p.wheel_jitter_ms
     _prepare_decision(p, c["decision"])
     road_wheel.prepare(c["road_wheel"], p.ratio)
     s["decision"]["found"] = NONE
@@ -207,10 +209,11 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
 def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: float) -> None:
     """Take a pair of motor frames with the counter ``u_frame``."""
     m, d = s.electrics, s.decision
-    periods = 1.0
-    if s.paired >= 0:
-        periods = float((u_frame - s.paired) % 16)
-    s.paired = u_frame
+    periods = float((u_frame - s.paired) % 16)
+    waited = (u.t_ns - s.paired_ns) / c.period_ns
+    if s.paired < 0 or waited > electrics.GAP:
+        periods = 1.0 if s.paired < 0 else waited
+    s.paired, s.paired_ns = u_frame, u.t_ns
     s.pairs += 1
     trusted = not OFFSET <= d.found <= IMPLAUSIBLE
     electrics.step(
@@ -258,29 +261,26 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
 def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
     """Take whichever motor frame has come, and a pair if it is complete."""
     came, told = int(u.mc_cur), int(u.mc_vol)
-    if came != s.current_counter:
+    newer = came != s.current_counter
+    fresh = told != s.voltage_counter
+    first = s.voltage_counter < 0
+    if newer:
         s.older_counter, s.older_u, s.older_v = s.current_counter, s.i_u, s.i_v
         s.older_theta, s.older_valid = s.theta, s.valid
         s.current_counter, s.i_u, s.i_v, s.theta = came, u.i_u, u.i_v, u.theta_park
         s.valid = 1 if u.valid_cur > 0.0 else 0
-    fresh = told != s.voltage_counter
     s.voltage_counter = told
-    if told == s.paired and not fresh:
-        return
-    if told == came and told != s.paired:
+    if told == came and (newer or fresh):
         if s.valid == 1:
             _pair(s, c, u, told, s.i_u, s.i_v, s.theta)
             _conclude(s, c, out)
         _report(s, PAIRING, False, 0.0, 1.0, out)
-    elif fresh and told == s.older_counter and told != s.paired:
-        # One frame late: it belongs to the current frame before the newest.
+    elif fresh and not first and told != (came + 1) % 16:
+        # Ahead by one it waits for its current. Behind by one it belongs to the current before the newest.
         s.unpaired += 1
-        if s.older_valid == 1:
+        if told == s.older_counter and told != s.paired and s.older_valid == 1:
             _pair(s, c, u, told, s.older_u, s.older_v, s.older_theta)
             _conclude(s, c, out)
-        _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
-    elif fresh:
-        s.unpaired += 1
         _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
 
 
@@ -292,7 +292,7 @@ def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
     decision.hear(d, c.decision, decision.RATE, k.wheel)
     if kinematics.fit(k, c.kinematics, u.t_ns - c.kinematics.delay_ns, u.delta_s):
         s.parity = k.parity
-        decision.hear(d, c.decision, decision.PARITY, k.parity)
+        decision.hear(d, c.decision, decision.PARITY, k.sure)
         decision.note_parity(d, k.parity, s.motor)
     if c.road_wheel.points > 0 and u.valid_v > 0.0 and s.motor == s.motor:
         tested = road_wheel.check(s.road_wheel, c.road_wheel, u.delta_g, u.delta_s, u.v_x)
@@ -312,8 +312,9 @@ def _value(s: Any, c: Any, u: Any) -> None:
         s.quality = STARTING
     elif OFFSET <= d.found <= IMPLAUSIBLE:
         s.quality = INVALID
-        if not isnan(u.delta_s):
-            s.value = c.kinematics.motor_ratio * (u.delta_g - u.delta_s / c.kinematics.wheel_ratio)
+        if s.kinematics.started == 1:
+            wheel = kinematics.now(s.kinematics, c.kinematics, u.t_ns)
+            s.value = c.kinematics.motor_ratio * (u.delta_g - wheel / c.kinematics.wheel_ratio)
             s.quality = REPLACED
     elif d.found in (ANGLES, WHEEL, PINION):
         s.quality = DEGRADED

@@ -48,7 +48,7 @@ class Thresholds(StrictModel):
         None, gt=0, description="its square, moving average [rad^2]; default 2e-4 at 1 ms"
     )
     angle: float = Field(0.075, gt=0, description="sensor against EMF, leaky average [rad]")
-    parity: float = Field(0.10, gt=0, description="CUSUM of (1) [deg at the pinion]")
+    parity: float = Field(0.06, gt=0, description="CUSUM of (1) [deg at the pinion]")
     balance: float = Field(1.8, gt=0, description="voltages, in units of what parameters explain")
     surprise: float = Field(45.0, gt=0, description="normalised innovation squared, moving average")
     rate: float = Field(0.35, gt=0, description="steering wheel against its own rate [deg]")
@@ -107,6 +107,17 @@ class Params(MonitorParams):
     wheel_ratio: float = Field(1.0, gt=0, description="i_D, steering wheel over pinion")
     wheel_delay_ms: float = Field(
         5.0, ge=0, le=30, description="age of the steering wheel's angle when its frame comes [ms]"
+    )
+    blind: float = Field(
+        0.07,
+        gt=0,
+        description="misfit of the angles that steps of the sensors and lash explain: CUSUM's drift [deg at the pinion]",
+    )
+    wheel_jitter_ms: float = Field(
+        0.3,
+        ge=0,
+        le=10,
+        description="by which several of its frames in a row may be late on the bus [ms]",
     )
     resistance_error: float = Field(0.35, ge=0, le=1, description="of the resistance, share")
     flux_error: float = Field(0.06, ge=0, le=1, description="of the flux, share")

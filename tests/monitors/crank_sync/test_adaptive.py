@@ -146,6 +146,7 @@ def test_a_bent_tooth_is_no_pulse_fault():
     assert wrong(result, teeth) == 0
 
 
+@pytest.mark.skipif(not COMPILED, reason="half a minute")
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_doubled_edges_while_running_keep_sync(share):
     """Hysteresis lost: a second pulse behind teeth from the 20th turn on."""

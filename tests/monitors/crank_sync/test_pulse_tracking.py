@@ -107,6 +107,7 @@ def test_the_place_is_found_or_not_told(wheel, start, period, slope):
     assert se["seen"] >= WINDOW
 
 
+@pytest.mark.skipif(not COMPILED, reason="half a minute")
 def test_hypotheses_never_exceed_their_room():
     """Pulses that fit nothing: noise without a wheel."""
     tr = table(1, TRACKER)[0]
