@@ -76,7 +76,7 @@ class Proposal:
 
 
 def propose(maxima: Array, seconds: float, target: float) -> float:
-    """Return the threshold of one symptom.
+    """Return the threshold of one symptom, 0 if it has never spoken.
 
     Args:
         maxima: largest level of each block, shape (blocks,).
@@ -221,7 +221,8 @@ def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:
         each = target * len(monitor.calibration.names)
         now = monitor.calibration.levels(params)
         for j, (symptom, present) in enumerate(zip(monitor.calibration.names, now, strict=True)):
-            threshold = propose(maxima[:, j], seen.seconds, each)
+            # A symptom that has never spoken keeps its threshold.
+            threshold = propose(maxima[:, j], seen.seconds, each) or present
             count = alarms(maxima[:, j], threshold)
             proposals.append(
                 Proposal(
@@ -244,12 +245,12 @@ def write(path: Path, proposals: Sequence[Proposal], source: str) -> None:
 
     Args:
         path: of the configuration.
-        proposals: to put in; a threshold of 0 (the symptom never spoke) is left out.
+        proposals: to put in.
         source: what they come from, for ``calibrated``.
     """
     document = tomlkit.parse(path.read_text())
     for entry in _tables(document):
-        mine = [p for p in proposals if p.monitor == entry.get("name") and p.threshold > 0.0]
+        mine = [p for p in proposals if p.monitor == entry.get("name")]
         if not mine:
             continue
         table = tomlkit.inline_table()

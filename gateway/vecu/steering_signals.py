@@ -53,8 +53,9 @@ def sense(
         rng: source of all randomness.
     """
     wrong = undisturbed(len(course.motor))
+    (own,) = rng.spawn(1)  # a fault does not change the noise of the rest
     for fault in faults:
-        disturb(wrong, fault, rng)
+        disturb(wrong, fault, own)
     samples = drive(plant, course.motor, course.load, wrong, rng, period)
     per = round(period / CONTROL)
     at = np.arange(1, len(samples) + 1) * per

@@ -14,6 +14,6 @@ def test_scenarios_pass_over_vcan(config, tmp_path):
 
 
 def test_no_scenario_is_left_out():
-    both = {**by_config("engine"), **CONFIGS}
-    assert both == by_config(None)
-    assert sum(map(len, both.values())) >= 18
+    every = {**by_config("engine"), **CONFIGS, **by_config("steering")}
+    assert every == by_config(None)
+    assert sum(map(len, every.values())) >= 21
