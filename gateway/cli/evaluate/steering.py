@@ -195,7 +195,7 @@ def steering(
         scores, health = monte_carlo(todo, lambda: bar.advance(task))
         combinations: list[Combination] = []
         if rules and runs and healthy:
-            task = bar.add_task("rules", total=8)
+            task = bar.add_task("rules", total=9)
             combinations = structure(runs, healthy, seed, lambda: bar.advance(task))
     loads = operations.table()
     files = [] if plot is None else draw(plot, scores, seed)

@@ -297,16 +297,31 @@ def monte_carlo(
     return scores, health
 
 
-def _levels_of(job: Job) -> list[tuple[Job, float, list[NDArray[np.float64]]]]:
-    """Return the symptoms of the runs of a job, with the onsets."""
-    name, temperature, period, first, count = job
+#: A job of :func:`structure`: runs, each symptom's largest healthy value, each rule's largest healthy level; empty while
+#: they are looked for.
+RuleJob = tuple[Job, tuple[float, ...], tuple[tuple[float, ...], ...]]
+
+
+def _rules_work(rule_job: RuleJob) -> list[NDArray[np.float64]]:
+    """Return for each run the largest values, the largest levels, or the delays behind the onset [ms]."""
+    (name, temperature, period, first, count), scale, limits = rule_job
     case = next((c for c in CASES if c.name == name), None)
     params = _params(temperature, period)
+    warm = round(WARM_UP / period)
     found = []
     for seed in range(first, first + count):
         made, onset = _one(case, temperature, period, seed)
         values = symptoms(made, follow(made, params), period)
-        found.append((job, onset, [values.astype(np.float32).astype(np.float64)]))
+        if not scale:
+            found.append(np.abs(values[warm:]).max(axis=0))
+            continue
+        every = np.stack([levels(values[:, j], scale[j]) for j in range(len(SYMPTOMS))], axis=1)
+        if not limits:
+            found.append(every[warm:].max(axis=0))
+            continue
+        over = every[int(onset / period) :] > np.array(limits)
+        delay = 1e3 * period * (over.argmax(axis=0) + 1)
+        found.append(np.where(over.any(axis=0), delay, np.inf))
     return found
 
 
@@ -317,45 +332,38 @@ def structure(
 
     Thresholds are the largest levels of the healthy runs: in-sample, as in the research note.
     """
-    period, warm = 1e-3, round(WARM_UP / 1e-3)
-    clean = [symptoms_of for job in _jobs("", healthy, seed) for symptoms_of in _levels_of(job)]
-    scale = np.max([np.abs(v[0][warm:]).max(0) for _, _, v in clean], axis=0)
-    limits = np.zeros((len(SYMPTOMS), len(RULES)))
-    for _, _, (values,) in clean:
-        for j in range(len(SYMPTOMS)):
-            limits[j] = np.maximum(limits[j], levels(values[:, j], scale[j])[warm:].max(0))
+
+    def jobs(name: str, count: int) -> list[Job]:
+        last = seed + count
+        return [
+            (name, UNKNOWN, 1e-3, first, min(PIECE, last - first))
+            for first in range(seed, last, PIECE)
+        ]
+
+    clean = jobs("", healthy)
+    _rules_work((("", UNKNOWN, 1e-3, seed, 1), (), ()))  # fills the kernels' cache
+    scale = tuple(np.max(run(_rules_work, [(job, (), ()) for job in clean]), axis=0).tolist())
+    progress()
+    largest = np.max(run(_rules_work, [(job, scale, ()) for job in clean]), axis=0)
+    limits = tuple(map(tuple, largest.tolist()))
     progress()
     found = []
     for case in CASES[:7]:
-        hits: dict[tuple[int, int], list[float]] = {}
-        for job in _jobs(case.name, runs, seed):
-            for _, onset, (values,) in _levels_of(job):
-                begin = int(onset / period)
-                for j in range(len(SYMPTOMS)):
-                    over = levels(values[:, j], scale[j])[begin:] > limits[j]
-                    for r in range(len(RULES)):
-                        at = int(np.argmax(over[:, r])) if over[:, r].any() else -1
-                        delay = 1e3 * (at + 1) * period if at >= 0 else np.inf
-                        hits.setdefault((j, r), []).append(delay)
-        for (j, r), delays in hits.items():
-            good = [d for d in delays if d <= 1e3 * WITHIN]
-            found.append(
-                Combination(
-                    symptom=SYMPTOMS[j],
-                    rule=RULES[r],
-                    fault=case.name,
-                    runs=len(delays),
-                    detected=len(good) / len(delays),
-                    delay_ms=float(np.mean(good)) if good else float("nan"),
-                    mtfa_s=healthy * (DURATION - WARM_UP),
-                )
-            )
+        delays = np.array(run(_rules_work, [(job, scale, limits) for job in jobs(case.name, runs)]))
         progress()
+        good = delays <= 1e3 * WITHIN
+        for j, symptom in enumerate(SYMPTOMS):
+            for r, rule in enumerate(RULES):
+                hit = delays[:, j, r][good[:, j, r]]
+                found.append(
+                    Combination(
+                        symptom=symptom,
+                        rule=rule,
+                        fault=case.name,
+                        runs=runs,
+                        detected=len(hit) / runs,
+                        delay_ms=float(hit.mean()) if len(hit) else float("nan"),
+                        mtfa_s=healthy * (DURATION - WARM_UP),
+                    )
+                )
     return found
-
-
-def _jobs(name: str, count: int, seed: int) -> list[Job]:
-    return [
-        (name, UNKNOWN, 1e-3, first, min(PIECE, seed + count - first))
-        for first in range(seed, seed + count, PIECE)
-    ]
