@@ -27,8 +27,9 @@ def profile(t):
 @cache
 def drive():
     """Return speed, angle (mechanical, counted), currents and voltages (dq, over the last step), shape (n, 7)."""
-    physical = pytest.importorskip("gym_electric_motor.physical_systems")
-    solvers = pytest.importorskip("gym_electric_motor.physical_systems.solvers")
+    from gym_electric_motor import physical_systems as physical
+    from gym_electric_motor.physical_systems import solvers
+
     m = MOTOR
     limits = {"omega": 300.0, "torque": 5.0, "i": 100.0, "u": 12.0}
     with warnings.catch_warnings():

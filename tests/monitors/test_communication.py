@@ -4,12 +4,13 @@ import cantools
 import crccheck
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from gateway.bus.frames import empty, put
 from gateway.engine.build import CheckInstance, build_engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.errors import InputError
-from gateway.monitors.communication import Params
+from gateway.monitors.communication import COUNTER, CRC, FAULTS, LENGTH, TIMEOUT, Params
 from gateway.resources import shipped
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
@@ -134,3 +135,13 @@ def test_a_crc_off_its_byte_is_refused():
         run([], crc={"signal": "Pt0"})
     with pytest.raises(InputError, match="did you mean FrameCnt"):
         run([], counter={"signal": "FrameCount"})
+
+
+def test_messages_have_dtcs_of_their_own():
+    """U01xx lost communication, U04xx invalid data received; the failure type stays that of the check."""
+    params = Params(message="SAS", timeout_ms=100.0, lost="U0126", invalid="U0428")
+    codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH)]
+    assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81"]
+    assert [Params(message="SAS").fault_of(k).dtc for k in range(4)] == [f.dtc for f in FAULTS]
+    with pytest.raises(ValidationError, match="lost"):
+        Params(message="SAS", lost="P0126")

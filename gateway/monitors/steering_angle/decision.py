@@ -65,12 +65,13 @@ CONST = record(
     hold=i8,
     exonerate=i8,
     ratio=f8,
-    slope=f8,
 )
 
 #: ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it. ``window``: frames left in which a
-#: jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it began ``sudden``ly. ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the
-#: motor's angle; ``accused``: how often against it in a row.
+#: jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it began ``sudden``ly.
+#: ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the motor's angle;
+#: ``accused``: how often against it in a row. ``electric``: how often currents and voltages did not fit, lately;
+#: ``frozen``: frames for which a current has not changed.
 STATE = record(
     rules=(stopping.STATE, SYMPTOMS),
     alarm=(i8, SYMPTOMS),
@@ -94,8 +95,6 @@ STATE = record(
     frozen=i8,
     last_u=f8,
     last_v=f8,
-    limit=i8,
-    calm=i8,
     at=i8,
     filled=i8,
     alpha=(f8, RING),
@@ -305,6 +304,18 @@ def _look_at_currents(s: Any, c: Any, angle: float, parity: float, i_u: float, i
     if s.electric < c.window // 2 or s.alarm[PARITY] == 1:
         return NONE
     return current_or_voltage(s)
+
+
+@kernel
+def witness(found: int) -> int:
+    """Return the symptom that speaks for a fault."""
+    if found in (OFFSET, INTERMITTENT, STUCK):
+        return JUMP
+    if found == NOISE:
+        return RESTLESS
+    if found == WHEEL:
+        return RATE
+    return SURPRISE if found in (CURRENT, VOLTAGE, ELECTRIC) else PARITY
 
 
 @kernel

@@ -58,13 +58,13 @@ CONST = record(
     forward=feedforward.CONST,
 )
 
-#: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]. ``increment`` [rad, mechanical];
-#: ``size`` of the EMF [V]; ``restarts`` of the
-#: filter; ``e_d``, ``e_q``: EMF in the controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN
-#: where the EMF is too small to tell; ``balance``: in units of what parameter errors explain. ``strict``: the EMF is larger than what a wrong
-#: resistance makes, too. ``repeated``: frames for which the sensor has said the same, ``longest`` of its life, ``still``:
-#: what it should have moved meanwhile [rad]; of the ``slow`` frames so many were ``lively``: it said something new. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not
-#: explain, of the last frame alone [V], in the frame at ``middle``; ``speed`` of the sensor [rad/s].
+#: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor [rad/s].
+#: ``increment`` [rad, mechanical]. ``size`` of the EMF [V]; ``e_d``, ``e_q``: it, in the controller's frame, averaged [V];
+#: ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too small to tell; ``strict``: it is larger than
+#: what a wrong resistance makes, too. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not explain, of the last frame
+#: alone [V], in the frame at ``middle``; ``balance``: averaged, in units of what parameter errors explain. ``repeated``:
+#: frames for which the sensor has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile
+#: [rad]; of the ``slow`` frames so many were ``lively``: it said something new. ``restarts`` of the filter.
 STATE = record(
     started=i8,
     frames=i8,

@@ -57,11 +57,15 @@ CONST = record(
     road_wheel=road_wheel.CONST,
 )
 
-#: ``pairs`` of motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the newest.
+#: ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters. ``pairs`` of
+#: motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the newest.
 STATE = record(
     value=f8,
     speed=f8,
     load=f8,
+    luenberger=f8,
+    reduced=f8,
+    dq=f8,
     quality=i8,
     pairs=i8,
     unpaired=i8,
@@ -195,8 +199,9 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
     d = s.decision
     s.found = d.found
     if d.found != NONE:
-        level = d.rules[decision.PARITY].level
-        _report(s, d.found, True, level, c.decision.rules[decision.PARITY].threshold, out)
+        k = decision.witness(d.found)
+        level = abs(d.largest) if k == decision.JUMP else d.rules[k].level
+        _report(s, d.found, True, level, c.decision.rules[k].threshold, out)
         for fault in (ANGLES, IMPLAUSIBLE):
             if d.found != fault:  # what was not known then is known now
                 _report(s, fault, False, 0.0, 0.0, out)
@@ -306,6 +311,7 @@ def _value(s: Any, c: Any, u: Any) -> None:
     """Find the motor angle to send: measured, or out of the gear when the sensor is at fault."""
     m, d = s.electrics, s.decision
     s.speed, s.load = m.filter.x[2], m.filter.x[4]
+    s.luenberger, s.reduced, s.dq = m.luenberger.omega, m.reduced.omega, m.dq.x[2]
     s.value = u.delta_m
     s.quality = DEGRADED if c.degraded == 1 else MEASURED
     if isnan(u.delta_m):
@@ -369,7 +375,19 @@ MONITOR = Monitor(
     faults=FAULTS,
     wire=_wire,
     prepare=_prepare,
-    readout=("value", "speed", "load", "quality", "pairs", "unpaired", "found", "parity"),
+    readout=(
+        "value",
+        "speed",
+        "load",
+        "luenberger",
+        "reduced",
+        "dq",
+        "quality",
+        "pairs",
+        "unpaired",
+        "found",
+        "parity",
+    ),
     emission=Emission("GW_Steering", ("MotorAngle", "MotorSpeed", "Quality", "Found", "Load")),
     calibration=Calibration(
         names=tuple(Thresholds.model_fields),

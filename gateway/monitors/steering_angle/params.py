@@ -124,7 +124,8 @@ class Params(MonitorParams):
     dead_volts: float = Field(0.06, ge=0, description="lost to dead time in a phase [V]")
     temperature: bool = Field(True, description="resistance follows the winding's temperature")
     compare: bool = Field(
-        False, description="run Luenberger, reduced and dq filters, too; for comparison alone"
+        True,
+        description="run Luenberger, reduced and dq filters beside the one that decides; their speeds are shown",
     )
     slow: float = Field(
         15.0, ge=0, description="below this speed the angle is anchored at the sensor [rad/s]"
