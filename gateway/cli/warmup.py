@@ -28,6 +28,8 @@ def warmup(*, json: bool) -> int:
     gateway = Gateway(load_config(short.config))
     drive(gateway, Player(short, {bus.name: k for k, bus in enumerate(gateway.config.bus)}))
     gateway.close()
+    steering = load_scenario(shipped("scenarios/steering_healthy.toml"))
+    Player(steering.model_copy(update={"duration_s": 0.05}), {"chassis": 0})
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         RawReceiver(ours, Statistics())

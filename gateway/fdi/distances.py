@@ -13,7 +13,7 @@ from gateway.jit import f8, i8, kernel, record
 
 #: Of an increment: what was measured last; of a leaky sum: the sum.
 INCREMENT = record(last=f8, started=i8)
-LEAKY = record(sum=f8)
+LEAKY = record(total=f8)
 
 
 @kernel
@@ -56,5 +56,5 @@ def leaky(s: Any, x: float, share: float) -> float:
         x: what is added.
         share: of the sum that is forgotten with each sample.
     """
-    s.sum += x - share * s.sum
-    return float(s.sum)
+    s.total += x - share * s.total
+    return float(s.total)

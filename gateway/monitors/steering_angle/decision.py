@@ -359,9 +359,11 @@ def decide(
     if s.found != NONE and s.quiet >= c.hold:
         s.found = NONE
     vague = s.found in (NONE, ANGLES, IMPLAUSIBLE)
-    if silent and vague:
+    # What the motor's sensor shows by itself stands beside whatever the gear has said before.
+    open_to = vague or s.found in (WHEEL, PINION)
+    if silent and open_to:
         s.found = STUCK
-    elif jumped != NONE and vague:
+    elif jumped != NONE and open_to:
         s.found = jumped
     elif electric != NONE and s.found in (NONE, ELECTRIC):
         s.found = electric

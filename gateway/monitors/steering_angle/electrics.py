@@ -32,8 +32,8 @@ LOST = 0.05
 SHARE = 0.25
 #: What a silent sensor should have moved is forgotten, share a frame: at rest the filter's speed is noise.
 STILL = 0.02
-#: After so many lost frames everything starts anew.
-GAP = 8.0
+#: After so many lost frames everything starts anew, perhaps while the motor turns [rad/s].
+GAP, MOVING = 8.0, 100.0
 
 CONST = record(
     pole_pairs=f8,
@@ -59,7 +59,7 @@ CONST = record(
 )
 
 #: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor [rad/s].
-#: ``increment`` [rad, mechanical]. ``size`` of the EMF [V]; ``e_d``, ``e_q``: it, in the controller's frame, averaged [V];
+#: ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the controller's frame, averaged [V];
 #: ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too small to tell; ``strict``: it is larger than
 #: what a wrong resistance makes, too. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not explain, of the last frame
 #: alone [V], in the frame at ``middle``; ``balance``: averaged, in units of what parameter errors explain. ``repeated``:
@@ -72,7 +72,7 @@ STATE = record(
     turned=f8,
     speed=f8,
     increment=f8,
-    size=f8,
+    strength=f8,
     lost=i8,
     restarts=i8,
     e_d=f8,
@@ -113,7 +113,7 @@ def _compare(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> 
 def _watch(s: Any, c: Any, mechanical: float) -> None:
     """Start the filter anew if its speed asks for an EMF that is not there: it has lost its angle."""
     f = s.filter
-    if c.emf * abs(f.x[2]) > 2.0 * s.size + 2.0 * c.gate:
+    if c.emf * abs(f.x[2]) > 2.0 * s.strength + 2.0 * c.gate:
         s.lost += 1
     else:
         s.lost = 0
@@ -151,7 +151,7 @@ def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) ->
     if not usable:
         return
     e_d, e_q = park(e_alpha, e_beta, middle)
-    s.size += c.share * (hypot(e_d, e_q) - s.size)
+    s.strength += c.share * (hypot(e_d, e_q) - s.strength)
     way = 1.0 if s.filter.x[2] >= 0.0 else -1.0
     s.e_d += c.share * (way * e_d - s.e_d)
     s.e_q += c.share * (way * e_q - s.e_q)
@@ -204,6 +204,7 @@ def step(
         s.started = 1
         s.frames = 0
         ekf_alpha_beta.begin(f, c.filter, mechanical)
+        f.p[2 * c.filter.n + 2] = MOVING * MOVING
         s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
         s.forward.alpha, s.forward.beta = i_alpha, i_beta
         s.angle = float("nan")

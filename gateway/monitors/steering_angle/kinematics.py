@@ -12,8 +12,23 @@ from gateway.jit import f8, i8, kernel, record
 
 #: History of the frames with motor and pinion.
 KEPT = 32
+#: A sender's clock is not faster or slower than ours by more than this; and is taken anew after a delay of this [ns].
+DRIFT, LATE_NS = 2e-4, 40_000_000
 
-CONST = record(motor_ratio=f8, wheel_ratio=f8, delay_ns=i8, age_ns=i8, leak=f8, jitter=f8)
+#: When a message with a period was sampled: the earliest time that its frames, one period apart, allow. A frame that waited
+#: somewhere on its way does not move it.
+CLOCK = record(t_ns=f8, counter=i8, started=i8)
+
+CONST = record(
+    motor_ratio=f8,
+    wheel_ratio=f8,
+    delay_ns=i8,
+    age_ns=i8,
+    leak=f8,
+    jitter=f8,
+    angle_ns=f8,
+    wheel_ns=f8,
+)
 
 #: ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one
 #: of the last three, less what late frames explain. ``wheel``: the steering wheel's angle
@@ -33,7 +48,27 @@ STATE = record(
     last_rate=f8,
     wheel_ns=i8,
     started=i8,
+    angle_clock=CLOCK,
+    wheel_clock=CLOCK,
 )
+
+
+@kernel
+def sampled_at(s: Any, arrived_ns: int, counter: int, period_ns: float) -> int:
+    """Return when a frame was sampled, as its own period tells [ns].
+
+    Args:
+        s: record of CLOCK.
+        arrived_ns: when it came.
+        counter: its alive counter, modulo 16.
+        period_ns: of the message.
+    """
+    due = s.t_ns + ((counter - s.counter) % 16) * period_ns * (1.0 + DRIFT)
+    late = s.started == 1 and arrived_ns - due <= LATE_NS
+    s.t_ns = min(due, float(arrived_ns)) if late else float(arrived_ns)
+    s.counter = counter
+    s.started = 1
+    return int(s.t_ns)
 
 
 @kernel

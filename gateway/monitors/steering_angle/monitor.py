@@ -45,11 +45,16 @@ from gateway.monitors.steering_angle.params import Params, Thresholds
 STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
 #: Without a pair of motor frames for so many periods the angle is invalid.
 SILENCE = 50
+#: After so many periods the counters have gone round, perhaps; before, they tell what was lost and what was late.
+AMBIGUOUS = 24.0
+#: Frames behind a start in which nothing is judged [ms].
+SETTLES = 100.0
 #: From this period on the current's time constant is missed [ms].
 COARSE = 5.0
 
 CONST = record(
     period_ns=i8,
+    settled=i8,
     degraded=i8,
     electrics=electrics.CONST,
     kinematics=kinematics.CONST,
@@ -164,12 +169,14 @@ def _prepare_decision(p: Params, c: np.void) -> None:
 
 def _prepare(p: Params, s: np.void, c: np.void) -> None:
     c["period_ns"] = round(p.period_ms * 1e6)
+    c["settled"] = round(SETTLES / p.period_ms)
     c["degraded"] = p.period_ms >= COARSE
     _prepare_electrics(p, c["electrics"])
     k = c["kinematics"]
     k["motor_ratio"], k["wheel_ratio"] = p.motor_ratio, p.wheel_ratio
     k["delay_ns"], k["age_ns"], k["leak"] = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
     k["jitter"] = 1e-3 * p.wheel_jitter_ms
+    k["angle_ns"], k["wheel_ns"] = 1e6 * p.angle_period, 1e6 * p.wheel_period_ms
     _prepare_decision(p, c["decision"])
     road_wheel.prepare(c["road_wheel"], p.ratio)
     s["decision"]["found"] = NONE
@@ -216,7 +223,7 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
     m, d = s.electrics, s.decision
     periods = float((u_frame - s.paired) % 16)
     waited = (u.t_ns - s.paired_ns) / c.period_ns
-    if s.paired < 0 or waited > electrics.GAP:
+    if s.paired < 0 or waited > AMBIGUOUS:
         periods = 1.0 if s.paired < 0 else waited
     s.paired, s.paired_ns = u_frame, u.t_ns
     s.pairs += 1
@@ -233,7 +240,7 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
         periods,
         trusted,
     )
-    if m.frames < 2 or periods > 1.0:
+    if m.frames < c.settled or periods > 1.0:
         return
     decision.hear(d, c.decision, decision.JUMP, m.increment)
     # A single jump is no noise.
@@ -293,9 +300,10 @@ def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
 def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
     """Take a frame of the steering wheel: parity and rate."""
     k, d = s.kinematics, s.decision
-    kinematics.follow(k, c.kinematics, u.t_ns, u.delta_s, u.delta_s_dot)
+    at_ns = kinematics.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
+    kinematics.follow(k, c.kinematics, at_ns, u.delta_s, u.delta_s_dot)
     decision.hear(d, c.decision, decision.RATE, k.wheel)
-    if kinematics.fit(k, c.kinematics, u.t_ns - c.kinematics.delay_ns, u.delta_s):
+    if kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s):
         s.parity = k.parity
         decision.hear(d, c.decision, decision.PARITY, k.sure)
         decision.note_parity(d, k.parity, s.motor)
@@ -337,7 +345,11 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
             s.angle_counter = int(u.mc_ang)
             if u.valid_ang > 0.0:
                 s.motor = u.delta_m
-                kinematics.keep(s.kinematics, u.t_ns, u.delta_m, u.delta_g)
+                k = s.kinematics
+                at_ns = kinematics.sampled_at(
+                    k.angle_clock, u.t_ns, s.angle_counter, c.kinematics.angle_ns
+                )
+                kinematics.keep(k, at_ns, u.delta_m, u.delta_g)
         if u.mc_sas != s.wheel_counter and not isnan(u.mc_sas):
             s.wheel_counter = int(u.mc_sas)
             if u.valid_sas > 0.0:

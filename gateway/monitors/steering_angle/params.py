@@ -108,6 +108,13 @@ class Params(MonitorParams):
     wheel_delay_ms: float = Field(
         5.0, ge=0, le=30, description="age of the steering wheel's angle when its frame comes [ms]"
     )
+    angle_period_ms: float | None = Field(
+        None,
+        gt=0,
+        le=50,
+        description="of the frames with motor and pinion; default 2, or period_ms if longer",
+    )
+    wheel_period_ms: float = Field(10.0, gt=0, le=50, description="of the steering wheel's frames")
     blind: float = Field(
         0.07,
         gt=0,
@@ -135,3 +142,8 @@ class Params(MonitorParams):
     )
     thresholds: Thresholds = Thresholds()
     calibrated: str = Field("", description="what the thresholds come from; by gateway calibrate")
+
+    @property
+    def angle_period(self) -> float:
+        """Period of the frames with motor and pinion [ms]."""
+        return max(2.0, self.period_ms) if self.angle_period_ms is None else self.angle_period_ms

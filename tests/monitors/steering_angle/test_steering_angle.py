@@ -202,7 +202,7 @@ def test_a_wheel_s_frame_that_is_late_on_the_bus_is_no_fault():
                 u[name][k] = u[name][k - 1]
     followed = follow(Run(u, made.theta, made.omega, made.samples), params())
     assert named(followed) == {}
-    assert np.nanmax(np.abs(followed.trace[:, 2])) > 0.25
+    assert np.nanmax(np.abs(followed.trace[:, 2])) < 0.15  # it is dated by its message's period
 
 
 @compiled
