@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
 from gateway.config import Config, channels_of, monitor_of
 from gateway.errors import InputError
+from gateway.fdi.stopping import assured
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000
@@ -35,11 +35,6 @@ TAIL = 0.9
 MARGIN = 1.05
 
 Array = NDArray[np.float64]
-
-
-def assured(seconds: float, alarms: int) -> float:
-    """Return the mean time between false alarms that holds with 95 % [s], alarms being a Poisson process."""
-    return float(2.0 * seconds / chi2.ppf(0.95, 2 * alarms + 2))
 
 
 def alarms(maxima: Array, threshold: float) -> int:

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.logs import open_writer
-from gateway.calibration import alarms, assured, calibrate, digest, levels, propose, write
+from gateway.calibration import alarms, calibrate, digest, levels, propose, write
 from gateway.config import load_config, monitor_of
 from gateway.errors import InputError
+from gateway.fdi.stopping import assured
 from gateway.jit import COMPILED
 from gateway.resources import shipped
 from gateway.vecu.player import Player

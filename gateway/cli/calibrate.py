@@ -9,9 +9,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.calibration import Proposal, assured, calibrate, digest, levels, write
+from gateway.calibration import Proposal, calibrate, digest, levels, write
 from gateway.cli.present import print_json, say_if_cold, wide_console
 from gateway.config import load_config
+from gateway.fdi.stopping import assured
 
 
 def _claim(seconds: float, target: float, failed: tuple[str, ...]) -> list[str]:

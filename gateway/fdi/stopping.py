@@ -83,6 +83,16 @@ def chi_square_threshold(window: int, false_alarm: float) -> float:
     return float(chi2.isf(false_alarm, window))
 
 
+def assured(seconds: float, alarms: int) -> float:
+    """Return the mean time between false alarms that holds with 95 %, alarms being a Poisson process [s].
+
+    Args:
+        seconds: of healthy data.
+        alarms: in them.
+    """
+    return float(2.0 * seconds / chi2.ppf(0.95, 2 * alarms + 2))
+
+
 @kernel
 def update(s: Any, c: Any, x: float) -> bool:
     """Take one value of a symptom; returns whether the level has reached the threshold.

@@ -18,12 +18,11 @@ from gateway.evaluate.steering.table import (
     FIRST_SEED,
     UNKNOWN,
     _mean,
-    assured,
     monte_carlo,
     plan,
     structure,
 )
-from gateway.fdi.stopping import RULES
+from gateway.fdi.stopping import RULES, assured
 from gateway.jit import COMPILED
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of runs of 24 s")
@@ -143,8 +142,8 @@ def test_single_rules_are_compared():
 
 def test_what_data_assure():
     """No alarm in T: T / 3 with 95 %; Garwood's interval."""
-    assert assured(1.0, 0) == pytest.approx(3600 / 2.996, rel=1e-3)
-    assert assured(1.0, 2) == pytest.approx(3600 / 6.296, rel=1e-3)
+    assert assured(3600.0, 0) == pytest.approx(3600 / 2.996, rel=1e-3)
+    assert assured(3600.0, 2) == pytest.approx(3600 / 6.296, rel=1e-3)
     assert np.isnan(_mean(np.array([np.nan])))
 
 

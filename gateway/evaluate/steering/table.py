@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from gateway.evaluate.pool import Progress, run
 from gateway.evaluate.steering.cases import DURATION, WARM_UP, Spread
 from gateway.evaluate.steering.follow import Followed, Run, follow, make
 from gateway.evaluate.steering.symptoms import SYMPTOMS, Combination, levels, symptoms
-from gateway.fdi.stopping import RULES
+from gateway.fdi.stopping import RULES, assured
 from gateway.monitors.steering_angle.faults import (
     ANGLES,
     CURRENT,
@@ -140,11 +139,6 @@ class Health:
     peaks: dict[str, float]
 
 
-def assured(hours: float, alarms: int) -> float:
-    """Return the mean time between false alarms that holds with 95 %, alarms being a Poisson process [s]."""
-    return float(2.0 * 3600.0 * hours / chi2.ppf(0.95, 2 * alarms + 2))
-
-
 Job = tuple[str, str, float, int, int]
 
 
@@ -268,7 +262,7 @@ def monte_carlo(
                     runs=count,
                     hours=hours,
                     alarms=alarms,
-                    mtfa_s=assured(hours, alarms),
+                    mtfa_s=assured(3600.0 * hours, alarms),
                     lost=int((worst > 20.0).sum()),
                     worst_deg=float(worst.max()),
                     peaks=dict(zip(names, map(float, peaks), strict=True)),
