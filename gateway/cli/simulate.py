@@ -217,10 +217,6 @@ class _Tester:
             pass
 
 
-#: Frames leave in steps of this length.
-_STEP_NS = 1_000_000
-
-
 def _play(
     player: Player,
     buses: list[Bus],
@@ -230,11 +226,10 @@ def _play(
 ) -> None:
     """Send the scenario in real time, listening meanwhile; then listen half a second more."""
     tester.begun = begun = time.monotonic()
-    for until, frames in player.batches(_STEP_NS):
+    for until, frames in player.batches(player.step_ns):
         if stop():
             return
-        # A step's frames leave at its end; within a step they follow each other at once. Monitors that compare
-        # messages with each other go by the time at which they arrive: the steps are short.
+        # A step's frames leave at its end; within a step they follow each other at once.
         while (rest := begun + until / 1e9 - time.monotonic()) > 0:
             tester.listen(rest)
         _send(buses, frames)

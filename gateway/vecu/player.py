@@ -16,6 +16,7 @@ from gateway.vecu.pulse_faults import Truth
 from gateway.vecu.scenario import Scenario
 from gateway.vecu.steering_ecu import steering_frames
 from gateway.vecu.steering_faults import SteeringFault
+from gateway.vecu.steering_params import SteeringParams
 from gateway.vecu.wire_faults import apply_wire_faults
 
 
@@ -31,6 +32,8 @@ class Player:
         frames: shape (n,) of FRAME, stamped from 0.
         truth: what was injected.
         seed: that was used.
+        step_ns: steps in which the frames are to be sent in real time. Monitors that compare messages of a steering
+            with each other go by the time at which these arrive: its steps are short.
 
     Raises:
         InputError: an ECU names a bus that is not there.
@@ -42,6 +45,8 @@ class Player:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         self.truth: list[Truth] = []
+        steered_too = any(isinstance(ecu, SteeringParams) for ecu in scenario.ecu)
+        self.step_ns = 1_000_000 if steered_too else 10_000_000
         runs = [empty(0)]
         for k, ecu in enumerate(scenario.ecu):
             if ecu.bus is None and len(buses) == 1:
