@@ -112,6 +112,7 @@ class Ekf3(ExtendedKalmanFilter):
 
 def filterpy_us(rows):
     kf = Ekf3(dim_x=3, dim_z=2)
+    kf.x = np.zeros(3)
     kf.Q, kf.R = np.diag([0.1, 0.1, 1.0]), np.eye(2) * 0.04
     h = np.eye(2, 3)
     begun = time.perf_counter()
