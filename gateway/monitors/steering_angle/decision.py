@@ -69,6 +69,7 @@ CONST = record(
 
 #: ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it. ``window``: frames left in which a
 #: jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it began ``sudden``ly.
+#: ``geared``: what compares the gear's angles is tested at present.
 #: ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the motor's angle;
 #: ``accused``: how often against it in a row. ``electric``: how often currents and voltages did not fit, lately;
 #: ``frozen``: frames for which a current has not changed.
@@ -88,6 +89,7 @@ STATE = record(
     sudden=i8,
     before=f8,
     surprised=i8,
+    geared=i8,
     open=i8,
     cleared=i8,
     accused=i8,
@@ -261,10 +263,16 @@ def _agree(c: Any, angle: float, parity: float) -> bool:
 
 
 @kernel
-def _look_at_angles(s: Any, c: Any, angle: float, parity: float, wheel: float) -> int:
+def _look_at_angles(
+    s: Any, c: Any, angle: float, parity: float, wheel: float, watched: bool
+) -> int:
     """Find out which angle breaks the parity, or that the EMF contradicts the sensor."""
     if s.window > 0:
         return NONE  # what just jumped is looked at first
+    if s.geared == 0:
+        s.open = s.cleared = s.accused = 0
+        s.alarm[PARITY] = s.alarm[RATE] = 0
+        return NONE
     against = s.alarm[ANGLE] == 1
     s.accused = s.accused + 1 if against else 0
     agreed = s.accused >= c.confirm and _agree(c, angle, parity)
@@ -283,7 +291,8 @@ def _look_at_angles(s: Any, c: Any, angle: float, parity: float, wheel: float) -
     # The wheel's own error stands in (1) as it is; the rest of it belongs to somebody else.
     if s.alarm[RATE] == 1 and abs(wheel) > 0.5 * abs(parity):
         return WHEEL
-    if s.cleared >= c.exonerate and abs(wheel) < 0.4 * abs(parity) and abs(parity) > CLEAR:
+    fits = watched and abs(wheel) < 0.4 * abs(parity)
+    if s.cleared >= c.exonerate and fits and abs(parity) > CLEAR:
         return PINION
     return ANGLES if s.open >= c.wait else NONE
 
@@ -319,12 +328,18 @@ def witness(found: int) -> int:
 
 
 @kernel
-def _quiet(s: Any) -> bool:
-    """Tell whether no symptom speaks."""
+def needs_gear(fault: int) -> bool:
+    """Tell whether a fault is found, and found to be gone, by comparing the gear's angles."""
+    return fault in (DRIFT, SCALE, IMPLAUSIBLE, WHEEL, PINION, ANGLES)
+
+
+@kernel
+def _speaks(s: Any) -> bool:
+    """Tell whether a symptom speaks."""
     for k in range(SYMPTOMS):
         if s.alarm[k] == 1:
-            return False
-    return bool(s.window == 0)
+            return True
+    return bool(s.window > 0)
 
 
 @kernel
@@ -335,6 +350,7 @@ def decide(
     angle: float,
     parity: float,
     wheel: float,
+    watched: bool,
     silent: bool,
     i_u: float,
     i_v: float,
@@ -348,14 +364,18 @@ def decide(
         angle: error of the sensor by an EMF that is beyond doubt [rad], NaN: there is none.
         parity: the newest residual of (1) [deg].
         wheel: the steering wheel against its own rate [deg].
+        watched: this has been known since before the angles did not fit.
         silent: the sensor repeats itself as no live one does.
         i_u: current [A].
         i_v: likewise.
     """
     jumped = _look_at_jumps(s, c, increment, parity)
-    angles = _look_at_angles(s, c, angle, parity, wheel)
+    angles = _look_at_angles(s, c, angle, parity, wheel, watched)
     electric = _look_at_currents(s, c, angle, parity, i_u, i_v)
-    s.quiet = s.quiet + 1 if _quiet(s) and not silent else 0
+    if silent or _speaks(s):
+        s.quiet = 0
+    elif s.geared == 1 or not needs_gear(s.found):
+        s.quiet += 1
     if s.found != NONE and s.quiet >= c.hold:
         s.found = NONE
     vague = s.found in (NONE, ANGLES, IMPLAUSIBLE)

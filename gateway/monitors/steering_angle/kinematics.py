@@ -9,16 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.jit import f8, i8, kernel, record
+from gateway.monitors.steering_angle import clock
 
 #: History of the frames with motor and pinion.
 KEPT = 32
-#: A sender's clock is not faster or slower than ours by more than this; and is taken anew after a delay of this [ns].
-DRIFT, LATE_NS = 2e-4, 40_000_000
-
-#: When a message with a period was sampled: the earliest time that its frames, one period apart, allow. A frame that waited
-#: somewhere on its way does not move it.
-CLOCK = record(t_ns=f8, counter=i8, started=i8)
-
 CONST = record(
     motor_ratio=f8,
     wheel_ratio=f8,
@@ -28,11 +22,13 @@ CONST = record(
     jitter=f8,
     angle_ns=f8,
     wheel_ns=f8,
+    stale_ns=i8,
 )
 
 #: ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one
 #: of the last three, less what late frames explain. ``wheel``: the steering wheel's angle
-#: less the integral of its rate, forgetting [deg].
+#: less the integral of its rate, forgetting [deg]. ``fitted_ns``: the last frame for which (1) could be tested.
+#: ``watched``: the rate has been followed since (1) last held.
 STATE = record(
     at=i8,
     kept=i8,
@@ -48,27 +44,11 @@ STATE = record(
     last_rate=f8,
     wheel_ns=i8,
     started=i8,
-    angle_clock=CLOCK,
-    wheel_clock=CLOCK,
+    fitted_ns=i8,
+    watched=i8,
+    angle_clock=clock.CLOCK,
+    wheel_clock=clock.CLOCK,
 )
-
-
-@kernel
-def sampled_at(s: Any, arrived_ns: int, counter: int, period_ns: float) -> int:
-    """Return when a frame was sampled, as its own period tells [ns].
-
-    Args:
-        s: record of CLOCK.
-        arrived_ns: when it came.
-        counter: its alive counter, modulo 16.
-        period_ns: of the message.
-    """
-    due = s.t_ns + ((counter - s.counter) % 16) * period_ns * (1.0 + DRIFT)
-    late = s.started == 1 and arrived_ns - due <= LATE_NS
-    s.t_ns = min(due, float(arrived_ns)) if late else float(arrived_ns)
-    s.counter = counter
-    s.started = 1
-    return int(s.t_ns)
 
 
 @kernel
@@ -114,6 +94,13 @@ def fit(s: Any, c: Any, t_ns: int, wheel: float) -> bool:
     middle = max(min(one, two), min(max(one, two), three))
     s.sure = middle - min(max(middle, -slack), slack)
     return True
+
+
+@kernel
+def begin(s: Any) -> None:
+    """Follow the steering wheel anew: when it was sampled is known anew."""
+    s.started = s.watched = 0
+    s.wheel = 0.0
 
 
 @kernel

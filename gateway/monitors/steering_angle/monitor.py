@@ -27,7 +27,7 @@ from gateway.fdi.filters import (
 from gateway.fdi.filters.transforms import inverse_park
 from gateway.jit import f8, i8, kernel, record
 from gateway.monitors.shape import TIMER, Calibration, Emission, Monitor, Wiring, inputs, report
-from gateway.monitors.steering_angle import decision, electrics, kinematics, road_wheel
+from gateway.monitors.steering_angle import clock, decision, electrics, kinematics, road_wheel
 from gateway.monitors.steering_angle.decision import NONE
 from gateway.monitors.steering_angle.faults import (
     ANGLES,
@@ -177,6 +177,7 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
     k["delay_ns"], k["age_ns"], k["leak"] = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
     k["jitter"] = 1e-3 * p.wheel_jitter_ms
     k["angle_ns"], k["wheel_ns"] = 1e6 * p.angle_period, 1e6 * p.wheel_period_ms
+    k["stale_ns"] = k["age_ns"] + 3 * k["wheel_ns"]
     _prepare_decision(p, c["decision"])
     road_wheel.prepare(c["road_wheel"], p.ratio)
     s["decision"]["found"] = NONE
@@ -214,7 +215,8 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
                 _report(s, fault, False, 0.0, 0.0, out)
     elif d.window == 0 and d.quiet > 0:
         for fault in range(PAIRING):
-            _report(s, fault, False, 0.0, 0.0, out)
+            if d.geared == 1 or not decision.needs_gear(fault):
+                _report(s, fault, False, 0.0, 0.0, out)
 
 
 @kernel
@@ -251,6 +253,8 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
     decision.hear(d, c.decision, decision.SURPRISE, m.nis)
     r_alpha, r_beta = inverse_park(m.odd_d, m.odd_q, m.middle)
     decision.remember(d, r_alpha, r_beta)
+    k = s.kinematics
+    d.geared = 1 if k.fitted_ns > 0 and u.t_ns - k.fitted_ns <= c.kinematics.stale_ns else 0
     silent = m.repeated >= max(c.decision.silent, 3 * m.longest) and 5 * m.lively > m.slow
     if m.slow < electrics.LEARNED:
         silent = False
@@ -262,7 +266,8 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
         m.increment,
         m.angle if m.strict == 1 else nan,
         s.parity,
-        s.kinematics.wheel,
+        k.wheel,
+        k.watched == 1,
         silent,
         i_u,
         i_v,
@@ -297,16 +302,34 @@ def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
+def _angle_frame(s: Any, c: Any, u: Any) -> None:
+    """Take a frame with motor and pinion angle."""
+    s.motor = u.delta_m
+    k = s.kinematics
+    at_ns = clock.sampled_at(k.angle_clock, u.t_ns, s.angle_counter, c.kinematics.angle_ns)
+    if k.angle_clock.since_ns == u.t_ns:
+        k.kept = 0
+    kinematics.keep(k, at_ns, u.delta_m, u.delta_g)
+
+
+@kernel
 def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
     """Take a frame of the steering wheel: parity and rate."""
     k, d = s.kinematics, s.decision
-    at_ns = kinematics.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
+    at_ns = clock.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
+    if k.wheel_clock.since_ns == u.t_ns:
+        kinematics.begin(k)
     kinematics.follow(k, c.kinematics, at_ns, u.delta_s, u.delta_s_dot)
-    decision.hear(d, c.decision, decision.RATE, k.wheel)
-    if kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s):
+    sure = clock.sure(k.wheel_clock, c.kinematics.wheel_ns)
+    sure = sure and clock.sure(k.angle_clock, c.kinematics.angle_ns)
+    if sure and kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s):
         s.parity = k.parity
+        k.fitted_ns = u.t_ns
+        decision.hear(d, c.decision, decision.RATE, k.wheel)
         decision.hear(d, c.decision, decision.PARITY, k.sure)
         decision.note_parity(d, k.parity, s.motor)
+        if d.alarm[decision.PARITY] == 0:
+            k.watched = 1
     if c.road_wheel.points > 0 and u.valid_v > 0.0 and s.motor == s.motor:
         tested = road_wheel.check(s.road_wheel, c.road_wheel, u.delta_g, u.delta_s, u.v_x)
         if tested:
@@ -344,12 +367,7 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
         if u.mc_ang != s.angle_counter and not isnan(u.mc_ang):
             s.angle_counter = int(u.mc_ang)
             if u.valid_ang > 0.0:
-                s.motor = u.delta_m
-                k = s.kinematics
-                at_ns = kinematics.sampled_at(
-                    k.angle_clock, u.t_ns, s.angle_counter, c.kinematics.angle_ns
-                )
-                kinematics.keep(k, at_ns, u.delta_m, u.delta_g)
+                _angle_frame(s, c, u)
         if u.mc_sas != s.wheel_counter and not isnan(u.mc_sas):
             s.wheel_counter = int(u.mc_sas)
             if u.valid_sas > 0.0:
