@@ -27,7 +27,7 @@ from gateway.cli.run import Ending
 from gateway.config import Config, load_config
 from gateway.drive import drive
 from gateway.errors import GatewayError, InputError
-from gateway.outputs.dtc_frame import DtcReport, read_dtc_frame
+from gateway.outputs.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.resources import shipped
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
@@ -175,6 +175,8 @@ class _Tester:
         self._judge = judge
         self._database = shipped("dbc/gateway.dbc")
         self._batch = empty(256)
+        for bus in buses:
+            bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
 
     def listen(self, timeout_s: float) -> int:
@@ -230,6 +232,8 @@ def _play(
         if stop():
             return
         # A step's frames leave at its end; within a step they follow each other at once.
+        # Who is late listens, too: what is heard is dated when it is heard.
+        tester.listen(0.0)
         while (rest := begun + until / 1e9 - time.monotonic()) > 0:
             tester.listen(rest)
         _send(buses, frames)

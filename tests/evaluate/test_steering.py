@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amount import FULL, amount
 
 from gateway.evaluate.steering import operations
 from gateway.evaluate.steering.cases import DURATION
@@ -71,16 +72,15 @@ def test_the_offset_at_standstill_of_fig_7_is_gone_with_the_extra_state(estimato
 
 @pytest.fixture(scope="module")
 def study():
-    jobs = [
-        (case.name, UNKNOWN, 1e-3, seed, 4)
-        for case in CASES[:13]
-        for seed in (FIRST_SEED, FIRST_SEED + 4)
-    ]
-    return monte_carlo([("", UNKNOWN, 1e-3, FIRST_SEED + 10 * k, 10) for k in range(4)] + jobs)
+    runs = amount(8, 3)
+    jobs = [(case.name, UNKNOWN, 1e-3, FIRST_SEED, runs) for case in CASES[:13]]
+    return monte_carlo(
+        [("", UNKNOWN, 1e-3, FIRST_SEED + 10 * k, 10) for k in range(amount(4, 1))] + jobs
+    )
 
 
 def test_no_false_alarm_and_no_lost_angle(study):
-    """920 s with all parameters spread, the resistance by -10 to +30 %. More: gateway evaluate steering."""
+    """230 s or 920 s with all parameters spread, the resistance by -10 to +30 %. More: gateway evaluate steering."""
     (health,) = study[1]
     assert health.alarms == 0
     assert health.lost == 0
@@ -91,7 +91,7 @@ def test_no_false_alarm_and_no_lost_angle(study):
 @pytest.mark.parametrize("case", [c.name for c in CASES[:13]])
 def test_faults_are_detected_in_time_and_their_sensor_is_named(study, case):
     (score,) = [s for s in study[0] if s.case == case]
-    assert score.runs == 8
+    assert score.runs == amount(8, 3)
     assert score.wrong == 0
     assert score.isolated == 1.0
     if case.startswith(("offset", "stuck", "noise", "intermittent")):
@@ -100,7 +100,8 @@ def test_faults_are_detected_in_time_and_their_sensor_is_named(study, case):
         assert score.detected == 1.0
         assert score.delay_ms <= 400
     elif case.startswith("scale"):
-        assert score.detected >= 0.7  # in 8 runs; some begin 2 s of rest at angle 0
+        # Some of the runs begin 2 s of rest at angle 0.
+        assert score.detected >= (0.7 if FULL else 0.6)
 
 
 def test_operations_are_counted():
@@ -130,14 +131,14 @@ def test_a_counting_scalar_folds_what_is_known():
 
 
 def test_single_rules_are_compared():
-    rows = structure(2, 3, FIRST_SEED)
+    rows = structure(1, 1, FIRST_SEED)
     assert len(rows) == len(SYMPTOMS) * len(RULES) * 7
     by = {(r.symptom, r.rule, r.fault): r for r in rows}
     jump = by["EKF5 ab anchored, increment", "direct", "offset 0.35 rad"]
     assert jump.detected == 1.0
     assert jump.delay_ms < 20
     assert by["EKF5 ab anchored, increment", "gma", "drift 0.2 rad/s"].detected < 1.0
-    assert jump.mtfa_s == 3 * (DURATION - 1)
+    assert jump.mtfa_s == 1 * (DURATION - 1)
 
 
 def test_what_data_assure():

@@ -8,6 +8,7 @@ import random
 import tracemalloc
 
 import pytest
+from amount import amount
 from rig import MS, Rig, write_config
 
 from gateway.bus.frames import empty, put
@@ -85,7 +86,7 @@ REQUESTS = [
         "0a",
     ]
 ]
-TOTAL = 1_000_000 if COMPILED else 2_000
+TOTAL = amount(1_000_000) if COMPILED else 2_000
 
 
 def mutated(rng, seeds):

@@ -43,10 +43,10 @@ def patient(config, folder):
 def unhurried(scenario, folder):
     """Return the scenario with later deadlines: what is found is tested here, how soon is in one process."""
     text = scenario.read_text()
-    for key, more in (("by_s", 0.6), ("healed_by_s", 1.5)):
-        text = re.sub(
-            rf"(?m)^{key} = ([0-9.]+)", lambda m: f"{key} = {float(m[1]) + more:.3f}", text
-        )
+    text = re.sub(r"(?m)^by_s = ([0-9.]+)", lambda m: f"by_s = {float(m[1]) + 0.6:.3f}", text)
+    text = re.sub(
+        r"(?m)^healed_by_s = ([0-9.]+)", lambda m: f"healed_by_s = {float(m[1]) + 1.5:.3f}", text
+    )
     text = re.sub(
         r'(?m)^config = "(.*)"', lambda m: f'config = "{(scenario.parent / m[1]).resolve()}"', text
     )
@@ -55,8 +55,8 @@ def unhurried(scenario, folder):
     return copy
 
 
-def run_all(config, scenarios, folder):
-    """Play scenarios to one daemon, one after the other, as ``gateway simulate --check`` does."""
+def run_all(config, scenarios, folder, *, strict=True):
+    """Play scenarios to one daemon, one after the other, as ``gateway simulate --check`` does; returns its events."""
     with (
         daemon(patient(config, folder), cwd=folder) as running,
         pytest.MonkeyPatch.context() as patch,
@@ -72,6 +72,8 @@ def run_all(config, scenarios, folder):
             print(f"{scenario.stem}: {time.monotonic() - begun:.1f} s")
             if code:
                 failed.append(scenario.stem)
-    assert not failed
     assert running.code == 0
     assert not [line for line in running.log if "Traceback" in line]
+    if strict:
+        assert not failed
+    return running.events()
