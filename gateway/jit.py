@@ -42,7 +42,7 @@ u4, u1 = "<u4", "u1"
 
 
 def record(**fields: Any) -> np.dtype[np.void]:
-    """Return an aligned record dtype; a field is a dtype or ``(dtype, length)``.
+    """Return an aligned record dtype; a field is a dtype, ``(dtype, length)`` or ``(dtype, shape)``.
 
     Raises:
         ValueError: a field has the name of an attribute that records of NumPy have: plain Python would not reach it.
@@ -51,7 +51,9 @@ def record(**fields: Any) -> np.dtype[np.void]:
     if taken:
         raise ValueError(f"records of NumPy have {', '.join(taken)} already")
     parts = [
-        (name, form[0], (form[1],)) if isinstance(form, tuple) else (name, form)
+        (name, form[0], form[1] if isinstance(form[1], tuple) else (form[1],))
+        if isinstance(form, tuple)
+        else (name, form)
         for name, form in fields.items()
     ]
     return cast("np.dtype[np.void]", np.dtype(cast(Any, parts), align=True))

@@ -198,6 +198,25 @@ def evaluate_steering(
     raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))
 
 
+@evaluate_app.command("pi-bank")
+def evaluate_pi_bank(
+    cases: Annotated[int, typer.Option(min=0, help="Random cases; 0: none.")] = 600,
+    hours: Annotated[float, typer.Option(min=0, help="Healthy flight, for each noise [h].")] = 20.0,
+    seed: Annotated[
+        int,
+        typer.Option(min=0, help="First seed; nothing was chosen on those from 100000 on."),
+    ] = 100_000,
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")
+    ] = None,
+) -> None:
+    """Bank of PI observers: the paper's figures, random faults of actuators and sensors, false alarms."""
+    from gateway.cli.evaluate.pi_bank import pi_bank as work
+
+    raise typer.Exit(work(cases=cases, hours=hours, seed=seed, json=json, plot=plot))
+
+
 @app.command()
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration.")],

@@ -146,7 +146,8 @@ def build_engine(
         h["inputs"] = cells
         h["first_slot"], h["slots"] = len(slots), len(own)
         h["first_source"], h["sources"] = len(sources), len(rows)
-        h["fault"], h["faults"] = len(faults), len(m.monitor.faults)
+        mine = m.monitor.faults_of(m.params)
+        h["fault"], h["faults"] = len(faults), len(mine)
         h["bus"] = m.bus
         h["wake_ns"] = NEVER
         h["emit"] = -1
@@ -158,7 +159,6 @@ def build_engine(
         cells += m.monitor.inputs.itemsize // 8
         for message in triggers:
             triggered.setdefault(plan.message(*message), []).append(k)
-        mine = m.monitor.faults_of(m.params)
         faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]
     pool = np.zeros(max(cells, 1))
     for k in range(len(monitors)):
@@ -247,6 +247,13 @@ def _wire(
             databases[bus].message(name)
         for reference in references:
             databases[reference.bus].signal(reference.message, reference.signal)
+        for name, unit in wiring.units.items():
+            place = references[wiring.signals.index(name)]
+            told = databases[place.bus].signal(place.message, place.signal).unit or ""
+            if told != unit:
+                raise InputError(
+                    f'its unit is "{told}" in the database, the plant wants "{unit}"', value=name
+                )
     except InputError as error:
         raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
     return triggers, references, [renamed.get(name, (m.bus, name)) for name in wiring.optional]

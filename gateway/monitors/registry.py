@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.monitors import brake_pedal, crank_sync, steering_angle
+from gateway.monitors import brake_pedal, crank_sync, linear_observer, pi_bank, steering_angle
 from gateway.monitors.shape import Monitor
 
 MONITORS: dict[str, Monitor] = {
@@ -12,5 +12,7 @@ MONITORS: dict[str, Monitor] = {
         brake_pedal.PAIR,
         brake_pedal.TRIPLE,
         steering_angle.MONITOR,
+        pi_bank.MONITOR,
+        linear_observer.MONITOR,
     )
 }

@@ -140,11 +140,13 @@ class Wiring:
         signals: ``"Message.Signal"`` for each float64 of the inputs record, in its order.
         optional: messages that need not come: their signals are NaN until they do, and the monitor steps
             without them.
+        units: signal -> unit that the database must give for it; those that are not named may have any.
     """
 
     triggers: tuple[str, ...]
     signals: tuple[str, ...]
     optional: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,7 @@ class Monitor:
         const: dtype of its constants.
         inputs: dtype of its inputs (see :func:`inputs`).
         step: its kernel.
-        faults: what it can report.
+        faults: what it can report; none where ``named`` tells.
         wire: parameters -> :class:`Wiring`.
         prepare: parameters, state record, constants record: fills both before the first step.
         readout: fields of the state shown to people (summary, live values).
@@ -193,6 +195,7 @@ class Monitor:
         message: parameters -> name of the message it sends, where it is not that of ``emission``.
         calibration: what ``gateway calibrate`` sets.
         warnings: parameters -> what ``gateway check`` says of them, though they are not wrong.
+        named: parameters -> what it can report, where names and number depend on them.
     """
 
     type: str
@@ -210,9 +213,12 @@ class Monitor:
     message: Callable[[Any], str] | None = None
     calibration: Calibration | None = None
     warnings: Callable[[Any], tuple[str, ...]] | None = None
+    named: Callable[[Any], tuple[Fault, ...]] | None = None
 
     def faults_of(self, params: MonitorParams) -> tuple[Fault, ...]:
         """Return what an instance with these parameters can report."""
+        if self.named is not None:
+            return self.named(params)
         codes = {} if self.dtcs is None else self.dtcs(params)
         return tuple(replace(fault, dtc=codes.get(fault.name, fault.dtc)) for fault in self.faults)
 

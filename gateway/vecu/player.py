@@ -10,6 +10,8 @@ from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
 from gateway.vecu.engine_ecu import engine_frames
 from gateway.vecu.engine_params import EngineParams, PulseFault
+from gateway.vecu.linear_ecu import linear_frames
+from gateway.vecu.linear_params import LinearFault, LinearParams
 from gateway.vecu.pedal_ecu import pedal_frames
 from gateway.vecu.pedal_params import PedalParams, SensorFault
 from gateway.vecu.pulse_faults import Truth
@@ -65,6 +67,9 @@ class Player:
             elif isinstance(ecu, PedalParams):
                 sensor = [fault for fault in mine if isinstance(fault, SensorFault)]
                 frames, truth = pedal_frames(ecu, sensor, scenario.duration_s, bus=bus, rng=rng)
+            elif isinstance(ecu, LinearParams):
+                added = [fault for fault in mine if isinstance(fault, LinearFault)]
+                frames, truth = linear_frames(ecu, added, scenario.duration_s, bus=bus, rng=rng)
             else:
                 steered = [fault for fault in mine if isinstance(fault, SteeringFault)]
                 frames, truth = steering_frames(ecu, steered, scenario.duration_s, bus=bus, rng=rng)

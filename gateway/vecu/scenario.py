@@ -10,6 +10,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from gateway.faults.settings import DtcText
 from gateway.tomlfile import StrictModel, load
 from gateway.vecu.engine_params import EngineParams, PulseFault
+from gateway.vecu.linear_params import LinearFault, LinearParams
 from gateway.vecu.pedal_params import PedalParams, SensorFault
 from gateway.vecu.steering_faults import SteeringFault
 from gateway.vecu.steering_params import SteeringParams
@@ -23,19 +24,23 @@ def _type(ecu: Any) -> str:
 Ecu = Annotated[
     Annotated[EngineParams, Tag("engine")]
     | Annotated[PedalParams, Tag("pedal")]
-    | Annotated[SteeringParams, Tag("steering")],
+    | Annotated[SteeringParams, Tag("steering")]
+    | Annotated[LinearParams, Tag("linear")],
     Discriminator(
         _type,
         custom_error_type="ecu_type",
-        custom_error_message="the types are engine, pedal, steering",
+        custom_error_message="the types are engine, pedal, steering, linear",
     ),
 ]
-EcuFault = Annotated[PulseFault | SensorFault | SteeringFault, Field(discriminator="kind")]
+EcuFault = Annotated[
+    PulseFault | SensorFault | SteeringFault | LinearFault, Field(discriminator="kind")
+]
 #: Which faults an ECU of a type can have.
 _FAULTS: dict[str, type[StrictModel]] = {
     "engine": PulseFault,
     "pedal": SensorFault,
     "steering": SteeringFault,
+    "linear": LinearFault,
 }
 
 
@@ -104,6 +109,13 @@ class Scenario(StrictModel):
                 most = len(ecu.sensors)
                 if max(fault.channel) > most:
                     raise ValueError(f"ECU {ecu.name!r} has no channel {max(fault.channel)}")
+            if isinstance(fault, LinearFault) and isinstance(ecu, LinearParams):
+                acts = fault.kind.startswith("actuator")
+                count = ecu.plant.inputs if acts else ecu.plant.outputs
+                if fault.place > count:
+                    raise ValueError(
+                        f"ECU {ecu.name!r} has no place {fault.place} for {fault.kind}"
+                    )
         return self
 
 

@@ -1,0 +1,1 @@
+"""Linear plants with additive faults, and observers of them."""

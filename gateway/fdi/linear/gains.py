@@ -1,0 +1,161 @@
+"""Gains of observers in predictor form, x(k+1) = Phi x + Gamma u + L (y - C x): from noise, or from poles.
+
+From noise L is that of the stationary Kalman filter. From poles there is freedom left with more than one output: each
+pole has a left eigenvector w = (Phi^T - lambda)^-1 C^T g with a free g, and L = (G W^-1)^T. It is spent on what the
+poles do not tell: little noise in what is estimated, and a fault of one input that does not show in another's estimate
+while the observer settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.optimize import minimize
+from scipy.signal import place_poles
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gain:
+    """An observer's gain with the stationary covariances that noise makes of it.
+
+    Attributes:
+        gain: L, shape (n, p).
+        error: covariance of the predicted state's error, shape (n, n).
+        innovation: covariance of y - C x, shape (p, p).
+    """
+
+    gain: Array
+    error: Array
+    innovation: Array
+
+
+def with_noise(phi: Array, c: Array, gain: Array, q: Array, r: Array) -> Gain:
+    """Return a gain with its covariances, for white noise on states (q) and outputs (r)."""
+    f = phi - gain @ c
+    error = solve_discrete_lyapunov(f, gain @ r @ gain.T + q)
+    return Gain(gain, error, c @ error @ c.T + r)
+
+
+def from_noise(phi: Array, c: Array, q: Array, r: Array) -> Gain:
+    """Return the stationary Kalman filter.
+
+    Raises:
+        ValueError: there is none: something neither dies out nor is observed, or is not driven by any noise.
+    """
+    try:
+        error = solve_discrete_are(phi.T, c.T, q, r)
+    except np.linalg.LinAlgError as error_:
+        raise ValueError(f"no stationary Kalman filter: {error_}") from error_
+    innovation = c @ error @ c.T + r
+    return Gain(phi @ error @ c.T @ np.linalg.inv(innovation), error, innovation)
+
+
+def _from_vectors(phi: Array, c: Array, poles: NDArray[np.complex128], g: Array) -> Array:
+    """Return L for free vectors g, shape (n, p): a real pole's own; of a pair the real and the imaginary part."""
+    n = len(phi)
+    w = np.empty((n, n), dtype=np.complex128)
+    of = np.empty((c.shape[0], n), dtype=np.complex128)
+    k = 0
+    while k < n:
+        pole = poles[k]
+        if pole.imag == 0.0:
+            of[:, k] = g[k]
+            w[:, k] = np.linalg.solve(phi.T - pole * np.eye(n), c.T @ of[:, k])
+            k += 1
+        else:
+            of[:, k] = g[k] + 1j * g[k + 1]
+            w[:, k] = np.linalg.solve(phi.T - pole * np.eye(n), c.T @ of[:, k])
+            of[:, k + 1], w[:, k + 1] = of[:, k].conj(), w[:, k].conj()
+            k += 2
+    return np.asarray(np.linalg.solve(w.T, of.T).real)
+
+
+def _ordered(poles: tuple[complex, ...]) -> NDArray[np.complex128]:
+    """Return the poles with each conjugate pair side by side, the one above first.
+
+    Raises:
+        ValueError: a complex pole stands without its conjugate.
+    """
+    real = [p for p in poles if p.imag == 0.0]
+    above = [p for p in poles if p.imag > 0.0]
+    below = [p for p in poles if p.imag < 0.0]
+    if sorted(above, key=str) != sorted((p.conjugate() for p in below), key=str):
+        raise ValueError("complex poles come in conjugate pairs")
+    pairs = [q for p in above for q in (p, p.conjugate())]
+    return np.array(real + pairs, dtype=np.complex128)
+
+
+def from_poles(
+    phi: Array, c: Array, poles: tuple[complex, ...], q: Array, r: Array, faults: int = 0
+) -> Gain:
+    """Return a gain with these poles, robust in the sense of this module.
+
+    Args:
+        phi: shape (n, n).
+        c: shape (p, n).
+        poles: n of discrete time, inside the unit circle.
+        q: covariance of the noise on the states, shape (n, n).
+        r: of the outputs, shape (p, p).
+        faults: so many of the last states are estimates of inputs' faults.
+
+    Raises:
+        ValueError: they cannot be placed.
+    """
+    n, p = len(phi), len(c)
+    if len(poles) != n:
+        raise ValueError(f"{n} poles are needed, {len(poles)} are given")
+    if max(abs(pole) for pole in poles) >= 1.0:
+        raise ValueError("a pole lies outside the unit circle: the observer would be unstable")
+    wanted = _ordered(poles)
+    try:
+        first = place_poles(phi.T, c.T, wanted).gain_matrix.T
+    except ValueError as error:
+        raise ValueError(f"the poles cannot be placed: {error}") from error
+    start = with_noise(phi, c, np.asarray(first.real), q, r)
+    if p == 1:
+        return start  # nothing is free
+    shown = np.arange(n - faults, n) if faults else np.arange(n)
+    scale = np.diag(start.error)[shown]
+    steps = round(min(max(3.0 / (1.0 - max(abs(wanted))), 10.0), 200.0))
+
+    def cost(gain: Array) -> float:
+        f = phi - gain @ c
+        if np.abs(np.linalg.eigvals(f)).max() >= 1.0:
+            return 1e9
+        noise = float((np.diag(with_noise(phi, c, gain, q, r).error)[shown] / scale).sum())
+        crossed, response = 0.0, np.eye(n)
+        for _ in range(steps if faults > 1 else 0):
+            response = f @ response
+            block = response[n - faults :, n - faults :]
+            crossed = max(crossed, float(np.abs(block - np.diag(np.diag(block))).max()))
+        return noise + crossed**2
+
+    values, vectors = np.linalg.eig((phi - start.gain @ c).T)
+    g = np.zeros((n, p))
+    k = 0
+    while k < n:
+        nearest = int(np.argmin(np.abs(values - wanted[k])))
+        free = start.gain.T @ vectors[:, nearest]
+        free = free / np.linalg.norm(free)
+        if wanted[k].imag == 0.0:
+            g[k] = (free / free[np.argmax(np.abs(free))]).real
+            k += 1
+        else:
+            g[k], g[k + 1] = free.real, free.imag
+            k += 2
+
+    def of_free(flat: Array) -> float:
+        try:
+            return cost(_from_vectors(phi, c, wanted, flat.reshape(n, p)))
+        except np.linalg.LinAlgError:
+            return 1e9
+
+    found = minimize(of_free, g.ravel(), method="L-BFGS-B", options={"maxiter": 40})
+    if found.fun >= cost(start.gain):
+        return start
+    return with_noise(phi, c, _from_vectors(phi, c, wanted, found.x.reshape(n, p)), q, r)

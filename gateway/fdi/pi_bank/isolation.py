@@ -1,0 +1,340 @@
+"""Which actuator, which sensor, how large: decisions on the bank beyond paper 003's products.
+
+A change of the innovations is heard first, by the generalised likelihood ratio of the observer in use. Then every
+observer is asked whether faults of actuators, beginning anywhere in the window, explain its own innovations:
+
+    all of them say yes                  actuators: each observer's estimate is corrected for its transient
+    only the one without sensor j does   sensor j; from here on that observer alone is believed
+    none, for a while                    more than one sensor, or not the plant that was told: not isolated
+
+In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
+fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is at
+fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
+observers have to agree, as in (16). A sensor's fault has a level too: y_j - C_j x_j, by the observer that does not take
+it; its flag is held until that is gone.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from gateway.fdi.linear.plant import LinearPlant
+from gateway.fdi.pi_bank import bank, jump, start
+from gateway.fdi.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
+from gateway.fdi.pi_bank.design import Noise, Observer, augmented
+from gateway.jit import f8, i8, kernel, record
+
+#: No sensor.
+NONE = -1
+#: Samples until what cannot be isolated is called so.
+PATIENCE = 25
+#: Of an estimate, in its standard deviations: what is surely gone; what surely contradicts.
+GONE, AGAINST = 2.0, 3.0
+#: Energy that a fault takes from an observer's innovations, if others have heard it [standard deviations squared].
+WEAK = 6.0
+#: Standard deviation of an actuator's fault beforehand, in thresholds.
+PRIOR = 100.0
+
+CONST = record(
+    bank=bank.CONST,
+    jump=jump.CONST,
+    start=start.CONST,
+    actuator=(f8, MOST_INPUTS),
+    sensor=(f8, MOST_OUTPUTS),
+    spread=(f8, MOST_OUTPUTS),
+    sure=f8,
+    heard=f8,
+    struck=(f8, BANK),
+    persistence=i8,
+    hold=i8,
+)
+
+#: ``active``: the observer in use; ``latched``: the sensor at fault; ``undecided``: samples since something was heard;
+#: ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags, with
+#: ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the sensor's fault.
+STATE = record(
+    bank=bank.STATE,
+    jump=jump.STATE,
+    start=start.STATE,
+    started=i8,
+    active=i8,
+    latched=i8,
+    undecided=i8,
+    unexplained=i8,
+    tested=i8,
+    actuator=(i8, MOST_INPUTS),
+    count=(i8, MOST_INPUTS),
+    fault=(f8, MOST_INPUTS),
+    limit=(f8, MOST_INPUTS),
+    offset=(f8, MOST_OUTPUTS),
+    well=i8,
+    agreed=i8,
+    explains=(i8, BANK),
+)
+
+
+def settled(plant: LinearPlant, observer: Observer) -> float:
+    """Return the time in which an observer forgets [s]."""
+    rows = [j for j in range(plant.outputs) if j != observer.left_out]
+    shown = np.hstack([plant.c[rows], np.zeros((len(rows), plant.inputs))])
+    poles = np.linalg.eigvals(augmented(plant) - observer.gain.gain @ shown)
+    return plant.period / max(1.0 - float(np.abs(poles).max()), 1e-6)
+
+
+def prepare(
+    c: np.void,
+    s: np.void,
+    plant: LinearPlant,
+    noise: Noise,
+    observers: tuple[Observer, ...],
+    *,
+    actuator: np.ndarray,
+    sensor: np.ndarray,
+    mtfa_s: float,
+    start_s: float,
+    hold_s: float,
+    persistence: int = 3,
+    known: bool = False,
+) -> None:
+    """Fill records of CONST and STATE.
+
+    Args:
+        c: record of CONST.
+        s: record of STATE.
+        plant: the plant.
+        noise: of it.
+        observers: of :func:`gateway.fdi.pi_bank.design.design`.
+        actuator: thresholds Th_a, shape (m,).
+        sensor: thresholds Th_s, shape (p,).
+        mtfa_s: mean time between false alarms that is asked for [s].
+        start_s: time in which nothing is judged [s].
+        hold_s: a sensor's fault is gone when it has been for so long [s].
+        persistence: samples in a row.
+        known: the plant begins in state 0 without a fault.
+
+    Raises:
+        ValueError: the plant is too large.
+    """
+    n, m, p = plant.states, plant.inputs, plant.outputs
+    bank.prepare(c["bank"], plant, observers)
+    jump.prepare(c["jump"], s["jump"], plant, observers, PRIOR * actuator)
+    # What y can be says how large states are at most: not known, as far as the sensors tell.
+    unknown = np.concatenate([np.full(n, 1e3 * noise.outputs.max()), PRIOR * actuator])
+    start.prepare(
+        c["start"],
+        plant,
+        noise,
+        max(round(start_s / plant.period), 1),
+        np.zeros(n + m) if known else unknown,
+    )
+    c["actuator"][:m], c["sensor"][:p] = actuator, sensor
+    for j in range(p):
+        x = observers[j + 1].gain.error[:n, :n]
+        c["spread"][j] = np.sqrt(plant.c[j] @ x @ plant.c[j] + noise.outputs[j] ** 2)
+    # Estimates change as slowly as their observer forgets; innovations are new with every sample.
+    c["sure"] = norm.isf(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
+    c["heard"] = chi2.isf(min(plant.period / mtfa_s, 0.01), m)
+    for k in range(p + 1):
+        c["struck"][k] = chi2.isf(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
+    c["persistence"] = persistence
+    c["hold"] = max(round(hold_s / plant.period), 1)
+    s["latched"] = NONE
+
+
+@kernel
+def restart(s: Any, c: Any) -> None:
+    """Begin anew: nothing is known of the plant's state."""
+    start.anew(s.start, c.start)
+    jump.forget(s.jump)
+    s.started, s.active, s.latched = 0, 0, NONE
+    s.undecided = s.unexplained = s.tested = s.well = s.agreed = 0
+    for k in range(BANK):
+        s.jump.open[k] = 0
+        for i in range(bank.MOST):
+            s.bank.z[k, i] = 0.0
+    for i in range(MOST_INPUTS):
+        s.actuator[i] = s.count[i] = 0
+
+
+@kernel
+def _follow(s: Any, o: Any, active: int, y: Any) -> None:
+    """Give all observers the state of one, and forget the window."""
+    jump.merge(s.jump, o, active, s.bank.z)
+    for k in range(o.p + 1):
+        s.jump.open[k] = 0
+        for i in range(o.n + o.m):
+            s.bank.z[k, i] = s.bank.z[active, i]
+        bank.innovate(s.bank, o, k, y)
+    jump.forget(s.jump)
+
+
+@kernel
+def _decided(s: Any, c: Any, y: Any, actuators: bool) -> None:
+    """Open the faults that explain the window: of all observers, or of the active one."""
+    o = c.bank
+    for k in range(o.p + 1):
+        if not actuators and k != s.active:
+            continue
+        # The best of many beginnings takes some energy of mere noise, too.
+        if s.jump.gained[k] > WEAK:
+            jump.merge(s.jump, o, k, s.bank.z)
+            bank.innovate(s.bank, o, k, y)
+            jump.begin(s.jump, c.jump, o, k)
+    s.undecided = 0
+    jump.forget(s.jump)
+
+
+@kernel
+def _look(s: Any, c: Any, y: Any) -> None:
+    """Ask all observers whether actuators explain what was heard, and decide if the answers allow it."""
+    o = c.bank
+    s.undecided += 1
+    willing, who = 0, 0
+    for k in range(o.p + 1):
+        s.explains[k] = 0
+        if s.latched == NONE or k == s.active:
+            s.explains[k] = 1 if jump.search(s.jump, c.jump, o, k) else 0
+        if k > 0 and s.explains[k] == 1:
+            willing += 1
+            who = k
+    if s.latched != NONE:
+        if willing == 1:
+            _decided(s, c, y, False)
+        elif s.undecided > PATIENCE:
+            s.unexplained = 1
+    elif s.explains[0] == 1 and willing == o.p and s.undecided >= 2:
+        _decided(s, c, y, True)
+    elif s.explains[0] == 0 and willing == 1:
+        s.latched, s.active, s.well = who - 1, who, 0
+        _decided(s, c, y, False)
+    elif s.undecided > PATIENCE:
+        if s.explains[0] == 1:  # small, and whoever does not agree is not sure of it
+            _decided(s, c, y, True)
+        else:
+            s.unexplained = 1
+
+
+@kernel
+def _disagree(s: Any, c: Any, i: int) -> bool:
+    """Tell whether an observer contradicts that actuator i is at fault."""
+    o = c.bank
+    way = 1.0 if s.fault[i] > 0.0 else -1.0
+    for k in range(1, o.p + 1):
+        own = way * jump.corrected(s.jump, o, k, s.bank.z, o.n + i)
+        if own + AGAINST * s.jump.sigma[k, i] < c.actuator[i]:
+            return True
+    return False
+
+
+@kernel
+def _judge(s: Any, c: Any, y: Any) -> None:
+    """Set the flags of the actuators, and end that of a sensor whose fault is gone."""
+    o, k = c.bank, s.active
+    for i in range(o.m):
+        value = jump.corrected(s.jump, o, k, s.bank.z, o.n + i)
+        std = s.jump.sigma[k, i]
+        limit = max(c.actuator[i], c.sure * std)
+        s.fault[i], s.limit[i] = value, limit
+        beyond = abs(value) >= limit and not (s.latched == NONE and _disagree(s, c, i))
+        s.count[i] = s.count[i] + 1 if beyond else 0
+        quiet = s.jump.open[k] == 0 and abs(value) < 0.5 * limit
+        if s.count[i] >= c.persistence:
+            s.actuator[i] = 1
+        elif quiet or abs(value) + GONE * std < c.actuator[i]:
+            s.actuator[i] = 0
+    for j in range(o.p):
+        s.offset[j] = 0.0
+    if s.latched == NONE:
+        return
+    j = s.latched
+    expected = 0.0
+    for i in range(o.n):
+        expected += o.c[j, i] * jump.corrected(s.jump, o, k, s.bank.z, i)
+    s.offset[j] = y[j] - expected
+    gone = abs(s.offset[j]) < max(0.5 * c.sensor[j], AGAINST * c.spread[j])
+    s.well = s.well + 1 if gone else 0
+    if s.well >= c.hold:
+        _follow(s, o, k, y)
+        s.latched, s.active = NONE, 0
+
+
+@kernel
+def _agree(s: Any, c: Any) -> bool:
+    """Tell whether all observers find the same faults of the actuators, as far as they know them."""
+    o = c.bank
+    for k in range(1, o.p + 1):
+        for i in range(o.m):
+            apart = abs(s.bank.z[k, o.n + i] - s.bank.z[0, o.n + i])
+            spread = sqrt(c.jump.variance[k, i] + c.jump.variance[0, i])
+            if apart > c.actuator[i] + 4.0 * spread:
+                return False
+    return True
+
+
+@kernel
+def _lost(s: Any, c: Any, y: Any, u: Any) -> None:
+    """Go on with a bank that contradicts itself, until it has agreed for long enough."""
+    o = c.bank
+    bank.step(s.bank, o, y, u)
+    s.agreed = s.agreed + 1 if _agree(s, c) else 0
+    if s.agreed >= c.hold:
+        restart(s, c)
+
+
+@kernel
+def step(s: Any, c: Any, y: Any, u: Any) -> None:
+    """Take one sample of outputs ``y`` with the commands ``u`` that are held from it on; sets flags and sizes."""
+    o = c.bank
+    s.tested = 0
+    if s.started == 0:
+        if start.step(s.start, c.start, o, s.bank.z, y, u):
+            s.started = 1
+            s.unexplained = 0 if _agree(s, c) else 1
+        return
+    if s.unexplained == 1:
+        _lost(s, c, y, u)
+        return
+    x = s.jump
+    x.at = (x.at + 1) % jump.WINDOW
+    x.kept = min(x.kept + 1, jump.WINDOW)
+    for k in range(o.p + 1):
+        if s.latched == NONE or k == s.active:
+            bank.innovate(s.bank, o, k, y)
+            jump.keep(x, o, k, s.bank.e)
+    heard = jump.listen(x, c.jump, o, s.active) > c.heard
+    struck = jump.energy(x, c.jump, o, s.active, x.at) > c.struck[s.active]
+    if s.undecided > 0 or heard or struck:
+        _look(s, c, y)
+    if s.unexplained == 1:
+        for k in range(o.p + 1):
+            x.open[k] = 0
+        s.latched, s.active, s.undecided, s.agreed = NONE, 0, 0, 0
+    for k in range(o.p + 1):
+        if s.latched == NONE or k == s.active:
+            jump.learn(x, c.jump, o, k, s.bank.e)
+    if s.undecided == 0 and s.unexplained == 0:
+        s.tested = 1
+        _judge(s, c, y)
+    for k in range(o.p + 1):
+        if s.latched == NONE or k == s.active:
+            bank.advance(s.bank, o, k, u)
+            jump.onwards(x, o, k, s.bank.z)
+
+
+@kernel
+def missing(s: Any, c: Any, u: Any) -> None:
+    """Step over a sample that did not come."""
+    o = c.bank
+    s.tested = 0
+    if s.started == 0:
+        restart(s, c)
+        return
+    for k in range(o.p + 1):
+        jump.merge(s.jump, o, k, s.bank.z)
+        bank.missing(s.bank, o, k, u)
+    jump.forget(s.jump)
+    s.undecided = 0

@@ -1,0 +1,305 @@
+"""Faults that begin at once, told from the innovations of one observer (generalised likelihood ratio).
+
+While an observer settles behind an actuator's fault, its estimate of another actuator moves too, and what it leaves of
+the sensors looks like a sensor's fault: that is where (15) and (16) of paper 003 err. But how it settles is known. A
+fault a that begins at a sample leaves the error
+
+    G(d) a,   G(0) = [0; 1],   G(d+1) = ([[Phi, Gamma], [0, 1]] - L C) G(d)
+
+d samples later, and adds C G(d) a to the innovation. Least squares over a window, with the innovation's covariance V,
+give a for each possible beginning, and what is left of the window's energy for it (Willsky and Jones, 1976). A fault
+that begins within a sample, at a share theta of it, is one of (1 - theta) a at the sample and of theta a at the next,
+but for terms of the order of the sample's square; some thetas are tried. The best
+beginning then stays, and a is estimated further with every sample; x + G(d) a and omega + G(d) a have no transient. As
+G(d) vanishes, that becomes the observer's own estimate.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from gateway.fdi.linear.plant import LinearPlant
+from gateway.fdi.linear.solve import decompose, solve
+from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
+from gateway.fdi.pi_bank.design import Observer, augmented
+from gateway.jit import f8, i8, kernel, record
+
+#: Samples that are kept, and searched for the beginning.
+WINDOW = 32
+#: Shares of a sample at which a fault may begin.
+PHASES = 4
+#: Share of healthy windows that would be called not explained.
+REFUSED = 1e-6
+
+#: ``weighted``: (C G(d))^T V^-1; ``inverse``: of the information up to d; ``inverse_v``: V^-1; ``limit``: of the energy
+#: left in so many samples; ``variance``: of omega, stationary; ``prior``: information on a beforehand, diagonal.
+CONST = record(
+    weighted=(f8, (BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS)),
+    inverse=(f8, (BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS)),
+    inverse_v=(f8, (BANK, MOST_OUTPUTS, MOST_OUTPUTS)),
+    limit=(f8, (BANK, WINDOW + 1)),
+    variance=(f8, (BANK, MOST_INPUTS)),
+    prior=(f8, MOST_INPUTS),
+)
+
+#: ``r``: innovations that the present estimate leaves, newest at ``at``; ``b``: of each beginning in the window, for the
+#: observer that is listened to. Of each observer: whether a fault is ``open``, its ``g``, information ``j``, ``h``, and
+#: estimate ``a`` with standard deviation ``sigma`` of the corrected omega.
+STATE = record(
+    r=(f8, (BANK, WINDOW, MOST_OUTPUTS)),
+    at=i8,
+    kept=i8,
+    b=(f8, (WINDOW, MOST_INPUTS)),
+    open=(i8, BANK),
+    g=(f8, (BANK, MOST, MOST_INPUTS)),
+    j=(f8, (BANK, MOST_INPUTS, MOST_INPUTS)),
+    h=(f8, (BANK, MOST_INPUTS)),
+    a=(f8, (BANK, MOST_INPUTS)),
+    sigma=(f8, (BANK, MOST_INPUTS)),
+    factor=(f8, (MOST_INPUTS, MOST_INPUTS)),
+    work=(f8, MOST_INPUTS),
+    shown=(f8, (MOST_OUTPUTS, MOST_INPUTS)),
+    next=(f8, (MOST, MOST_INPUTS)),
+    age=(i8, BANK),
+    phase=(i8, BANK),
+    left=(f8, BANK),
+    gained=(f8, BANK),
+)
+
+
+def prepare(
+    c: np.void, s: np.void, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray
+) -> None:
+    """Fill records of CONST and STATE.
+
+    Args:
+        c: record of CONST.
+        s: record of STATE.
+        plant: the plant.
+        bank: its observers.
+        largest: standard deviation of each actuator's faults, beforehand; shape (m,).
+    """
+    n, m, p = plant.states, plant.inputs, plant.outputs
+    phi = augmented(plant)
+    c["prior"][:m] = 1.0 / largest**2
+    for k, observer in enumerate(bank):
+        rows = [j for j in range(p) if j != observer.left_out]
+        shown = np.hstack([plant.c[rows], np.zeros((len(rows), m))])
+        f = phi - observer.gain.gain @ shown
+        weight = np.linalg.inv(observer.gain.innovation)
+        c["inverse_v"][k][np.ix_(rows, rows)] = weight
+        c["variance"][k][:m] = np.diag(observer.gain.error)[n:]
+        s["sigma"][k][:m] = np.sqrt(c["variance"][k][:m])
+        late = np.vstack([np.zeros((n, m)), np.eye(m)])
+        for phase in range(PHASES):
+            theta = phase / PHASES
+            g, information = (1.0 - theta) * late, np.diag(c["prior"][:m])
+            for d in range(WINDOW):
+                signature = shown @ g
+                c["weighted"][k][phase][d][:m, rows] = signature.T @ weight
+                information = information + signature.T @ weight @ signature
+                c["inverse"][k][phase][d][:m, :m] = np.linalg.inv(information)
+                g = f @ g + (theta * late if d == 0 else 0.0)
+        counts = np.arange(1, WINDOW + 1)
+        c["limit"][k][1:] = chi2.isf(REFUSED, len(rows) * counts)
+
+
+@kernel
+def forget(s: Any) -> None:
+    """Forget the window."""
+    s.kept = 0
+    for i in range(WINDOW):
+        for j in range(MOST_INPUTS):
+            s.b[i, j] = 0.0
+
+
+@kernel
+def _show(s: Any, o: Any, k: int) -> None:
+    """Compute C G of observer k."""
+    for j in range(o.p):
+        for i in range(o.m):
+            value = 0.0
+            if j != k - 1:
+                for q in range(o.n):
+                    value += o.c[j, q] * s.g[k, q, i]
+            s.shown[j, i] = value
+
+
+@kernel
+def keep(s: Any, o: Any, k: int, e: Any) -> None:
+    """Keep what the present estimate leaves of observer k's innovation ``e``, at place ``at``."""
+    for j in range(o.p):
+        s.r[k, s.at, j] = e[k, j]
+    if s.open[k] == 1:
+        _show(s, o, k)
+        for j in range(o.p):
+            for i in range(o.m):
+                s.r[k, s.at, j] -= s.shown[j, i] * s.a[k, i]
+
+
+@kernel
+def energy(s: Any, c: Any, o: Any, k: int, place: int) -> float:
+    """Return r^T V^-1 r of one sample of observer k."""
+    total = 0.0
+    for i in range(o.p):
+        for j in range(o.p):
+            total += s.r[k, place, i] * c.inverse_v[k, i, j] * s.r[k, place, j]
+    return total
+
+
+@kernel
+def listen(s: Any, c: Any, o: Any, k: int) -> float:
+    """Take the newest sample of observer k; returns the largest log likelihood ratio of a beginning, doubled."""
+    for i in range(o.m):
+        s.b[s.at, i] = 0.0
+    best = 0.0
+    for d in range(1, s.kept):
+        place = (s.at - d) % WINDOW
+        square = 0.0
+        for i in range(o.m):
+            for j in range(o.p):
+                s.b[place, i] += c.weighted[k, 0, d, i, j] * s.r[k, s.at, j]
+        for i in range(o.m):
+            for j in range(o.m):
+                square += s.b[place, i] * c.inverse[k, 0, d, i, j] * s.b[place, j]
+        best = max(best, square)
+    return best
+
+
+@kernel
+def search(s: Any, c: Any, o: Any, k: int) -> bool:
+    """Find the best beginning for observer k; tells whether it explains the window.
+
+    Sets ``age``, samples since then, 0: none is better; ``phase``, the share of a sample in quarters; and the energy that it leaves, ``left``,
+    and takes, ``gained``.
+    """
+    total = 0.0
+    for d in range(s.kept):
+        total += energy(s, c, o, k, (s.at - d) % WINDOW)
+    best, age, share = 0.0, 0, 0
+    for back in range(1, s.kept):
+        for phase in range(PHASES):
+            for i in range(o.m):
+                s.work[i] = 0.0
+            for d in range(back + 1):
+                place = (s.at - back + d) % WINDOW
+                for i in range(o.m):
+                    for j in range(o.p):
+                        s.work[i] += c.weighted[k, phase, d, i, j] * s.r[k, place, j]
+            square = 0.0
+            for i in range(o.m):
+                for j in range(o.m):
+                    square += s.work[i] * c.inverse[k, phase, back, i, j] * s.work[j]
+            if square > best:
+                best, age, share = square, back, phase
+    s.phase[k] = share
+    s.age[k], s.left[k], s.gained[k] = age, total - best, best
+    return bool(total - best <= c.limit[k, s.kept])
+
+
+@kernel
+def merge(s: Any, o: Any, k: int, z: Any) -> None:
+    """Put the estimate of observer k into its state ``z``, and close it."""
+    if s.open[k] == 1:
+        for q in range(o.n + o.m):
+            for i in range(o.m):
+                z[k, q] += s.g[k, q, i] * s.a[k, i]
+    s.open[k] = 0
+
+
+@kernel
+def _onwards(s: Any, o: Any, k: int) -> None:
+    """Step G of observer k by one sample."""
+    size = o.n + o.m
+    _show(s, o, k)
+    for i in range(o.m):
+        for q in range(size):
+            value = 0.0
+            for r in range(size):
+                value += o.phi[q, r] * s.g[k, r, i]
+            for j in range(o.p):
+                value -= o.gain[k, q, j] * s.shown[j, i]
+            s.next[q, i] = value
+    for q in range(size):
+        for i in range(o.m):
+            s.g[k, q, i] = s.next[q, i]
+
+
+@kernel
+def _learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
+    """Take one innovation into information and estimate of observer k."""
+    _show(s, o, k)
+    for i in range(o.m):
+        for j in range(o.p):
+            weight = 0.0
+            for q in range(o.p):
+                weight += s.shown[q, i] * c.inverse_v[k, q, j]
+            s.h[k, i] += weight * e[j]
+            for q in range(o.m):
+                s.j[k, i, q] += weight * s.shown[j, q]
+
+
+@kernel
+def begin(s: Any, c: Any, o: Any, k: int) -> None:
+    """Open the fault that :func:`search` found for observer k, up to the sample before the newest."""
+    s.open[k] = 1
+    theta = s.phase[k] / PHASES
+    for q in range(o.n + o.m):
+        for i in range(o.m):
+            s.g[k, q, i] = 1.0 - theta if q == o.n + i else 0.0
+    for i in range(o.m):
+        s.h[k, i] = s.a[k, i] = 0.0
+        for q in range(o.m):
+            s.j[k, i, q] = c.prior[i] if i == q else 0.0
+    for d in range(s.age[k]):
+        place = (s.at - s.age[k] + d) % WINDOW
+        _learn(s, c, o, k, s.r[k, place])
+        _onwards(s, o, k)
+        if d == 0:
+            for i in range(o.m):
+                s.g[k, o.n + i, i] += theta
+
+
+@kernel
+def learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
+    """Estimate observer k's open fault with its newest innovation; sets ``a`` and ``sigma``."""
+    for i in range(o.m):
+        s.sigma[k, i] = c.variance[k, i]
+    if s.open[k] == 1:
+        _learn(s, c, o, k, e[k])
+        decompose(s.j[k], s.factor, o.m)
+        solve(s.factor, s.h[k], s.a[k], o.m)
+        for i in range(o.m):
+            for q in range(o.m):
+                s.work[q] = s.g[k, o.n + i, q]
+            s.sigma[k, i] += solve(s.factor, s.work, s.work, o.m)
+    for i in range(o.m):
+        s.sigma[k, i] = sqrt(s.sigma[k, i])
+
+
+@kernel
+def corrected(s: Any, o: Any, k: int, z: Any, q: int) -> float:
+    """Return entry q of observer k's state or fault, without the transient of the open fault."""
+    value = z[k, q]
+    if s.open[k] == 1:
+        for i in range(o.m):
+            value += s.g[k, q, i] * s.a[k, i]
+    return float(value)
+
+
+@kernel
+def onwards(s: Any, o: Any, k: int, z: Any) -> None:
+    """Step observer k's open fault to the next sample, behind the bank's own step; closes it once it has settled."""
+    if s.open[k] == 0:
+        return
+    _onwards(s, o, k)
+    largest = 0.0
+    for q in range(o.n + o.m):
+        for i in range(o.m):
+            largest = max(largest, abs(s.g[k, q, i]))
+    if largest < 1e-3:
+        merge(s, o, k, z)
