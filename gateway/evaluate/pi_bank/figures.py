@@ -90,7 +90,7 @@ def _bars(path: Path, rows: list[Row]) -> Path:
     axis.set_xticks(np.arange(3) + 0.4 - width / 2, [f"{kind} at fault" for kind in KINDS])
     axis.set_ylabel("clean cases [%]")
     axis.set_ylim(0, 112)
-    axis.legend(fontsize=8, ncols=2, loc="lower right")
+    axis.legend(fontsize=8, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return save(figure, path)
 
 

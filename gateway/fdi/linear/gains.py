@@ -84,7 +84,8 @@ def _ordered(poles: tuple[complex, ...]) -> NDArray[np.complex128]:
     real = [p for p in poles if p.imag == 0.0]
     above = [p for p in poles if p.imag > 0.0]
     below = [p for p in poles if p.imag < 0.0]
-    if sorted(above, key=str) != sorted((p.conjugate() for p in below), key=str):
+    mirrored = [p.conjugate() for p in below]
+    if sorted((p.real, p.imag) for p in above) != sorted((p.real, p.imag) for p in mirrored):
         raise ValueError("complex poles come in conjugate pairs")
     pairs = [q for p in above for q in (p, p.conjugate())]
     return np.array(real + pairs, dtype=np.complex128)

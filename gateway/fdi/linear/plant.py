@@ -119,7 +119,9 @@ def unobservable(phi: Array, c: Array, names: tuple[str, ...] = ()) -> str:
         return ""
     labels = names or tuple(f"x{k + 1}" for k in range(len(phi)))
     said = []
-    for column in hidden.T:
+    for column in (
+        hidden.T * np.sign(hidden[np.abs(hidden).argmax(axis=0), range(hidden.shape[1])])[:, None]
+    ):
         parts = [
             f"{value:+.3g} {label}"
             for value, label in zip(column, labels, strict=True)

@@ -14,6 +14,6 @@ def test_scenarios_pass_over_vcan(config, tmp_path):
 
 
 def test_no_scenario_is_left_out():
-    every = {**by_config("engine"), **CONFIGS, **by_config("steering")}
+    every = {**by_config("engine"), **CONFIGS, **by_config("steering"), **by_config("linear")}
     assert every == by_config(None)
     assert sum(map(len, every.values())) >= 21

@@ -1,0 +1,14 @@
+"""A shipped scenario of a linear plant over the kernel's CAN."""
+
+import pytest
+from scenario_runs import by_config, run_all
+
+pytestmark = pytest.mark.vcan
+
+#: Those of the aircraft fly for minutes, in real time; in one process they run in tests/test_gateway.py.
+BELT = {config: paths for config, paths in by_config("linear").items() if "belt" in config}
+
+
+@pytest.mark.parametrize("config", sorted(BELT))
+def test_scenarios_pass_over_vcan(config, tmp_path):
+    run_all(config, BELT[config], tmp_path)
