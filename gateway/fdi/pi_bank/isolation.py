@@ -331,7 +331,7 @@ def missing(s: Any, c: Any, u: Any) -> None:
     o = c.bank
     s.tested = 0
     if s.started == 0:
-        restart(s, c)
+        start.missing(s.start, c.start, o, s.bank.z, u)
         return
     for k in range(o.p + 1):
         jump.merge(s.jump, o, k, s.bank.z)

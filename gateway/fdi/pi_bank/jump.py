@@ -28,7 +28,7 @@ from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.pi_bank.design import Observer, augmented
 from gateway.jit import f8, i8, kernel, record
 
-#: Samples that are kept, and searched for the beginning.
+#: Samples that are kept, and searched for the beginning; a power of 2.
 WINDOW = 32
 #: Shares of a sample at which a fault may begin.
 PHASES = 4
@@ -154,19 +154,25 @@ def energy(s: Any, c: Any, o: Any, k: int, place: int) -> float:
 @kernel
 def listen(s: Any, c: Any, o: Any, k: int) -> float:
     """Take the newest sample of observer k; returns the largest log likelihood ratio of a beginning, doubled."""
-    for i in range(o.m):
-        s.b[s.at, i] = 0.0
+    m, p, at = o.m, o.p, s.at
+    newest, begun, weighted, inverse = s.r[k, at], s.b, c.weighted[k, 0], c.inverse[k, 0]
+    for i in range(m):
+        begun[at, i] = 0.0
     best = 0.0
     for d in range(1, s.kept):
-        place = (s.at - d) % WINDOW
+        place = (at - d) & (WINDOW - 1)
         square = 0.0
-        for i in range(o.m):
-            for j in range(o.p):
-                s.b[place, i] += c.weighted[k, 0, d, i, j] * s.r[k, s.at, j]
-        for i in range(o.m):
-            for j in range(o.m):
-                square += s.b[place, i] * c.inverse[k, 0, d, i, j] * s.b[place, j]
-        best = max(best, square)
+        for i in range(m):
+            value = begun[place, i]
+            for j in range(p):
+                value += weighted[d, i, j] * newest[j]
+            begun[place, i] = value
+        for i in range(m):
+            half = 0.5 * inverse[d, i, i] * begun[place, i]
+            for j in range(i):
+                half += inverse[d, i, j] * begun[place, j]
+            square += half * begun[place, i]
+        best = max(best, 2.0 * square)
     return best
 
 

@@ -114,3 +114,10 @@ def step(s: Any, c: Any, o: Any, z: Any, y: Any, u: Any) -> bool:
         _predict(s, c, o, k, z, u)
     s.done += 1
     return bool(s.done >= c.samples)
+
+
+@kernel
+def missing(s: Any, c: Any, o: Any, z: Any, u: Any) -> None:
+    """Step over a sample that did not come."""
+    for k in range(o.p + 1):
+        _predict(s, c, o, k, z, u)
