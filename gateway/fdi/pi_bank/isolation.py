@@ -33,7 +33,9 @@ NONE = -1
 #: Samples until what cannot be isolated is called so.
 PATIENCE = 25
 #: Of an estimate, in its standard deviations: what is surely gone; what surely contradicts.
-GONE, AGAINST = 2.0, 3.0
+GONE, AGAINST = 2.0, 2.0
+#: Of a sensor's offset, likewise: below it, it is none.
+NOTHING = 3.0
 #: Energy that a fault takes from an observer's innovations, if others have heard it [standard deviations squared].
 WEAK = 6.0
 #: Standard deviation of an actuator's fault beforehand, in thresholds.
@@ -53,7 +55,8 @@ CONST = record(
     hold=i8,
 )
 
-#: ``active``: the observer in use; ``latched``: the sensor at fault; ``undecided``: samples since something was heard;
+#: ``active``: the observer in use; ``latched``: the sensor at fault, ``confirmed`` once its
+#: offset was beyond its threshold, ``doubted`` for so many samples before; ``undecided``: samples since something was heard;
 #: ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags, with
 #: ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the sensor's fault.
 STATE = record(
@@ -63,6 +66,8 @@ STATE = record(
     started=i8,
     active=i8,
     latched=i8,
+    confirmed=i8,
+    doubted=i8,
     undecided=i8,
     unexplained=i8,
     tested=i8,
@@ -151,7 +156,7 @@ def restart(s: Any, c: Any) -> None:
     start.anew(s.start, c.start)
     jump.forget(s.jump)
     s.started, s.active, s.latched = 0, 0, NONE
-    s.undecided = s.unexplained = s.tested = s.well = s.agreed = 0
+    s.undecided = s.unexplained = s.tested = s.well = s.agreed = s.confirmed = 0
     for k in range(BANK):
         s.jump.open[k] = 0
         for i in range(bank.MOST):
@@ -189,6 +194,24 @@ def _decided(s: Any, c: Any, y: Any, actuators: bool) -> None:
 
 
 @kernel
+def _latch(s: Any, c: Any, y: Any, who: int) -> None:
+    """Believe the observer ``who`` alone: the sensor that it does not take is at fault."""
+    s.latched, s.active = who - 1, who
+    s.well = s.confirmed = s.doubted = 0
+    _decided(s, c, y, False)
+
+
+@kernel
+def _needs_least(s: Any, c: Any) -> int:
+    """Return the only observer that explains its innovations without any fault of actuators, 0: none or several."""
+    found = 0
+    for k in range(1, c.bank.p + 1):
+        if s.explains[k] == 1 and s.jump.gained[k] < c.heard:
+            found = k if found == 0 else -1
+    return max(found, 0)
+
+
+@kernel
 def _look(s: Any, c: Any, y: Any) -> None:
     """Ask all observers whether actuators explain what was heard, and decide if the answers allow it."""
     o = c.bank
@@ -209,11 +232,13 @@ def _look(s: Any, c: Any, y: Any) -> None:
     elif s.explains[0] == 1 and willing == o.p and s.undecided >= 2:
         _decided(s, c, y, True)
     elif s.explains[0] == 0 and willing == 1:
-        s.latched, s.active, s.well = who - 1, who, 0
-        _decided(s, c, y, False)
+        _latch(s, c, y, who)
     elif s.undecided > PATIENCE:
+        alone = _needs_least(s, c)
         if s.explains[0] == 1:  # small, and whoever does not agree is not sure of it
             _decided(s, c, y, True)
+        elif alone > 0:
+            _latch(s, c, y, alone)
         else:
             s.unexplained = 1
 
@@ -255,11 +280,15 @@ def _judge(s: Any, c: Any, y: Any) -> None:
     for i in range(o.n):
         expected += o.c[j, i] * jump.corrected(s.jump, o, k, s.bank.z, i)
     s.offset[j] = y[j] - expected
-    gone = abs(s.offset[j]) < max(0.5 * c.sensor[j], AGAINST * c.spread[j])
+    gone = abs(s.offset[j]) < max(0.5 * c.sensor[j], NOTHING * c.spread[j])
     s.well = s.well + 1 if gone else 0
-    if s.well >= c.hold:
+    if abs(s.offset[j]) >= c.sensor[j]:
+        s.confirmed = 1
+    # What no jump explains, an actuator that drifts, makes one observer alone contented too; its sensor is right.
+    s.doubted = 0 if s.confirmed == 1 else s.doubted + 1
+    if s.well >= c.hold or s.doubted > PATIENCE:
         _follow(s, o, k, y)
-        s.latched, s.active = NONE, 0
+        s.latched, s.active, s.confirmed = NONE, 0, 0
 
 
 @kernel

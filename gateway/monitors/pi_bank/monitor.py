@@ -116,7 +116,7 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
     for i in range(o.m):
         _report(s, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
     for j in range(o.p):
-        failed = x.latched == j
+        failed = x.latched == j and x.confirmed == 1
         _report(s, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
 
 
