@@ -33,39 +33,31 @@ STATE = record(
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
 
-_EVIDENCE = (
-    "size of the fault",
-    "observer in use",
-    "sensor 1 [innovation]",
-    "sensor 2 [innovation]",
-    "sensor 3 [innovation]",
-    "sensor 4 [innovation]",
-    "sensor 5 [innovation]",
-    "sensor 6 [innovation]",
-)
 #: Verdicts have been persistent already.
 _FOUND = Debounce(failed_after=1, passed_after=5)
 
 
 def _named(p: Params) -> tuple[Fault, ...]:
+    left = tuple(f"innovation of {name}" for name in p.sensor_names)
+    evidence = ("size of the fault", "observer in use", *left)
     found = [
         Fault(
             "unexplained",
             "C1B10-62",
             "sensors contradict each other in a way that no single sensor and no actuator explains",
-            _EVIDENCE,
+            evidence,
             _FOUND,
         )
     ]
     for k, part in enumerate(p.input, start=1):
         text = f"actuator {part.name}: does something else than it is commanded"
         found.append(
-            Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, _EVIDENCE, _FOUND)
+            Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND)
         )
     for k, sensor in enumerate(p.output, start=1):
         text = f"sensor {sensor.name}: contradicts the others"
         found.append(
-            Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, _EVIDENCE, _FOUND)
+            Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND)
         )
     return tuple(found)
 
