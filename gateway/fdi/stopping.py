@@ -19,8 +19,8 @@ from math import log
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.stats import chi2
 
+from gateway.fdi.quantiles import chi2_above
 from gateway.jit import f8, i8, kernel, record
 
 Rule = Literal["direct", "gma", "cusum", "sprt", "chi_square"]
@@ -80,7 +80,7 @@ def sprt_bounds(false_alarm: float, missed: float) -> tuple[float, float]:
 
 def chi_square_threshold(window: int, false_alarm: float) -> float:
     """Return the level that white Gaussian noise exceeds with a probability."""
-    return float(chi2.isf(false_alarm, window))
+    return float(chi2_above(false_alarm, window))
 
 
 def assured(seconds: float, alarms: int) -> float:
@@ -90,7 +90,7 @@ def assured(seconds: float, alarms: int) -> float:
         seconds: of healthy data.
         alarms: in them.
     """
-    return float(2.0 * seconds / chi2.ppf(0.95, 2 * alarms + 2))
+    return float(2.0 * seconds / chi2_above(0.05, 2 * alarms + 2))
 
 
 @kernel

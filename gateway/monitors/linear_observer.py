@@ -16,13 +16,12 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.optimize import brentq
-from scipy.stats import chi2, norm
 
 from gateway.fdi import stopping
 from gateway.fdi.linear.gains import Gain, from_noise, from_poles
 from gateway.fdi.linear.plant import unobservable
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+from gateway.fdi.quantiles import chi2_above, normal_above
 from gateway.jit import f8, i8, kernel, record
 from gateway.monitors import linear_plant
 from gateway.monitors.linear_plant import PlantParams
@@ -115,7 +114,9 @@ def level_for(rule: str, samples: float) -> float:
     (exp(2 nu b) - 1 - 2 nu b) / (2 nu^2) with b = h + 1.166 is twice the samples.
     """
     if rule == "direct":
-        return float(norm.isf(min(0.5 / samples, 0.4)))
+        return float(normal_above(min(0.5 / samples, 0.4)))
+    from scipy.optimize import brentq  # noqa: PLC0415 - slow to load
+
     drift = 0.5 * SHIFT
 
     def short(level: float) -> float:
@@ -155,7 +156,7 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
     c["spread"][:q] = np.sqrt(np.diag(observer.innovation))
     level = p.threshold
     stopping.prepare(c["rule"], p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
-    c["total"] = chi2.isf(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
+    c["total"] = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
     c["start"] = round(p.start_s / plant.period)
 
 

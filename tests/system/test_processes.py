@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import can
 import cantools
 import pytest
+from amount import amount
 from processes import GATEWAY, bus, gateway, process
 
 from gateway.faults import service
@@ -86,7 +87,7 @@ def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
 
 
 def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path):
-    """Fifty kills at random moments after the daemon is up, in a storm of DTCs."""
+    """Fifty kills (some of them in a short run) at random moments after the daemon is up, in a storm of DTCs."""
     rng = random.Random(50)
     print("seed 50")
     message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
@@ -109,7 +110,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
         storm = stack.enter_context(
             process("simulate", _storm(tmp_path), "--bus", uri, cwd=tmp_path, ready="seed")
         )
-        while kills < 50:
+        while kills < amount(50, 20):
             started = subprocess.Popen(
                 [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
                 cwd=tmp_path,
@@ -145,7 +146,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
             worst = {dtc: entry["occurrence"] for dtc, entry in kept.items()}
         assert storm.poll() is None, "the storm must have lasted to the last kill"
     print(f"{kills} kills, {confirmed_reports} confirmed DTCs reported before them")
-    assert confirmed_reports >= 100
+    assert confirmed_reports >= 2 * kills
 
 
 def _note(got, message, said):
@@ -177,7 +178,7 @@ def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):
         (("check", "bad.toml"), "bus[0].foo: unknown key"),
         (("replay", "bad.log"), "bad.log:1"),
         (("replay", "none.blf"), "none.blf"),
-        (("simulate", "nosuch"), "shipped: crank_"),
+        (("simulate", "nosuch"), "shipped: aircraft_"),
         (("demo", "nosuch.toml"), "nosuch.toml"),
         (("bus", "10.0.0.1:5"), "stays on this machine"),
         (("run", "--bus", "nonsense:x"), "no such kind of bus"),

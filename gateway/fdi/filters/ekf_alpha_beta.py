@@ -20,7 +20,6 @@ from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
-from filterpy.common import van_loan_discretization
 
 from gateway.fdi.filters import gaussian, motor
 from gateway.fdi.filters.gaussian import ENTRIES, STATES
@@ -82,6 +81,8 @@ def prepare(
         slow: below this speed :func:`hold` anchors the angle [rad/s]; 0: never.
         sensor: standard deviation of the angle it is anchored at [rad].
     """
+    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
+
     motor.prepare(c["motor"], m)
     inductance = 0.5 * (m.ld + m.lq)
     n = 5 if load else 4

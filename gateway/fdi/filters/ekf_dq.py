@@ -19,7 +19,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from filterpy.common import van_loan_discretization
 
 from gateway.fdi.filters import gaussian, motor
 from gateway.fdi.filters.gaussian import ENTRIES, STATES
@@ -63,6 +62,8 @@ def prepare(
         wander: of the load's change in a second [N m]; unused without it.
         current: of a measured current [A].
     """
+    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
+
     motor.prepare(c["motor"], m)
     n = 4 if load else 3
     c["n"], c["steps"], c["h"], c["r"] = n, steps, period / steps, current**2

@@ -15,8 +15,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from filterpy.common import van_loan_discretization
-from scipy.signal import cont2discrete, place_poles
 
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import f8, kernel, record
@@ -30,6 +28,9 @@ def design(
     motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return A_d, B_d and K for continuous poles [1/s] at a period [s]."""
+    from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
+    from scipy.signal import cont2discrete, place_poles  # noqa: PLC0415 - slow to load
+
     a, b, c = motor.linear
     # Without noise van Loan's method gives the transition matrix alone; the input's comes from scipy.
     a_d, _ = van_loan_discretization(a, np.zeros((2, 1)), period)

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
-from scipy.optimize import minimize
-from scipy.signal import place_poles
 
 Array = NDArray[np.float64]
 
@@ -107,6 +105,9 @@ def from_poles(
     Raises:
         ValueError: they cannot be placed.
     """
+    from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
+    from scipy.signal import place_poles  # noqa: PLC0415 - likewise
+
     n, p = len(phi), len(c)
     if len(poles) != n:
         raise ValueError(f"{n} poles are needed, {len(poles)} are given")

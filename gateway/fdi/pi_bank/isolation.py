@@ -20,12 +20,12 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.pi_bank import bank, jump, start
 from gateway.fdi.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.pi_bank.design import Noise, Observer, augmented
+from gateway.fdi.quantiles import chi2_above, normal_above
 from gateway.jit import f8, i8, kernel, record
 
 #: No sensor.
@@ -141,10 +141,10 @@ def prepare(
         x = observers[j + 1].gain.error[:n, :n]
         c["spread"][j] = np.sqrt(plant.c[j] @ x @ plant.c[j] + noise.outputs[j] ** 2)
     # Estimates change as slowly as their observer forgets; innovations are new with every sample.
-    c["sure"] = norm.isf(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
-    c["heard"] = chi2.isf(min(plant.period / mtfa_s, 0.01), m)
+    c["sure"] = normal_above(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
+    c["heard"] = chi2_above(min(plant.period / mtfa_s, 0.01), m)
     for k in range(p + 1):
-        c["struck"][k] = chi2.isf(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
+        c["struck"][k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
     c["persistence"] = persistence
     c["hold"] = max(round(hold_s / plant.period), 1)
     s["latched"] = NONE

@@ -20,12 +20,12 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.linear.solve import decompose, solve
 from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.pi_bank.design import Observer, augmented
+from gateway.fdi.quantiles import chi2_above
 from gateway.jit import f8, i8, kernel, record
 
 #: Samples that are kept, and searched for the beginning; a power of 2.
@@ -105,7 +105,7 @@ def prepare(
                 c["inverse"][k][phase][d][:m, :m] = np.linalg.inv(information)
                 g = f @ g + (theta * late if d == 0 else 0.0)
         counts = np.arange(1, WINDOW + 1)
-        c["limit"][k][1:] = chi2.isf(REFUSED, len(rows) * counts)
+        c["limit"][k][1:] = chi2_above(REFUSED, len(rows) * counts)
 
 
 @kernel

@@ -1,0 +1,23 @@
+"""Quantiles against scipy.stats."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, norm
+
+from gateway.fdi.quantiles import chi2_above, normal_above
+
+
+@pytest.mark.parametrize("share", [0.4, 0.05, 1e-4, 1e-9])
+def test_they_are_scipy_s(share):
+    assert normal_above(share) == pytest.approx(norm.isf(share), rel=1e-12)
+    degrees = np.array([1, 2, 7, 64])
+    np.testing.assert_allclose(chi2_above(share, degrees), chi2.isf(share, degrees), rtol=1e-9)
+
+
+def test_a_start_does_not_wait_for_what_only_a_design_needs():
+    code = "import gateway.app, sys; print([m for m in ('scipy.stats', 'scipy.optimize', 'scipy.signal') if m in sys.modules])"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
