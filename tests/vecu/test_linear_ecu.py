@@ -37,6 +37,16 @@ def test_faults_within_a_sample_are_integrated_exactly():
     np.testing.assert_array_equal(u, 0.5)
 
 
+def test_an_actuator_that_drifts_is_one_that_is_commanded_more_and_more():
+    """Its fault is held over a sample: as if the command had drifted."""
+    fault = LinearFault(kind="actuator_drift", place=1, from_s=1.0, size=0.2)
+    y, _ = simulate(drive(0.0, stable=False), (fault,), 3.0, RNG(0))
+    plant, x = example.plant(), np.zeros(4)
+    for k in range(30):
+        np.testing.assert_allclose(y[k], x[:3], atol=1e-12)
+        x = plant.phi @ x + plant.gamma @ np.array([0.5 + 0.2 * max(0.1 * k - 1.0, 0.0), 0.5])
+
+
 def test_each_sensor_fault_does_what_it_says():
     def told(**fault):
         return simulate(drive(0.0, stable=False), (LinearFault(**fault),), 3.0, RNG(0))[0]

@@ -129,3 +129,22 @@ def test_a_sender_that_starts_anew_is_dated_anew_and_not_relied_on_meanwhile(shi
     assert after[-1] - dates[-1][0] <= clock.TOLERANCE_NS
     for (date, sure), t in zip(dates[60:], after, strict=True):
         assert not sure or t - date <= clock.TOLERANCE_NS
+
+
+def test_behind_a_long_silence_the_date_is_that_of_arrival_and_soon_relied_on():
+    """33 frames are lost: the counter says one."""
+    k = np.concatenate([np.arange(40), np.arange(73, 120)])
+    dates = dated(k * PERIOD, k % 16)
+    assert dates[40][0] == k[40] * PERIOD
+    assert not any(sure for _, sure in dates[40 : 40 + clock.SETTLES])
+    assert all(sure for _, sure in dates[40 + clock.SETTLES :])
+
+
+def test_what_comes_too_early_shows_that_all_before_had_waited():
+    """All frames came 5 ms late until now: those dates were wrong, and the next are not relied on at once."""
+    k = np.arange(80)
+    dates = dated(k * PERIOD + np.where(k < 40, 5_000_000, 0), k % 16)
+    assert dates[39][1]
+    assert dates[40][0] == 40 * PERIOD
+    assert not any(sure for _, sure in dates[40 : 40 + clock.SETTLES])
+    assert dates[-1][1]
