@@ -24,7 +24,7 @@ def test_discretisation_is_scipy_s(seed):
     phi, gamma, *_ = cont2discrete((a, b, c, np.zeros((3, 2))), 0.1)
     np.testing.assert_allclose(plant.phi, phi, atol=1e-12)
     np.testing.assert_allclose(plant.gamma, gamma, atol=1e-12)
-    assert discretised(a, b, c, 0.1, discrete=True).phi is not None
+    np.testing.assert_array_equal(discretised(a, b, c, 0.1, discrete=True).phi, a)
     np.testing.assert_array_equal(discretised(a, b, c, 0.1, discrete=True).gamma, b)
     assert (plant.states, plant.inputs, plant.outputs) == (4, 2, 3)
 

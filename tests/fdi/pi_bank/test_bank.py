@@ -67,7 +67,7 @@ def test_the_bank_s_step_is_the_equation(poles):
             np.testing.assert_allclose(s[0]["z"][k][:6], z[k], atol=1e-9)
 
 
-def test_designed_poles_are_there_and_faults_cross_less_than_with_plain_placement():
+def test_every_observer_has_the_poles_asked_for():
     poles = tuple(np.exp(0.1 * np.array(example.POLES)))
     phi = augmented(PLANT)
     for observer in design(PLANT, noise(), poles):
