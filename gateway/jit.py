@@ -218,3 +218,21 @@ def _call_python(address: int, a: int, b: int, c: int, d: int) -> None:
 call_entry: Callable[[int, int, int, int, int], None] = (
     cast(Any, _jump) if COMPILED else _call_python
 )
+
+
+@intrinsic
+def _count_trailing_zeros(_typing: Any, word: Any) -> Any:
+    """Return the place of a word's lowest set bit; undefined for 0."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
+
+
+def _lowest_python(word: int) -> int:
+    return (int(word) & -int(word)).bit_length() - 1
+
+
+#: Returns the place of the lowest set bit of a word that is not 0 and not negative.
+lowest_bit: Callable[[int], int] = cast(Any, _count_trailing_zeros) if COMPILED else _lowest_python

@@ -1,0 +1,372 @@
+"""A residual generator as the source of a module with three kernels.
+
+    reset(s, c)              the states that are carried begin at their given values
+    start(s, c, u)           the other states begin so that the residual does at zero, (24) and (25); ``u`` may be low-pass
+                             filtered, as in (37) and (38)
+    step(s, c, u, dt)        one sample, ``dt`` [s] after the one before (0 for the first behind a start); the residual
+
+Records: ``s`` of STATE, ``c`` of CONST (parameters, tables, bandwidths), ``u`` with a float field for each known variable.
+Where an equation gives no number (a division by zero, a root that is not real) the residual is NaN, and the states that
+depend on it keep their values.
+With several solutions (Remark 1) there is a branch, with states of its own, for each combination; the residual is the one
+nearest to zero, NaN if no branch has a real solution.
+"""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+from sympy.printing.precedence import PRECEDENCE
+from sympy.printing.pycode import PythonCodePrinter
+
+from gateway.fdi.structure.generator.initial import Initial, find_initial
+from gateway.fdi.structure.generator.realisation import Realisation, Statement
+from gateway.fdi.structure.generator.symbols import Algebra
+from gateway.fdi.structure.model import der
+from gateway.fdi.structure.relation import identifier
+from gateway.fdi.structure.sequence import shown
+
+#: Fields of CONST for the filters [rad/s].
+FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
+#: Fields of STATE for (20): the residual, the variable, and b, of the sample before.
+FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
+
+#: Binding of names and calls, just below which nothing needs parentheses.
+_ATOM = PRECEDENCE["Atom"] - 1
+
+_LOCALS = {"s", "c", "u", "dt", "j", "r", "b", "best", "keep"}
+
+
+def field_name(name: str) -> str:
+    """Return the name of a record's field: one that records of NumPy do not have already."""
+    name = identifier(name)
+    return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) else name
+
+
+class _Printer(PythonCodePrinter):  # type: ignore[misc]
+    """Writes algebra as code of a kernel; ``names`` says how each symbol is written."""
+
+    def __init__(self, names: dict[Algebra, str], tables: Iterable[str]) -> None:
+        super().__init__({"fully_qualified_modules": False})
+        self._names = names
+        self._tables = frozenset(tables)
+
+    def _print_Symbol(self, expr: Algebra) -> str:  # noqa: N802 - the names of SymPy's printer
+        return self._names[expr]
+
+    def _print_Float(self, expr: Algebra) -> str:  # noqa: N802
+        return repr(float(expr))
+
+    def _print_Integer(self, expr: Algebra) -> str:  # noqa: N802
+        return f"{int(expr)}.0"
+
+    def written(self, expr: Algebra) -> str:
+        """Return an expression as code; fractions are numbers."""
+        fractions = {
+            x: sympy.Float(float(x)) for x in expr.atoms(sympy.Rational) if not x.is_Integer
+        }
+        return str(self.doprint(expr.xreplace(fractions)))
+
+    def _print_Pow(self, expr: Algebra, rational: bool = False) -> str:  # noqa: N802
+        base, power = expr.as_base_exp()
+        if power == 0.5:
+            return f"root({self._print(base)})"
+        if power == -0.5:
+            return f"1.0 / root({self._print(base)})"
+        if power == -1:
+            return f"1.0 / {self.parenthesize(base, _ATOM)}"
+        shown_power = str(int(power)) if power.is_Integer else self.parenthesize(power, _ATOM)
+        return f"{self.parenthesize(base, _ATOM)}**{shown_power}"
+
+    def _print_sign(self, expr: Algebra) -> str:
+        return f"sign({self._print(expr.args[0])})"
+
+    def _print_Function(self, expr: Algebra) -> str:  # noqa: N802
+        name = type(expr).__name__
+        if name in self._tables:
+            field = field_name(name)
+            return f"interpolate(c.{field}_x, c.{field}_y, {self._print(expr.args[0])})"
+        return str(super()._print_Function(expr))
+
+    def _print_Min(self, expr: Algebra) -> str:  # noqa: N802
+        return self._nested("min", expr.args)
+
+    def _print_Max(self, expr: Algebra) -> str:  # noqa: N802
+        return self._nested("max", expr.args)
+
+    def _nested(self, name: str, arguments: Iterable[Algebra]) -> str:
+        return f"{name}({', '.join(str(self._print(a)) for a in arguments)})"
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A residual generator as code.
+
+    Attributes:
+        name: of it.
+        source: of the module.
+        realisation: what it does.
+        knowns: known variables that it reads, names of the fields of ``u``.
+        rates: derivatives of known variables that ``start`` reads, as fields of ``u``: ``<known>_rate<order>``.
+        states: names of the states that it integrates.
+    """
+
+    name: str
+    source: str
+    realisation: Realisation
+    knowns: tuple[str, ...]
+    rates: tuple[str, ...]
+    states: tuple[str, ...]
+
+
+class _Writer:
+    def __init__(self, name: str, realisation: Realisation) -> None:
+        self.name, self.r = name, realisation
+        self.initial: Initial = find_initial(realisation)
+        self.several = realisation.branches > 1
+        self.model, self.of = realisation.model, realisation.symbols.of
+        self.index = "[j]" if self.several else ""
+        names: dict[Algebra, str] = {}
+        for z in self.model.knowns:
+            names[self.of[z]] = f"u.{field_name(z)}"
+        for p in self.model.parameters:
+            names[self.of[p]] = f"c.{field_name(p)}"
+        for v in self.model.full_variables:
+            names[self.of[v]] = self.state(v) if v in realisation.integrated else self.local(v)
+        for (z, order), symbol in self.initial.rates.items():
+            names[symbol] = f"u.{field_name(z)}_rate{order}"
+        self.names = names
+        self.print = _Printer(names, self.model.tables).written
+
+    def state(self, name: str) -> str:
+        return f"s.{field_name(name)}{self.index}"
+
+    @staticmethod
+    def local(variable: str) -> str:
+        name = identifier(variable)
+        return f"{name}_" if name in _LOCALS or keyword.iskeyword(name) else name
+
+    # What is read -----------------------------------------------------------------------------------------------------
+
+    def used(self) -> set[Algebra]:
+        expressions = [self.r.residual, *self.initial.values.values()]
+        expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
+        return {x for e in expressions for x in e.free_symbols}
+
+    def tables(self) -> tuple[str, ...]:
+        expressions = [self.r.residual, *self.initial.values.values()]
+        expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
+        called = {type(f).__name__ for e in expressions for f in e.atoms(sympy.Function)}
+        return tuple(name for name in self.model.tables if name in called)
+
+    # Lines ------------------------------------------------------------------------------------------------------------
+
+    def assign(self, statement: Statement, stride: int) -> list[str]:
+        if statement.differentiates:
+            x = statement.differentiates
+            low, now, derivative = (
+                f"low_{field_name(x)}",
+                self.names[self.of[x]],
+                self.local(der(x)),
+            )
+            return [
+                f"keep = (1.0 - exp(-c.{DIFFERENTIATOR} * dt)) * ({now} - s.{low}{self.index})",
+                f"s.{low}{self.index} += keep if isfinite(keep) else 0.0",
+                f"{derivative} = keep / dt if dt > 0.0 else 0.0  # {', '.join(statement.equations)}, filtered",
+            ]
+        note = f"  # {', '.join(statement.equations)}"
+        if len(statement.solutions) == 1:
+            return self.given(statement, 0, note)
+        lines = []
+        which = f"j // {stride} % {len(statement.solutions)}".replace("j // 1 ", "j ")
+        for k in range(len(statement.solutions)):
+            last = k == len(statement.solutions) - 1
+            lines.append("else:" if last else f"{'elif' if k else 'if'} {which} == {k}:")
+            lines += [
+                f"    {line}" for line in self.given(statement, k, f"{note}, solution {k + 1}")
+            ]
+        return lines
+
+    def given(self, statement: Statement, k: int, note: str) -> list[str]:
+        solution = statement.solutions[k]
+        return [f"{self.names[self.of[v]]} = {self.print(e)}{note}" for v, e in solution.items()]
+
+    def chain(self, wanted: set[Algebra] | None) -> list[str]:
+        """Return the statements for some symbols, all of them for None."""
+        needed: set[Algebra] = set() if wanted is None else set(wanted)
+        chosen: list[Statement] = []
+        for statement in reversed(self.r.statements):
+            mine = {self.of[v] for v in statement.variables}
+            if wanted is None or mine & needed:
+                chosen.append(statement)
+                needed |= statement.needs
+                if statement.differentiates:
+                    needed.add(self.of[statement.differentiates])
+        kept = {id(statement) for statement in chosen}
+        lines: list[str] = []
+        stride = 1
+        for statement in self.r.statements:
+            if id(statement) in kept:
+                lines += self.assign(statement, stride)
+            stride *= max(len(statement.solutions), 1)
+        return lines
+
+    def branched(self, lines: list[str]) -> list[str]:
+        if not self.several:
+            return lines
+        return [f"for j in range({self.r.branches}):", *(f"    {line}" for line in lines)]
+
+    # Kernels ----------------------------------------------------------------------------------------------------------
+
+    def reset(self) -> list[str]:
+        lines = [f"{self.state(x)} = c.start_{field_name(x)}" for x in self.r.carried]
+        return self.branched(lines) if lines else ["pass"]
+
+    def start(self) -> list[str]:
+        lines = [f"s.d_{field_name(x)}{self.index} = 0.0" for x in self.r.integrated]
+        free = {self.of[x] for x in self.r.initialised}
+        first = {x for e in self.initial.values.values() for x in e.free_symbols} - free
+        computed = {self.of[v] for s in self.r.statements for v in s.variables}
+        lines += self.chain(first & computed)
+        lines += [f"{self.state(x)} = {self.print(e)}" for x, e in self.initial.values.items()]
+        behind = {self.of[x] for x in self.r.differentiated}
+        if self.r.transformed:
+            behind.add(self.of[self.r.transformed])
+        if behind:
+            chain = self.chain(behind & computed)
+            lines += ["dt = 0.0"] * any("dt" in line for line in chain)
+            lines += chain
+        for x in self.r.differentiated:
+            lines.append(f"s.low_{field_name(x)}{self.index} = {self.names[self.of[x]]}")
+        if self.r.transformed:
+            x = self.names[self.of[self.r.transformed]]
+            lines += [
+                f"s.{FILTERED}{self.index} = 0.0  # (25)",
+                f"s.{LAST}{self.index} = {x}",
+                f"s.{DRIVE}{self.index} = 0.0",
+            ]
+        return self.branched(lines) if lines else ["pass"]
+
+    def step(self) -> list[str]:
+        lines = [
+            f"{self.state(x)} += dt * s.d_{field_name(x)}{self.index}" for x in self.r.integrated
+        ]
+        lines += self.chain(None)
+        for x in self.r.integrated:
+            d = self.names[self.of[der(x)]]
+            lines.append(f"s.d_{field_name(x)}{self.index} = {d} if isfinite({d}) else 0.0")
+        residual = self.print(self.r.residual)
+        if self.r.transformed:
+            lines += self.filtered(self.names[self.of[self.r.transformed]], residual)
+        else:
+            lines.append(f"r = {residual}  # {self.r.consistency}")
+        if not self.several:
+            return [*lines, "return r"]
+        best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
+        return ["best = nan", *self.branched([*lines, *best]), "return best"]
+
+    def filtered(self, x: str, residual: str) -> list[str]:
+        kept, last, drive = (f"s.{name}{self.index}" for name in (FILTERED, LAST, DRIVE))
+        return [
+            f"keep = exp(-c.{FILTER} * dt)",
+            f"b = {residual}  # {self.r.consistency}",
+            f"r = (1.0 - keep) / dt * ({x} - {last}) if dt > 0.0 else c.{FILTER} * ({x} - {last})",
+            f"r += keep * {kept} + (1.0 - keep) * {drive}  # (20)",
+            "if isfinite(r):",
+            f"    {kept} = r",
+            f"    {last} = {x}",
+            "if isfinite(b):",
+            f"    {drive} = b",
+            "else:",
+            "    r = nan",
+        ]
+
+    # Module -----------------------------------------------------------------------------------------------------------
+
+    def records(self) -> list[str]:
+        form = f"(f8, {self.r.branches})" if self.several else "f8"
+        states = [f"{field_name(x)}={form}, d_{field_name(x)}={form}" for x in self.r.integrated]
+        if self.r.transformed:
+            states += [f"{FILTERED}={form}, {LAST}={form}, {DRIVE}={form}"]
+        states += [f"low_{field_name(x)}={form}" for x in self.r.differentiated]
+        used = self.used()
+        const = [f"{field_name(p)}=f8" for p in self.model.parameters if self.of[p] in used]
+        for name in self.tables():
+            points, field = len(self.model.tables[name].x), field_name(name)
+            const += [f"{field}_x=(f8, {points})", f"{field}_y=(f8, {points})"]
+        const += [f"start_{field_name(x)}=f8" for x in self.r.carried]
+        const += [f"{FILTER}=f8"] * bool(self.r.transformed)
+        const += [f"{DIFFERENTIATOR}=f8"] * bool(self.r.differentiated)
+        # A record has a field at least: there are generators without states, and without parameters.
+        lines = []
+        for title, fields in (("STATE", states), ("CONST", const)):
+            lines.append(f"{title} = record(")
+            lines += [f"    {one}," for one in fields or ["unused_=f8"]]
+            lines.append(")")
+        return lines
+
+    def knowns(self) -> tuple[str, ...]:
+        used = self.used()
+        return tuple(z for z in self.model.knowns if self.of[z] in used)
+
+    def module(self) -> str:
+        r = self.r
+        body = [*self.reset(), *self.start(), *self.step()]
+        text = "\n".join(body)
+        functions = [f for f in _MATH if f"{f}(" in text or (f in ("pi", "nan") and f in text)]
+        runtime = [f for f in ("interpolate", "root", "sign") if f"{f}(" in text]
+        imports = [f"from math import {', '.join(functions)}"] if functions else []
+        ours = (
+            [f"from gateway.fdi.structure.generator.runtime import {', '.join(runtime)}"]
+            if runtime
+            else []
+        )
+        arguments = {"reset": "s, c", "start": "s, c, u", "step": "s, c, u, dt"}
+        lines = [
+            f'"""Residual generator {self.name} of {self.model.name}: made from its model, not by hand.',
+            "",
+            f"Consistency relation {r.consistency}"
+            + (f": {text}" if (text := self._relation()) else ""),
+            f"Sequence {shown(self.model, r.steps) or 'empty'}",
+            '"""',
+            "",
+            *imports,
+            "",
+            *ours,
+            "from gateway.jit import f8, kernel, record",
+            "",
+            *self.records(),
+            f"KNOWNS = {self.knowns()!r}",
+        ]
+        for kernel, body in (
+            ("reset", self.reset()),
+            ("start", self.start()),
+            ("step", self.step()),
+        ):
+            lines += ["", "", "@kernel", f"def {kernel}({arguments[kernel]}):"]
+            lines += [f"    {line}" for line in body]
+        return "\n".join(lines) + "\n"
+
+    def _relation(self) -> str:
+        relation = self.model.by_name[self.r.consistency].relation
+        return "" if relation is None else relation.text
+
+
+_MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
+
+
+def write(name: str, realisation: Realisation) -> Generated:
+    """Write a residual generator as code.
+
+    Raises:
+        NotSolvableError: its states cannot begin by (24).
+    """
+    writer = _Writer(name, realisation)
+    rates = tuple(f"{z}_rate{order}" for z, order in writer.initial.rates)
+    return Generated(
+        name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated
+    )

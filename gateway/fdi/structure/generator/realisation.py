@@ -1,0 +1,197 @@
+"""A residual generator as statements: what is computed in which order, from which states, and the residual.
+
+Three kinds of state:
+
+- of **integral causality**, x := x + dt der(x), with der(x) of the sample before;
+- of the **state transformation** (20), where the consistency relation contains the derivative of a variable x that is
+  computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight and b held between two
+  samples at a distance h, the filter is r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)), d = exp(-alpha h); its
+  gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha h / 2 of
+  its slope.) It begins with r = 0, (25);
+- of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and the
+  filter's slope is taken for der(x).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import sympy
+
+from gateway.fdi.structure.generator.solving import NotSolvableError, Solution, solve
+from gateway.fdi.structure.generator.symbols import Algebra, Symbols
+from gateway.fdi.structure.model import Model, der, state_of
+from gateway.fdi.structure.sequence import Kind, Step, Structure
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Variables computed at once.
+
+    Attributes:
+        equations: by which; for a derivative that is filtered, the state's relation.
+        solutions: an expression for each variable; several solutions are branches.
+        differentiates: the variable whose derivative this is; then there are no solutions.
+    """
+
+    equations: tuple[str, ...]
+    solutions: tuple[Solution, ...] = ()
+    differentiates: str = ""
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What is computed."""
+        return (der(self.differentiates),) if self.differentiates else tuple(self.solutions[0])
+
+    @property
+    def needs(self) -> set[Algebra]:
+        """Symbols of what it is computed from."""
+        return {x for one in self.solutions for e in one.values() for x in e.free_symbols}
+
+
+@dataclass(frozen=True)
+class Realisation:
+    """A residual generator before it is code.
+
+    Attributes:
+        model: of which.
+        symbols: its symbols.
+        equations: the overdetermined set, in the order of the model.
+        consistency: the consistency relation.
+        steps: the computation sequence.
+        statements: in the order of computation.
+        integrated: states in integral causality.
+        residual: the residual, or b of (20) if ``transformed`` is not empty.
+        transformed: the variable x of (20), else empty.
+        carried: states that begin at a given value, and keep theirs when the generator is started again; of each, the
+            value.
+    """
+
+    model: Model
+    symbols: Symbols
+    equations: tuple[str, ...]
+    consistency: str
+    steps: tuple[Step, ...]
+    statements: tuple[Statement, ...]
+    integrated: tuple[str, ...]
+    residual: Algebra
+    transformed: str = ""
+    carried: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def branches(self) -> int:
+        """Number of combinations of solutions (Remark 1)."""
+        count = 1
+        for statement in self.statements:
+            count *= max(len(statement.solutions), 1)
+        return count
+
+    @property
+    def differentiated(self) -> tuple[str, ...]:
+        """Variables that are differentiated by a filter."""
+        return tuple(s.differentiates for s in self.statements if s.differentiates)
+
+    @property
+    def initialised(self) -> tuple[str, ...]:
+        """States in integral causality that begin so that the residual does at zero (24)."""
+        return tuple(x for x in self.integrated if x not in self.carried)
+
+
+def realise(
+    model: Model,
+    equations: frozenset[str],
+    consistency: str,
+    *,
+    differentiate: bool = False,
+    start: Mapping[str, float] | None = None,
+) -> Realisation:
+    """Turn an overdetermined set and its consistency relation into statements.
+
+    Args:
+        model: the model, with relations.
+        equations: the set, one equation more than unknowns.
+        consistency: which of them is checked.
+        differentiate: allow variables within the sequence to be differentiated (by a filter).
+        start: values at which states begin, beside those of the model; all others begin by (24).
+
+    Raises:
+        NotSolvableError: a step cannot be solved, or must differentiate and may not.
+        ValueError: the set is not of that kind.
+    """
+    structure, symbols = Structure(model), Symbols(model)
+    steps = structure.sequence(equations, consistency)
+    check = next(e for e in model.equations if e.name == consistency)
+    transformed = _transformed(model, equations, consistency, steps)
+    statements: list[Statement] = []
+    integrated: list[str] = []
+    for step in steps:
+        state = state_of(step.variables[0])
+        if step.kind is Kind.INTEGRATE:
+            integrated.append(state)
+        elif step.kind is Kind.DIFFERENTIATE:
+            if state == transformed:
+                continue
+            if not differentiate:
+                raise NotSolvableError(
+                    f"the sequence differentiates {state}, and a transformation (20) avoids that in the consistency"
+                    " relation only: choose another, or allow derivatives"
+                )
+            statements.append(Statement(step.equations, (), state))
+        else:
+            statements.append(Statement(step.equations, solve(model, symbols, step)))
+    residual = (
+        symbols.of[check.differential] * 0 - symbols.of[der(check.differential)]
+        if check.differential
+        else _residual(symbols, model, consistency)
+    )
+    if transformed and not check.differential:
+        residual = _transformation(symbols, residual, transformed, consistency)
+    carried = {x: value for x in integrated if (value := _start(model, x, start)) is not None}
+    ordered = tuple(e.name for e in model.equations if e.name in equations)
+    return Realisation(
+        model, symbols, ordered, consistency, steps, tuple(statements), tuple(integrated),
+        residual, transformed, carried,
+    )  # fmt: skip
+
+
+def _start(model: Model, state: str, start: Mapping[str, float] | None) -> float | None:
+    if start and state in start:
+        return start[state]
+    quantity = model.quantities.get(state)
+    return None if quantity is None else quantity.value
+
+
+def _residual(symbols: Symbols, model: Model, consistency: str) -> Algebra:
+    relation = model.by_name[consistency].relation
+    if relation is None:
+        raise NotSolvableError(f"equation {consistency} has no relation, only a structure")
+    return symbols.residual(relation)
+
+
+def _transformed(
+    model: Model, equations: frozenset[str], consistency: str, steps: tuple[Step, ...]
+) -> str:
+    """Return the variable whose derivative stands in the consistency relation and nowhere else, empty if none."""
+    check = model.by_name[consistency]
+    if check.differential:
+        return check.differential
+    state = check.derivative
+    if not state or not any(
+        s.kind is Kind.DIFFERENTIATE and state_of(s.variables[0]) == state for s in steps
+    ):
+        return ""
+    others = (e for e in model.equations if e.name in equations and not e.differential)
+    elsewhere = any(der(state) in e.variables for e in others if e.name != consistency)
+    return "" if elsewhere else state
+
+
+def _transformation(symbols: Symbols, residual: Algebra, state: str, consistency: str) -> Algebra:
+    """Return b of r~ = der(x) + b, (20a)."""
+    derivative = symbols.of[der(state)]
+    slope = sympy.diff(residual, derivative)
+    if slope == 0 or slope.has(derivative):
+        raise NotSolvableError(
+            f"equation {consistency} is not linear in der({state}): (20a) does not hold"
+        )
+    return residual.subs(derivative, 0) / slope

@@ -1,0 +1,225 @@
+"""All minimally structurally overdetermined sets of equations (Krysander, Aslund, Nyberg 2008).
+
+An MSO set has one equation more than unknowns, and no proper subset has redundancy. From the overdetermined part of the
+model, equations are left out one equivalence class at a time until the redundancy is 1; what was left out on one branch
+is not tried again on the next, so that each set is found once. A class is lumped to one equation without its own
+variables, so that the structure shrinks on the way down.
+
+The number of sets grows exponentially with the redundancy: it is the number, not the search, that ends it. So there is
+a limit, and the search can be watched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.structure.decomposition import Matched
+from gateway.fdi.structure.incidence import Incidence, Sets, pack, unpack, words
+from gateway.fdi.structure.matching import ABSENT, FREE, make_free, reach_from_free
+from gateway.jit import kernel
+
+#: Sets found between two reports of progress.
+PORTION = 20_000
+#: Default of the greatest number of sets.
+MOST_SETS = 1_000_000
+
+
+class TooManySetsError(ValueError):
+    """More sets than the limit.
+
+    Args:
+        limit: the limit.
+        redundancy: of the model.
+        share: how much of the search was done, 0 to 1.
+    """
+
+    def __init__(self, limit: int, redundancy: int, share: float) -> None:
+        self.limit, self.redundancy, self.share = limit, redundancy, share
+        super().__init__(
+            f"more than {limit} MSO sets (redundancy {redundancy}, {100 * share:.1f} % of the search done):"
+            " raise the limit, or analyse a part of the model or fewer sensors"
+        )
+
+
+@kernel
+def _lump(
+    rows: Any,
+    ids: Any,
+    state: Any,
+    mate: Any,
+    owner: Any,
+    size: int,
+    came: Any,
+    queue: Any,
+    reached: Any,
+    seen: Any,
+) -> int:
+    """Lump the equivalence classes that may be left out; returns how many equations are left.
+
+    ``state`` of each equation: 1 it may be left out, 0 it may not.
+    """
+    done = np.zeros(size, np.bool_)
+    for i in range(size):
+        if mate[i] == ABSENT or state[i] == 0 or done[i]:
+            continue
+        make_free(rows, size, mate, owner, i, came, queue, reached, seen)
+        reach_from_free(rows, size, mate, owner, i, came, queue, reached, seen)
+        done[i] = True
+        for j in range(size):
+            if j == i or reached[j] or mate[j] == ABSENT:
+                continue
+            # Equation i is free, so the others of its class are matched to variables that only the class contains.
+            for w in range(rows.shape[1]):
+                rows[i, w] |= rows[j, w]
+            for w in range(ids.shape[1]):
+                ids[i, w] |= ids[j, w]
+            state[i] &= state[j]
+            owner[mate[j]] = -1
+            mate[j] = ABSENT
+        for w in range(rows.shape[1]):
+            rows[i, w] &= seen[w]
+    left = 0
+    for i in range(size):
+        if mate[i] == ABSENT:
+            continue
+        if left != i:
+            for w in range(rows.shape[1]):
+                rows[left, w] = rows[i, w]
+            for w in range(ids.shape[1]):
+                ids[left, w] = ids[i, w]
+            state[left] = state[i]
+            mate[left] = mate[i]
+            if mate[i] >= 0:
+                owner[mate[i]] = left
+        left += 1
+    return left
+
+
+@kernel
+def _search(
+    rows: Any, ids: Any, state: Any, mate: Any, owner: Any, size: Any, at: Any, found: Any
+) -> int:
+    """Go on with the search until ``found`` is full or nothing is left; returns how many sets were found.
+
+    First index of all but ``found``: the level, from which equations were left out. ``at``: the level, and then the next
+    equation to be left out on each level.
+    """
+    levels, most = rows.shape[0], rows.shape[1]
+    came = np.zeros(owner.shape[1], np.int64)
+    queue = np.zeros(most, np.int64)
+    reached = np.zeros(most, np.bool_)
+    seen = np.zeros(rows.shape[2], np.int64)
+    level, count = at[0], 0
+    while level >= 0 and count < found.shape[0]:
+        if level == levels - 1:
+            for w in range(found.shape[1]):
+                found[count, w] = 0
+            for i in range(size[level]):
+                for w in range(found.shape[1]):
+                    found[count, w] |= ids[level, i, w]
+            count += 1
+            level -= 1
+            continue
+        if at[1 + level] == 0:
+            size[level] = _lump(
+                rows[level], ids[level], state[level], mate[level], owner[level], size[level],
+                came, queue, reached, seen,
+            )  # fmt: skip
+        i = at[1 + level]
+        while i < size[level] and state[level, i] == 0:
+            i += 1
+        if i == size[level]:
+            level -= 1
+            continue
+        at[1 + level] = i + 1
+        make_free(
+            rows[level], size[level], mate[level], owner[level], i, came, queue, reached, seen
+        )
+        below = level + 1
+        left = 0
+        for j in range(size[level]):
+            if j == i:
+                continue
+            for w in range(rows.shape[2]):
+                rows[below, left, w] = rows[level, j, w]
+            for w in range(ids.shape[2]):
+                ids[below, left, w] = ids[level, j, w]
+            state[below, left] = state[level, j] if j > i else 0
+            mate[below, left] = mate[level, j]
+            left += 1
+        for v in range(owner.shape[1]):
+            j = owner[level, v]
+            owner[below, v] = j - 1 if j > i else j
+        size[below] = left
+        at[1 + below] = 0
+        level = below
+    at[0] = level
+    return count
+
+
+def _share(at: Any, size: Any) -> float:
+    """Return how much of the first level's branches is done."""
+    return float((at[1] - 1) / size[0]) if at[0] >= 0 and len(size) > 1 else 1.0
+
+
+def find_msos(
+    structure: Incidence,
+    *,
+    limit: int = MOST_SETS,
+    progress: Callable[[int, float], None] | None = None,
+) -> Sets:
+    """Return all MSO sets, shape (sets, equations), in order of size and then of their equations.
+
+    Args:
+        structure: the model's structure.
+        limit: greatest number of sets.
+        progress: called now and then with the number found and the share of the search that is done, 0 to 1.
+
+    Raises:
+        TooManySetsError: there are more than the limit.
+    """
+    m, n = len(structure.equations), len(structure.variables)
+    start = Matched(structure)
+    over = np.flatnonzero(start.over())
+    phi = int((start.mate[over] == FREE).sum())
+    if phi == 0:
+        return np.zeros((0, m), np.bool_)
+    k, w = len(over), words(n)
+    rows = np.zeros((phi, k, w), np.int64)
+    rows[0] = structure.rows[over]
+    ids = np.zeros((phi, k, words(m)), np.int64)
+    ids[0] = pack([[int(e)] for e in over], m)
+    state = np.zeros((phi, k), np.int64)
+    state[0] = 1
+    mate = np.full((phi, k), FREE, np.int64)
+    mate[0] = start.mate[over]
+    owner = np.full((phi, n), -1, np.int64)
+    for i, v in enumerate(mate[0]):
+        if v >= 0:
+            owner[0, v] = i
+    size = np.zeros(phi, np.int64)
+    size[0] = k
+    at = np.zeros(1 + phi, np.int64)
+    portions: list[Any] = []
+    total = 0
+    while at[0] >= 0:
+        found = np.zeros((min(PORTION, limit + 1 - total), words(m)), np.int64)
+        count = _search(rows, ids, state, mate, owner, size, at, found)
+        portions.append(found[:count])
+        total += count
+        if progress is not None:
+            progress(total, _share(at, size))
+        if total > limit:
+            raise TooManySetsError(limit, phi, _share(at, size))
+    return in_order(unpack(np.concatenate(portions), m))
+
+
+def in_order(sets: Sets) -> Sets:
+    """Return sets in order of size, and of their equations where the size is equal."""
+    if not len(sets):
+        return sets
+    keys = [~sets[:, i] for i in range(sets.shape[1] - 1, -1, -1)]
+    return sets[np.lexsort([*keys, sets.sum(1)])]
