@@ -138,6 +138,35 @@ def simulate(
     )
 
 
+@app.command()
+def structure(
+    model: Annotated[
+        Path, typer.Argument(help="Structural model, or the name of a shipped one: hybrid_truck.")
+    ],
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, help="Stop at more MSO sets than this.")] = 1_000_000,
+    residual: Annotated[
+        str | None,
+        typer.Option(help="A residual generator's sequence and code: its name, or SET:EQUATION."),
+    ] = None,
+    sensors: Annotated[
+        str | None,
+        typer.Option(
+            help="Which of these unknowns to measure (a,b,c or all) so that faults are found."
+        ),
+    ] = None,
+) -> None:
+    """Structural analysis of a model: which residual generators it has, and what they tell."""
+    from gateway.cli.structure import structure as work
+
+    raise typer.Exit(
+        work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors)
+    )
+
+
 @evaluate_app.command("crank")
 def evaluate_crank(
     seeds: Annotated[

@@ -163,8 +163,8 @@ def find_config(path: Path | None) -> Path:
     return here if here.exists() else shipped("gateway.toml")
 
 
-def find_scenario(name: Path) -> Path:
-    """Return a scenario's file: a path, or the name of a shipped scenario.
+def find_shipped(name: Path, folder: str, kind: str) -> Path:
+    """Return a TOML file: a path, or the name of a shipped one.
 
     Raises:
         InputError: neither; names the shipped ones.
@@ -172,10 +172,15 @@ def find_scenario(name: Path) -> Path:
     if name.exists() or name.suffix == ".toml":
         return name
     try:
-        return shipped(f"scenarios/{name}.toml")
+        return shipped(f"{folder}/{name}.toml")
     except InputError as error:
-        known = ", ".join(sorted(_names(shipped("scenarios").glob("*.toml"))))
-        raise InputError(f"no such scenario; shipped: {known}", value=str(name)) from error
+        known = ", ".join(sorted(_names(shipped(folder).glob("*.toml"))))
+        raise InputError(f"no such {kind}; shipped: {known}", value=str(name)) from error
+
+
+def find_scenario(name: Path) -> Path:
+    """Return a scenario's file (see :func:`find_shipped`)."""
+    return find_shipped(name, "scenarios", "scenario")
 
 
 def _names(paths: Iterable[Path]) -> list[str]:

@@ -14,6 +14,8 @@ from gateway.bus.can_structs import RawReceiver
 from gateway.cli.present import print_json
 from gateway.config import load_config
 from gateway.drive import drive
+from gateway.evaluate.structure.analysis import analyse
+from gateway.fdi.structure.file import load_model
 from gateway.jit import CACHE, cache_is_warm, prune_cache
 from gateway.monitors.registry import MONITORS
 from gateway.resources import shipped
@@ -21,7 +23,7 @@ from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 
 #: Parts that are no monitors.
-ENGINE, PLANT = "engine", "plant"
+ENGINE, PLANT, STRUCTURE = "engine", "plant", "structure"
 
 
 def _compile_engine() -> None:
@@ -40,12 +42,19 @@ def _compile_plant() -> None:
     Player(steering.model_copy(update={"duration_s": 0.05}), {"chassis": 0})
 
 
+def _compile_structure() -> None:
+    """Compile the structural analysis, down to the sequence of a candidate."""
+    _ = analyse(load_model(shipped("models/example_1.toml"))).tests
+
+
 def _compile(part: str) -> None:
     """Compile one part, in a process of its own."""
     if part == ENGINE:
         _compile_engine()
     elif part == PLANT:
         _compile_plant()
+    elif part == STRUCTURE:
+        _compile_structure()
     else:
         _ = MONITORS[part].entry
 
@@ -53,7 +62,7 @@ def _compile(part: str) -> None:
 def _compile_at_once() -> None:
     """Compile all parts, as many at a time as there are processors."""
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        list(pool.map(_compile, (ENGINE, *MONITORS, PLANT)))
+        list(pool.map(_compile, (ENGINE, *MONITORS, PLANT, STRUCTURE)))
 
 
 def warmup(*, json: bool) -> int:

@@ -57,7 +57,7 @@ def signatures(model: Model, sets: Sets) -> Sets:
 def isolability_of_tests(faults: Iterable[str], signature: Sets) -> Isolability:
     """Return what tests with a fault signature matrix, shape (tests, faults), tell."""
     names = tuple(faults)
-    s = signature.reshape(-1, len(names))
+    s = signature.reshape(len(signature), len(names))
     told: Bools = np.any(s[:, :, None] & ~s[:, None, :], axis=0)
     detectable: Bools = np.any(s, axis=0)
     return Isolability(names, detectable, ~told)

@@ -1,0 +1,255 @@
+"""All that structural analysis tells of a model, computed once, and as data for programs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import InputError
+from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES, Candidates, classify
+from gateway.fdi.structure.decomposition import Decomposition, decompose
+from gateway.fdi.structure.incidence import Incidence, Sets, counted
+from gateway.fdi.structure.isolability import (
+    Isolability,
+    isolability_of_model,
+    isolability_of_tests,
+    signatures,
+)
+from gateway.fdi.structure.model import Model, ResidualChoice, Solvable
+from gateway.fdi.structure.mso import MOST_SETS, TooManySetsError, find_msos
+from gateway.fdi.structure.mtes import find_mtes
+from gateway.fdi.structure.selection import fewest_tests
+from gateway.fdi.structure.sequence import Structure, shown
+
+
+@dataclass(frozen=True)
+class Test:
+    """A residual generator of the model, classified.
+
+    Attributes:
+        equations: its set, in the order of the model.
+        consistency: the consistency relation.
+        causality: S, SI, SD or SDI.
+        status: unique, multiple or none.
+        faults: that it is sensitive to.
+        sequence: how its unknowns are computed, as the paper writes it.
+        minimal: whether its set is an MSO set.
+    """
+
+    equations: tuple[str, ...]
+    consistency: str
+    causality: str
+    status: str
+    faults: tuple[str, ...]
+    sequence: str
+    minimal: bool
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What structural analysis tells of a model.
+
+    Attributes:
+        model: the model.
+        structure: its structure as it is counted.
+        parts: its Dulmage-Mendelsohn decomposition.
+        msos: its MSO sets, shape (sets, equations).
+        candidates: all candidates, classified.
+    """
+
+    model: Model
+    structure: Incidence
+    parts: Decomposition
+    msos: Sets
+    candidates: Candidates
+
+    @cached_property
+    def sizes(self) -> dict[int, int]:
+        """How many sets there are of each number of equations."""
+        return dict(sorted(Counter(map(int, self.msos.sum(1))).items()))
+
+    @cached_property
+    def signature(self) -> Sets:
+        """Fault signature matrix of the sets, shape (sets, faults)."""
+        return signatures(self.model, self.msos)
+
+    @cached_property
+    def best(self) -> Isolability:
+        """What the structure tells at best."""
+        return isolability_of_model(self.model)
+
+    def isolability(self, causality: str, algebraic: str = "unique") -> Isolability:
+        """Return what the sets tell that have a candidate of a class."""
+        chosen = self.candidates.sets(self.candidates.chosen(causality, algebraic))
+        return isolability_of_tests(self.model.faults, self.signature[chosen])
+
+    @cached_property
+    def fewest(self) -> NDArray[np.int64]:
+        """The fewest sets with unique residual generators that tell as much as all of those, by their numbers."""
+        usable = np.flatnonzero(self.candidates.sets(self.candidates.chosen("SDI", "unique")))
+        sizes = self.msos[usable].sum(1).astype(np.float64)
+        return usable[fewest_tests(self.signature[usable], sizes)]
+
+    @cached_property
+    def tests(self) -> dict[str, Test]:
+        """The residual generators that the model names."""
+        return {name: self.test(choice) for name, choice in self.model.residuals.items()}
+
+    def test(self, choice: ResidualChoice) -> Test:
+        """Classify a residual generator.
+
+        Raises:
+            ValueError: its set does not determine its unknowns.
+        """
+        row = self.structure.subset(choice.equations)
+        steps = Structure(self.model).sequence(choice.equations, choice.consistency)
+        alone = classify(self.model, row[None, :])
+        k = [self.structure.equations[e] for e in alone.equation].index(choice.consistency)
+        faults = signatures(self.model, row[None, :])[0]
+        return Test(
+            self.structure.names(row),
+            choice.consistency,
+            alone.causality(k),
+            Solvable(int(alone.status[k])).name.lower(),
+            tuple(f for f, there in zip(self.model.faults, faults, strict=True) if there),
+            shown(self.model, steps),
+            bool((self.msos == row).all(1).any()),
+        )
+
+    def choice(self, name: str) -> ResidualChoice:
+        """Return a residual generator by its name in the model, or as ``<number of a set>:<equation>``.
+
+        Raises:
+            InputError: neither.
+        """
+        if name in self.model.residuals:
+            return self.model.residuals[name]
+        number, _, equation = name.partition(":")
+        if number.isdigit() and 1 <= int(number) <= len(self.msos):
+            names = self.structure.names(self.msos[int(number) - 1])
+            if equation in names:
+                return ResidualChoice(frozenset(names), equation)
+            raise InputError(f"set {number} has {', '.join(names)}", key="--residual", value=name)
+        known = ", ".join(self.model.residuals) or "no residuals"
+        raise InputError(
+            f"the model names {known}; or give SET:EQUATION, of the sets 1 to {len(self.msos)}",
+            key="--residual",
+            value=name,
+        )
+
+    def counts(self, causality: str, algebraic: str) -> NDArray[np.int64]:
+        """Return the number of candidates of a class in each set, shape (sets,): a bar chart of the paper's Fig. 2."""
+        chosen = self.candidates.chosen(causality, algebraic)
+        return np.bincount(self.candidates.mso[chosen], minlength=len(self.msos))
+
+
+def analyse(
+    model: Model,
+    *,
+    limit: int = MOST_SETS,
+    progress: Callable[[str, float], None] | None = None,
+) -> Analysis:
+    """Analyse a model.
+
+    Args:
+        model: the model.
+        limit: greatest number of MSO sets.
+        progress: called with what is done and the share of it, 0 to 1.
+
+    Raises:
+        InputError: there are more sets than the limit.
+    """
+
+    def searching(count: int, share: float) -> None:
+        if progress is not None:
+            progress(f"{count} MSO sets", share)
+
+    def classifying(done: int) -> None:
+        if progress is not None:
+            progress(f"{done} of {len(msos)} sets classified", done / max(len(msos), 1))
+
+    structure = counted(model)
+    try:
+        msos = find_msos(structure, limit=limit, progress=searching)
+    except TooManySetsError as error:
+        raise InputError(str(error), key="--limit", value=limit) from error
+    candidates = classify(model, msos, progress=classifying)
+    return Analysis(model, structure, decompose(structure), msos, candidates)
+
+
+def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
+    """Return an analysis as data; ``sets``: with every MSO set."""
+    model, parts = analysis.model, analysis.parts
+    counts = {
+        f"{algebraic} {causality}": analysis.counts(causality, algebraic)
+        for algebraic in ALGEBRAIC
+        for causality in CAUSALITIES
+    }
+    found: dict[str, Any] = {
+        "model": model.name,
+        "equations": len(model.equations),
+        "unknowns": len(model.variables),
+        "knowns": len(model.knowns),
+        "faults": list(model.faults),
+        "redundancy": parts.redundancy,
+        "msos": len(analysis.msos),
+        "candidates": len(analysis.candidates),
+        "sizes": {str(size): count for size, count in analysis.sizes.items()},
+        "table": {
+            algorithm: {
+                algebraic: {causality: list(pair) for causality, pair in row.items()}
+                for algebraic, row in rows.items()
+            }
+            for algorithm, rows in analysis.candidates.table.items()
+        },
+        "detectable": analysis.best.detectable.astype(int).tolist(),
+        "isolability": analysis.best.confused.astype(int).tolist(),
+        "isolability_of": {
+            causality: {
+                "detectable": mine.detectable.astype(int).tolist(),
+                "isolability": mine.confused.astype(int).tolist(),
+            }
+            for causality in CAUSALITIES
+            for mine in (analysis.isolability(causality),)
+        },
+        "mtes": [list(analysis.structure.names(row)) for row in find_mtes(model)],
+        "fewest_tests": [int(k) + 1 for k in analysis.fewest],
+        "parts": {
+            "under": _block(parts.under),
+            "just": [_block(block) for block in parts.just],
+            "over": _block(parts.over),
+            "classes": [_block(block) for block in parts.classes],
+        },
+        "tests": {
+            name: {
+                "equations": list(test.equations),
+                "consistency": test.consistency,
+                "causality": test.causality,
+                "status": test.status,
+                "faults": list(test.faults),
+                "sequence": test.sequence,
+                "minimal": test.minimal,
+            }
+            for name, test in analysis.tests.items()
+        },
+    }
+    if sets:
+        found["sets"] = [
+            {
+                "equations": list(analysis.structure.names(row)),
+                "faults": [f for f, there in zip(model.faults, signs, strict=True) if there],
+                **{name: int(count[k]) for name, count in counts.items()},
+            }
+            for k, (row, signs) in enumerate(zip(analysis.msos, analysis.signature, strict=True))
+        ]
+    return found
+
+
+def _block(block: Any) -> dict[str, list[str]]:
+    return {"equations": list(block.equations), "unknowns": list(block.variables)}
