@@ -453,6 +453,69 @@ def test_integrated_states_have_a_value_for_each_root():
     assert list(runner.s[0]["q"]) == before  # no root was real, nothing was integrated
 
 
+def test_a_filtered_start_is_made_up_for_in_the_first_sample(load):
+    """(38): started with a filtered y of 0.3, the first sample at 0.5 gives alpha (y - LP y), as Gamma + alpha x does."""
+    choice = (model := load("example_4")).residuals["derivative"]
+    runner = Runner(
+        residual_generator(model, choice.equations, choice.consistency), filter_bandwidth=2.0
+    )
+    runner.start(u=0.0, y=0.3)
+    assert runner.step(0.0, u=0.0, y=0.5) == pytest.approx(2.0 * 0.2)
+    assert runner.step(0.1, u=0.0, y=0.5) == pytest.approx(2.0 * 0.2 * np.exp(-0.2))
+
+
+def reciprocal():
+    """x = a / y, and x' = u: a sample with y = 0 gives no x."""
+    unique = Solvable.UNIQUE
+    return Model(
+        "reciprocal",
+        (
+            Equation("e1", ("x",), ("a", "y"), solvable={"x": unique}, relation=Relation.parse("x = a / y")),
+            Equation("e2", ("der(x)", "w"), ("u",), solvable={"w": unique}, relation=Relation.parse("der(x) = u * w")),
+            Equation("e3", ("w",), ("z",), solvable={"w": unique}, relation=Relation.parse("z = w")),
+        ),
+        ("x", "w"),
+        ("a", "y", "u", "z"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("checked", ["e2", "e3"])
+def test_filters_survive_a_sample_that_is_no_number(checked):
+    """The filter of (20) and the one that differentiates go on behind it as if it had not come."""
+    loaded = residual_generator(reciprocal(), SET, checked, differentiate=True)
+    runner = Runner(loaded, filter_bandwidth=2.0, derivative_bandwidth=2.0)
+    rows = [{"a": 1.0, "y": 2.0 + 0.1 * k, "u": 1.0, "z": 0.5} for k in range(4)]
+    runner.run(rows, 0.1)
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(runner.step(0.1, a=1.0, y=0.0, u=1.0, z=0.5))
+    assert all(np.isfinite(float(runner.s[0][name])) for name in loaded.state.names)
+    assert np.isfinite(runner.step(0.1, a=1.0, y=2.5, u=1.0, z=0.5))
+
+
+def test_a_derivative_that_is_used_elsewhere_too_is_not_avoided():
+    """e1 contains der(x) and is checked, but e3 needs it as well: (20) does not help."""
+    unique = Solvable.UNIQUE
+    model = Model(
+        "two uses",
+        (
+            Equation("e1", ("der(x)", "w"), ("u",), solvable={"w": unique}, relation=Relation.parse("der(x) + w = u")),
+            Equation("e2", ("x",), ("y",), solvable={"x": unique}, relation=Relation.parse("y = x")),
+            Equation("e3", ("der(x)", "w"), ("z",), solvable={"w": unique}, relation=Relation.parse("z = w * (1 + der(x)**2)")),
+            differential("x", "e4"),
+        ),
+        ("x", "w"),
+        ("u", "y", "z"),
+    )  # fmt: skip
+    everything = frozenset(["e1", "e2", "e3", "e4"])
+    with pytest.raises(NotSolvableError, match="differentiates x"):
+        realise(model, everything, "e1")
+    runner = Runner(
+        residual_generator(model, everything, "e1", differentiate=True), derivative_bandwidth=50.0
+    )
+    rows = [{"u": 2.5, "y": 0.5 * 0.01 * k, "z": 2.0 * 1.25} for k in range(100)]
+    assert abs(runner.run(rows, 0.01)[-1]) < 1e-9  # der(x) = 0.5, w = 2
+
+
 def test_an_explicit_relation_can_be_checked():
     """e5 of (14), d/dt omega - der(omega), as consistency relation: (20) again."""
     model = Model(

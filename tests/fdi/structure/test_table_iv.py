@@ -264,3 +264,19 @@ def test_signatures_and_isolability(truck, msos, candidates):
         assert (mine.confused[np.ix_(seen, seen)] == np.eye(seen.sum())).all()
         assert mine.full is (causality in ("SDI", "SI"))
     assert hidden == {"SDI": [], "SI": [], "SD": ["f_b_sc"], "S": ["f_b_sc", "f_em_eta"]}
+
+
+@pytest.mark.parametrize("explicit", [False, True])
+def test_table_i(load, explicit):
+    """(4): what the original algorithm takes for static differentiates. Explicit, it is the relation that is checked."""
+    model = load("example_4")
+    model = model.explicit() if explicit else model
+    found = classify(model, find_msos(counted(model)))
+    assert len(found) == 2 + explicit
+    by = {model.equations[e].name: k for k, e in enumerate(found.equation)}
+    static = by["d/dt x_1" if explicit else "e1"]
+    assert found.causality(static) == "SD"
+    assert found.chosen("S", "unique", "original")[static]
+    assert not found.chosen("S", "unique")[static]
+    assert found.causality(by["e2"]) == "SI"
+    assert found.chosen("SI", "unique", "original")[by["e2"]]
