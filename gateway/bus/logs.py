@@ -13,6 +13,7 @@ import can
 from gateway.bus.candump import CandumpWriter, parse
 from gateway.bus.frames import Frames, empty, put_message, to_message
 from gateway.errors import InputError
+from gateway.quick_start import load_mf4
 
 #: Suffix -> what it is.
 FORMATS = {
@@ -30,6 +31,8 @@ def _checked_suffix(path: Path) -> str:
     if suffix not in FORMATS:
         known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
         raise InputError(f"a log is one of {known}", file=path)
+    if suffix == ".mf4":
+        load_mf4()
     return suffix
 
 

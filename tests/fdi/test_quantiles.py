@@ -1,8 +1,5 @@
 """Quantiles against scipy.stats."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
@@ -15,9 +12,3 @@ def test_they_are_scipy_s(share):
     assert normal_above(share) == pytest.approx(norm.isf(share), rel=1e-12)
     degrees = np.array([1, 2, 7, 64])
     np.testing.assert_allclose(chi2_above(share, degrees), chi2.isf(share, degrees), rtol=1e-9)
-
-
-def test_a_start_does_not_wait_for_what_only_a_design_needs():
-    code = "import gateway.app, sys; print([m for m in ('scipy.stats', 'scipy.optimize', 'scipy.signal') if m in sys.modules])"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
