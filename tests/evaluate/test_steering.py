@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from amount import FULL, amount
+from once import once
 
 from gateway.evaluate.steering import operations
 from gateway.evaluate.steering.cases import DURATION
@@ -30,10 +31,12 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of runs of 24 s")
 
 
 @pytest.fixture(scope="module")
-def estimators():
-    return {(r.period_ms, r.voltages, r.estimator): r for r in accuracy(
-        [(seed, period, mean) for period, mean in ((1e-3, False), (2e-3, True)) for seed in range(3)]
-    )}  # fmt: skip
+def estimators(tmp_path_factory):
+    runs = [
+        (seed, period, mean) for period, mean in ((1e-3, False), (2e-3, True)) for seed in range(3)
+    ]
+    rows = once(tmp_path_factory, "estimators", lambda: accuracy(runs))
+    return {(r.period_ms, r.voltages, r.estimator): r for r in rows}
 
 
 @pytest.mark.parametrize(
@@ -71,12 +74,11 @@ def test_the_offset_at_standstill_of_fig_7_is_gone_with_the_extra_state(estimato
 
 
 @pytest.fixture(scope="module")
-def study():
+def study(tmp_path_factory):
     runs = amount(8, 3)
     jobs = [(case.name, UNKNOWN, 1e-3, FIRST_SEED, runs) for case in CASES[:13]]
-    return monte_carlo(
-        [("", UNKNOWN, 1e-3, FIRST_SEED + 10 * k, 10) for k in range(amount(4, 1))] + jobs
-    )
+    jobs = [("", UNKNOWN, 1e-3, FIRST_SEED + 10 * k, 10) for k in range(amount(4, 1))] + jobs
+    return once(tmp_path_factory, "steering", lambda: monte_carlo(jobs))
 
 
 def test_no_false_alarm_and_no_lost_angle(study):

@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from once import once
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -39,13 +40,13 @@ def errors(voter, case, environment, seeds):
 
 
 @pytest.fixture(scope="module")
-def scores():
+def scores(tmp_path_factory):
     """Score by (environment, case, voter): all faults and both sweeps, 300 runs each."""
     print(f"seeds {FIRST_SEED} to {FIRST_SEED + RUNS - 1}")
     cases = tuple(dict.fromkeys((*FAULTS, *RATES[::5], *VALUES[::5])))
     work = jobs(cases, ENVIRONMENTS, "exponential", RUNS, FIRST_SEED)
     work += jobs((T1, T2), ENVIRONMENTS, "ramp", RUNS, FIRST_SEED)
-    rows = monte_carlo(work)
+    rows = once(tmp_path_factory, "voters", lambda: monte_carlo(work))
     return {(r.environment, r.case, r.voter, r.stroke): r for r in rows}
 
 
