@@ -8,6 +8,7 @@ COPY gateway ./gateway
 COPY dbc ./dbc
 COPY scenarios ./scenarios
 COPY configs ./configs
+COPY cycles ./cycles
 COPY models ./models
 ENV GATEWAY_CACHE_DIR=/opt/gateway/cache
 RUN python -m venv /opt/gateway/venv \

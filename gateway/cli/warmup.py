@@ -21,6 +21,8 @@ from gateway.monitors.registry import MONITORS
 from gateway.resources import shipped
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
+from gateway.vecu.truck_drive import drive as drive_truck
+from gateway.vecu.truck_params import TruckParams
 
 #: Parts that are no monitors.
 ENGINE, PLANT, STRUCTURE = "engine", "plant", "structure"
@@ -37,9 +39,10 @@ def _compile_engine() -> None:
 
 
 def _compile_plant() -> None:
-    """Compile the virtual ECU that is compiled."""
+    """Compile the virtual ECUs that are compiled."""
     steering = load_scenario(shipped("scenarios/steering_healthy.toml"))
     Player(steering.model_copy(update={"duration_s": 0.05}), {"chassis": 0})
+    drive_truck(TruckParams(type="hybrid_truck"), (), 0.1)
 
 
 def _compile_structure() -> None:

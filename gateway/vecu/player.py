@@ -19,6 +19,8 @@ from gateway.vecu.scenario import Scenario
 from gateway.vecu.steering_ecu import steering_frames
 from gateway.vecu.steering_faults import SteeringFault
 from gateway.vecu.steering_params import SteeringParams
+from gateway.vecu.truck_ecu import truck_frames
+from gateway.vecu.truck_params import TruckFault, TruckParams
 from gateway.vecu.wire_faults import apply_wire_faults
 
 
@@ -70,6 +72,9 @@ class Player:
             elif isinstance(ecu, LinearParams):
                 added = [fault for fault in mine if isinstance(fault, LinearFault)]
                 frames, truth = linear_frames(ecu, added, scenario.duration_s, bus=bus, rng=rng)
+            elif isinstance(ecu, TruckParams):
+                broken = [fault for fault in mine if isinstance(fault, TruckFault)]
+                frames, truth = truck_frames(ecu, broken, scenario.duration_s, bus=bus, rng=rng)
             else:
                 steered = [fault for fault in mine if isinstance(fault, SteeringFault)]
                 frames, truth = steering_frames(ecu, steered, scenario.duration_s, bus=bus, rng=rng)

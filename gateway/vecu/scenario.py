@@ -14,6 +14,7 @@ from gateway.vecu.linear_params import LinearFault, LinearParams
 from gateway.vecu.pedal_params import PedalParams, SensorFault
 from gateway.vecu.steering_faults import SteeringFault
 from gateway.vecu.steering_params import SteeringParams
+from gateway.vecu.truck_params import TruckFault, TruckParams
 
 
 def _type(ecu: Any) -> str:
@@ -25,15 +26,17 @@ Ecu = Annotated[
     Annotated[EngineParams, Tag("engine")]
     | Annotated[PedalParams, Tag("pedal")]
     | Annotated[SteeringParams, Tag("steering")]
-    | Annotated[LinearParams, Tag("linear")],
+    | Annotated[LinearParams, Tag("linear")]
+    | Annotated[TruckParams, Tag("hybrid_truck")],
     Discriminator(
         _type,
         custom_error_type="ecu_type",
-        custom_error_message="the types are engine, pedal, steering, linear",
+        custom_error_message="the types are engine, pedal, steering, linear, hybrid_truck",
     ),
 ]
 EcuFault = Annotated[
-    PulseFault | SensorFault | SteeringFault | LinearFault, Field(discriminator="kind")
+    PulseFault | SensorFault | SteeringFault | LinearFault | TruckFault,
+    Field(discriminator="kind"),
 ]
 #: Which faults an ECU of a type can have.
 _FAULTS: dict[str, type[StrictModel]] = {
@@ -41,6 +44,7 @@ _FAULTS: dict[str, type[StrictModel]] = {
     "pedal": SensorFault,
     "steering": SteeringFault,
     "linear": LinearFault,
+    "hybrid_truck": TruckFault,
 }
 
 
