@@ -77,14 +77,20 @@ class Expression:
         """
         try:
             tree = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError) as error:
-            reason = error.msg if isinstance(error, SyntaxError) else str(error)
-            raise ValueError(f'"{text.strip()}" is no expression: {reason}') from error
+            parts = list(_parts(tree, text))
+        except (SyntaxError, RecursionError, MemoryError) as error:
+            reason = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
+            raise ValueError(f'"{_short(text)}" is no expression: {reason}') from error
         names: dict[str, None] = {}
         functions: dict[str, None] = {}
-        for kind, name in _parts(tree, text):
+        for kind, name in parts:
             (names if kind == "name" else functions)[name] = None
         return Expression(text.strip(), tree, tuple(names), tuple(functions))
+
+
+def _short(text: str) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= 120 else f"{text[:117]}..."
 
 
 def _refuse(node: ast.AST, text: str, what: str) -> ValueError:

@@ -341,6 +341,21 @@ def load_generated(realisation):
     return load(write("r", realisation))
 
 
+def test_what_is_computed_on_the_way_can_be_shown(truck, rows):
+    """The current of the machine that T4 computes, for conditions like (41), and the wheels' acceleration."""
+    choice = truck.residuals["T4_ICDS"]
+    names = ["I_em", "der(omega_w)"]
+    loaded = residual_generator(truck, choice.equations, choice.consistency, outputs=names)
+    runner, currents = Runner(loaded), truck_data.currents(rows, "T4")
+    runner.start(**rows[0])
+    for k in range(200):
+        runner.step(truck_data.DT if k else 0.0, **rows[k])
+        assert abs(runner.s[0]["shown_I_em"] - currents[k]) < 1e-9
+    assert runner.s[0]["shown_d_omega_w"] == runner.s[0]["d_omega_w"] != 0
+    with pytest.raises(ValueError, match='"omega_w" is not computed on the way to e32'):
+        realise(truck, choice.equations, choice.consistency, outputs=["omega_w"])
+
+
 # What cannot be solved --------------------------------------------------------------------------------------------------
 
 
@@ -578,6 +593,7 @@ def test_the_code_is_plain_python(truck):
             "min",
             "max",
             "isfinite",
+            "float",
         }, name
 
 

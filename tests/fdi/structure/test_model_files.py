@@ -199,7 +199,7 @@ def test_what_is_declared_is_what_algebra_finds(load, name):
 
 def test_names_that_records_have_already():
     """Variables named as attributes of records, or as what generated code uses itself."""
-    unknowns = ("T", "data", "s", "r", "dt")
+    unknowns = ("T", "data", "s", "r", "root", "nan", "step", "dt")
     chain = [
         Equation(
             "e0",
@@ -218,12 +218,12 @@ def test_names_that_records_have_already():
         )
         for k, (a, b) in enumerate(pairwise(unknowns), 1)
     ]
-    chain.append(Equation("e5", ("dt",), ("c",), relation=Relation.parse("c = dt")))
+    chain.append(Equation("e8", ("dt",), ("c",), relation=Relation.parse("c = dt")))
     model = Model("names", tuple(chain), unknowns, ("mean", "c"))
-    loaded = residual_generator(model, frozenset(e.name for e in chain), "e5")
+    loaded = residual_generator(model, frozenset(e.name for e in chain), "e8")
     s, c, u = (table(1, d) for d in (loaded.state, loaded.const, loaded.inputs))
-    u[0]["mean_"], u[0]["c"] = 3.0, 50.0
-    assert loaded.step(s[0], c[0], u[0], 0.0) == 50.0 - 3.0 * 16
+    u[0]["mean_"], u[0]["c"] = 3.0, 500.0
+    assert loaded.step(s[0], c[0], u[0], 0.0) == 500.0 - 3.0 * 128
 
 
 def test_a_loop_that_is_given_by_its_solution():
@@ -309,3 +309,26 @@ def test_generated_code_computes_what_is_written(text, values):
 def test_shipped_models_are_found():
     for name in ("hybrid_truck", "example_1"):
         assert shipped(f"models/{name}.toml").exists()
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(
+        st.text(max_size=30),
+        st.text("ab=+-*/()<>.,_ 0123456789[]{}if else not and der sqrt", max_size=40),
+        st.builds(lambda n: "-" * n + "a = b", st.integers(0, 40)),
+    )
+)
+def test_any_text_is_read_or_refused(text):
+    for parse in (Relation.parse, Expression.parse):
+        try:
+            found = parse(text)
+        except ValueError:
+            continue
+        assert all(isinstance(name, str) for name in found.names)
+
+
+def test_depth_is_refused():
+    for text in ("-" * 100_000 + "a", "(" * 500 + "a" + ")" * 500, "a" + "**a" * 50_000, "\0"):
+        with pytest.raises(ValueError, match="is no expression"):
+            Expression.parse(text)

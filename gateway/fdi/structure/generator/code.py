@@ -38,13 +38,24 @@ FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
 #: Binding of names and calls, just below which nothing needs parentheses.
 _ATOM = PRECEDENCE["Atom"] - 1
 
-_LOCALS = {"s", "c", "u", "dt", "j", "r", "b", "best", "keep"}
+#: Names that generated code uses itself.
+_LOCALS = {
+    *("s", "c", "u", "dt", "j", "r", "b", "best", "keep", "abs", "float", "range", "min", "max"),
+    *("Any", "f8", "kernel", "record", "interpolate", "root", "sign", "isfinite", "nan", "pi"),
+    *("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "reset", "start", "step"),
+    *("STATE", "CONST", "KNOWNS"),
+}
 
 
 def field_name(name: str) -> str:
     """Return the name of a record's field: one that records of NumPy do not have already."""
     name = identifier(name)
     return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) else name
+
+
+def _shown(variable: str) -> str:
+    """Return the field of STATE that shows a computed variable."""
+    return f"shown_{identifier(variable)}"
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
@@ -256,6 +267,8 @@ class _Writer:
             f"{self.state(x)} += dt * s.d_{field_name(x)}{self.index}" for x in self.r.integrated
         ]
         lines += self.chain(None)
+        for v in self.r.outputs:
+            lines.append(f"s.{_shown(v)}{self.index} = {self.names[self.of[v]]}")
         for x in self.r.integrated:
             d = self.names[self.of[der(x)]]
             lines.append(f"s.d_{field_name(x)}{self.index} = {d} if isfinite({d}) else 0.0")
@@ -265,9 +278,9 @@ class _Writer:
         else:
             lines.append(f"r = {residual}  # {self.r.consistency}")
         if not self.several:
-            return [*lines, "return r"]
+            return [*lines, "return float(r)"]
         best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
-        return ["best = nan", *self.branched([*lines, *best]), "return best"]
+        return ["best = nan", *self.branched([*lines, *best]), "return float(best)"]
 
     def filtered(self, x: str, residual: str) -> list[str]:
         kept, last, drive = (f"s.{name}{self.index}" for name in (FILTERED, LAST, DRIVE))
@@ -293,6 +306,7 @@ class _Writer:
         if self.r.transformed:
             states += [f"{FILTERED}={form}, {LAST}={form}, {DRIVE}={form}"]
         states += [f"low_{field_name(x)}={form}" for x in self.r.differentiated]
+        states += [f"{_shown(v)}={form}" for v in self.r.outputs]
         used = self.used()
         const = [f"{field_name(p)}=f8" for p in self.model.parameters if self.of[p] in used]
         for name in self.tables():
@@ -325,7 +339,6 @@ class _Writer:
             if runtime
             else []
         )
-        arguments = {"reset": "s, c", "start": "s, c, u", "step": "s, c, u, dt"}
         lines = [
             f'"""Residual generator {self.name} of {self.model.name}: made from its model, not by hand.',
             "",
@@ -335,6 +348,7 @@ class _Writer:
             '"""',
             "",
             *imports,
+            "from typing import Any",
             "",
             *ours,
             "from gateway.jit import f8, kernel, record",
@@ -342,13 +356,14 @@ class _Writer:
             *self.records(),
             f"KNOWNS = {self.knowns()!r}",
         ]
-        for kernel, body in (
+        for name, body in (
             ("reset", self.reset()),
             ("start", self.start()),
             ("step", self.step()),
         ):
-            lines += ["", "", "@kernel", f"def {kernel}({arguments[kernel]}):"]
-            lines += [f"    {line}" for line in body]
+            arguments, returned, meaning = _KERNELS[name]
+            lines += ["", "", "@kernel", f"def {name}({arguments}) -> {returned}:"]
+            lines += [f'    """{meaning}"""', *(f"    {line}" for line in body)]
         return "\n".join(lines) + "\n"
 
     def _relation(self) -> str:
@@ -356,6 +371,20 @@ class _Writer:
         return "" if relation is None else relation.text
 
 
+#: Arguments, result and meaning of the three kernels.
+_KERNELS = {
+    "reset": ("s: Any, c: Any", "None", "Let carried states begin at their start values."),
+    "start": (
+        "s: Any, c: Any, u: Any",
+        "None",
+        "Let the other states begin so that the residual does at zero.",
+    ),
+    "step": (
+        "s: Any, c: Any, u: Any, dt: float",
+        "float",
+        "Take a sample, dt [s] behind the one before; returns the residual.",
+    ),
+}
 _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
 
 

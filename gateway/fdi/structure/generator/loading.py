@@ -6,7 +6,7 @@ import hashlib
 import importlib.util
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -139,7 +139,10 @@ def residual_generator(
     name: str = "",
     differentiate: bool = False,
     start: Mapping[str, float] | None = None,
+    outputs: Sequence[str] = (),
 ) -> Loaded:
     """Return a residual generator of a model that runs (see :func:`realise` for the arguments and errors)."""
-    realisation = realise(model, equations, consistency, differentiate=differentiate, start=start)
+    realisation = realise(
+        model, equations, consistency, differentiate=differentiate, start=start, outputs=outputs
+    )
     return load(write(name or consistency, realisation))

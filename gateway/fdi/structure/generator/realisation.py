@@ -14,7 +14,7 @@ Three kinds of state:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import sympy
@@ -66,6 +66,7 @@ class Realisation:
         transformed: the variable x of (20), else empty.
         carried: states that begin at a given value, and keep theirs when the generator is started again; of each, the
             value.
+        outputs: computed variables that its state shows, beside the residual.
     """
 
     model: Model
@@ -78,6 +79,7 @@ class Realisation:
     residual: Algebra
     transformed: str = ""
     carried: Mapping[str, float] = field(default_factory=dict)
+    outputs: tuple[str, ...] = ()
 
     @property
     def branches(self) -> int:
@@ -105,6 +107,7 @@ def realise(
     *,
     differentiate: bool = False,
     start: Mapping[str, float] | None = None,
+    outputs: Sequence[str] = (),
 ) -> Realisation:
     """Turn an overdetermined set and its consistency relation into statements.
 
@@ -114,10 +117,11 @@ def realise(
         consistency: which of them is checked.
         differentiate: allow variables within the sequence to be differentiated (by a filter).
         start: values at which states begin, beside those of the model; all others begin by (24).
+        outputs: variables that are computed on the way, to be shown in the state.
 
     Raises:
         NotSolvableError: a step cannot be solved, or must differentiate and may not.
-        ValueError: the set is not of that kind.
+        ValueError: the set is not of that kind, or does not compute an output.
     """
     structure, symbols = Structure(model), Symbols(model)
     steps = structure.sequence(equations, consistency)
@@ -148,10 +152,14 @@ def realise(
     if transformed and not check.differential:
         residual = _transformation(symbols, residual, transformed, consistency)
     carried = {x: value for x in integrated if (value := _start(model, x, start)) is not None}
+    computed = {v for statement in statements for v in statement.variables}
+    for name in outputs:
+        if name not in computed:
+            raise ValueError(f'"{name}" is not computed on the way to {consistency}')
     ordered = tuple(e.name for e in model.equations if e.name in equations)
     return Realisation(
         model, symbols, ordered, consistency, steps, tuple(statements), tuple(integrated),
-        residual, transformed, carried,
+        residual, transformed, carried, tuple(outputs),
     )  # fmt: skip
 
 
