@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from gateway.monitors import brake_pedal, crank_sync, linear_observer, pi_bank, steering_angle
+from gateway.monitors import (
+    brake_pedal,
+    crank_sync,
+    hybrid_powertrain,
+    linear_observer,
+    pi_bank,
+    steering_angle,
+)
 from gateway.monitors.shape import Monitor
 
 MONITORS: dict[str, Monitor] = {
@@ -14,5 +21,6 @@ MONITORS: dict[str, Monitor] = {
         steering_angle.MONITOR,
         pi_bank.MONITOR,
         linear_observer.MONITOR,
+        hybrid_powertrain.MONITOR,
     )
 }

@@ -613,5 +613,5 @@ def test_constants_are_checked(truck):
         choice.equations,
         choice.consistency,
     )
-    with pytest.raises(ValueError, match='parameter "r_w" .*no value'):
+    with pytest.raises(ValueError, match='"r_w" .*no value'):
         bare.prepare(c[0])

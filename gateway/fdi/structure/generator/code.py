@@ -18,20 +18,18 @@ import keyword
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
 import sympy
 from sympy.printing.precedence import PRECEDENCE
 from sympy.printing.pycode import PythonCodePrinter
 
 from gateway.fdi.structure.generator.initial import Initial, find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, Statement
+from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, field_name
 from gateway.fdi.structure.generator.symbols import Algebra
 from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
 from gateway.fdi.structure.sequence import shown
 
-#: Fields of CONST for the filters [rad/s].
-FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
 #: Fields of STATE for (20): the residual, the variable, and b, of the sample before.
 FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
 
@@ -45,12 +43,6 @@ _LOCALS = {
     *("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "reset", "start", "step"),
     *("STATE", "CONST", "KNOWNS"),
 }
-
-
-def field_name(name: str) -> str:
-    """Return the name of a record's field: one that records of NumPy do not have already."""
-    name = identifier(name)
-    return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) else name
 
 
 def _shown(variable: str) -> str:

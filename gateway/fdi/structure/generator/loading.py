@@ -13,14 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from gateway.fdi.structure.generator.code import (
-    DIFFERENTIATOR,
-    FILTER,
-    Generated,
-    field_name,
-    write,
-)
+from gateway.fdi.structure.generator.code import Generated, write
 from gateway.fdi.structure.generator.realisation import realise
+from gateway.fdi.structure.generator.records import field_name, fill
 from gateway.fdi.structure.model import Model
 from gateway.jit import CACHE, f8, record
 
@@ -67,27 +62,14 @@ class Loaded:
             ValueError: a parameter has no value, or there is no such parameter.
         """
         realisation = self.generated.realisation
-        model, given = realisation.model, dict(values or {})
-        for name in given:
-            if name not in model.parameters:
-                raise ValueError(f'"{name}" is no parameter of {model.name}')
-        names = set(self.const.names or ())
-        for name in model.parameters:
-            if field_name(name) in names:
-                value = given.get(name, model.quantities[name].value)
-                if value is None:
-                    raise ValueError(f'parameter "{name}" of {model.name} has no value')
-                c[field_name(name)] = value
-        for name, points in model.tables.items():
-            if f"{field_name(name)}_x" in names:
-                c[f"{field_name(name)}_x"], c[f"{field_name(name)}_y"] = points.x, points.y
-        for name, value in realisation.carried.items():
-            c[f"start_{field_name(name)}"] = value
-        for name, value in ((FILTER, filter_bandwidth), (DIFFERENTIATOR, derivative_bandwidth)):
-            if name in names:
-                if not value > 0:
-                    raise ValueError(f"{name} = {value}: must be positive")
-                c[name] = value
+        fill(
+            c,
+            realisation.model,
+            values=values,
+            start=realisation.carried,
+            filter_bandwidth=filter_bandwidth,
+            derivative_bandwidth=derivative_bandwidth,
+        )
 
 
 def load_source(name: str, source: str) -> ModuleType:

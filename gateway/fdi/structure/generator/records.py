@@ -1,0 +1,64 @@
+"""Records of generated residual generators: the names of their fields, and how constants are filled from a model."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Mapping
+
+import numpy as np
+
+from gateway.fdi.structure.model import Model
+from gateway.fdi.structure.relation import identifier
+
+#: Fields of CONST for the filters [rad/s].
+FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
+
+
+def field_name(name: str) -> str:
+    """Return the name of a record's field: one that records of NumPy do not have already."""
+    name = identifier(name)
+    return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) else name
+
+
+def fill(
+    c: np.void,
+    model: Model,
+    *,
+    values: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    filter_bandwidth: float = 0.5,
+    derivative_bandwidth: float = 10.0,
+) -> None:
+    """Fill the constants of a residual generator that was written from a model.
+
+    Args:
+        c: record of its CONST.
+        model: the model.
+        values: values of parameters instead of the model's.
+        start: start values of states instead of the model's.
+        filter_bandwidth: alpha of (20) [rad/s].
+        derivative_bandwidth: of the filters that differentiate [rad/s].
+
+    Raises:
+        ValueError: a parameter has no value, or there is no such parameter.
+    """
+    given, begins = dict(values or {}), dict(start or {})
+    for name in given:
+        if name not in model.parameters:
+            raise ValueError(f'"{name}" is no parameter of {model.name}')
+    names = set(c.dtype.names or ())
+    for name in (*model.parameters, *model.states):
+        field = field_name(name) if name in model.parameters else f"start_{field_name(name)}"
+        if field in names:
+            value = given.get(name, begins.get(name, model.quantities[name].value))
+            if value is None:
+                raise ValueError(f'"{name}" of {model.name} has no value')
+            c[field] = value
+    for name, points in model.tables.items():
+        if f"{field_name(name)}_x" in names:
+            c[f"{field_name(name)}_x"], c[f"{field_name(name)}_y"] = points.x, points.y
+    for name, value in ((FILTER, filter_bandwidth), (DIFFERENTIATOR, derivative_bandwidth)):
+        if name in names:
+            if not value > 0:
+                raise ValueError(f"{name} = {value}: must be positive")
+            c[name] = value
