@@ -77,7 +77,7 @@ def fired(peak):
 @pytest.mark.parametrize(("fault", "dtc", "tests"), TABLE)
 def test_firing_table(fault, dtc, tests, onset):
     """Exactly the tests of the fault's signature fire, in ICDS and in MCDS, and the fault's DTC is set, no other's."""
-    for seed in range(amount(20, 2)):
+    for seed in range(amount(20, 1)):
         peak, _, events = run(driven(fault, onset), 5000 + seed)
         assert fired(peak) == (tests, tests), (seed, peak)
         failed = {(code, t) for t, code, now in events if now}
@@ -90,7 +90,7 @@ def test_firing_table(fault, dtc, tests, onset):
 def test_no_alarm_without_a_fault():
     """FTP75, seeds that set no threshold."""
     worst = 0.0
-    for seed in range(amount(20, 4)):
+    for seed in range(amount(20, 2)):
         peak, sets, events = run(driven(), 6000 + seed)
         assert events == []
         assert sets == 187_400

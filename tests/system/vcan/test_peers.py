@@ -51,11 +51,14 @@ def storm(tmp_path_factory):
         cangen.wait(10)
         time.sleep(0.5)
         sent = packets("vcan1") - before
+    # Between this count and its end the daemon goes on with what it sends each second, and hears it.
+    most = packets("vcan1") - before
     assert running.code == 0
     assert not [line for line in running.log if "Traceback" in line]
     (end,) = [e for e in running.events() if e["event"] == "bus" and e["state"] == "closed"]
     assert sent > 4000
-    assert end["received"] + end["overflow"] == sent, "theirs and our own, which came back"
+    heard = end["received"] + end["overflow"]
+    assert sent <= heard <= most <= sent + 20, "theirs and our own, which came back"
     assert end["rejected"] == 0
     recorded = [frame for batch in read_recording(folder / "ring") for frame in batch]
     conditions = sum(int(frame["can_id"]) == 0x20000000 for frame in recorded)

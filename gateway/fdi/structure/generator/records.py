@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gateway.fdi.structure.model import Model
+from gateway.fdi.structure.model import Model, Quantity
 from gateway.fdi.structure.relation import identifier
 
 #: Fields of CONST for the filters [rad/s].
@@ -50,7 +50,8 @@ def fill(
     for name in (*model.parameters, *model.states):
         field = field_name(name) if name in model.parameters else f"start_{field_name(name)}"
         if field in names:
-            value = given.get(name, begins.get(name, model.quantities[name].value))
+            own = model.quantities.get(name, Quantity()).value
+            value = given.get(name, begins.get(name, own))
             if value is None:
                 raise ValueError(f'"{name}" of {model.name} has no value')
             c[field] = value
