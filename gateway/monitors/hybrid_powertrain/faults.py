@@ -10,17 +10,6 @@ BATTERY, INVERTER, EFFICIENCY, RESISTANCE, SENSOR, UNISOLATED = range(6)
 #: Names in the structural model.
 STRUCTURAL = ("f_b_sc", "f_pe", "f_em_eta", "f_em_R", "f_em_U_sens")
 
-_EVIDENCE = (
-    "T_norm of T1",
-    "T_norm of T2",
-    "T_norm of T3",
-    "T_norm of T4",
-    "tests that have fired (T1 is 1, T2 2, T3 4, T4 8)",
-    "faults that would explain them (battery is 1, inverter 2, ...)",
-    "T_norm of T3, mixed causality",
-    "T_norm of T4, mixed causality",
-)
-
 _FOUND = Debounce(failed_after=1, passed_after=10)
 
 #: Manufacturer's powertrain codes; failure types of SAE J2012-DA.
@@ -33,4 +22,15 @@ _ROWS = (
     ("unisolated", "P1A1F-62", "hybrid powertrain: a fault that is not isolated (yet)"),
 )
 
-FAULTS = tuple(Fault(name, dtc, text, _EVIDENCE, _FOUND) for name, dtc, text in _ROWS)
+
+def faults_of(tests: tuple[str, ...]) -> tuple[Fault, ...]:
+    """Return what a system of these tests can report, with its evidence."""
+    names = [test.partition("_")[0] for test in tests]
+    places = ", ".join(f"{name} is {1 << k}" for k, name in enumerate(names))
+    evidence = (
+        *(f"T_norm of {name}" for name in names),
+        f"tests that have fired ({places})",
+        "faults that explain them, likeliest first (1 battery, 2 inverter, 3 efficiency, 4 resistance, 5 sensor)",
+        "error of the machine's torque as motor, T7's estimate",
+    )
+    return tuple(Fault(name, dtc, text, evidence, _FOUND) for name, dtc, text in _ROWS)

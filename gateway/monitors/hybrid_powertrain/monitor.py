@@ -15,9 +15,17 @@ from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.runtime import interpolate
 from gateway.jit import f8, i8, kernel, record
-from gateway.monitors.hybrid_powertrain import cusum, excitation, gate, isolation
-from gateway.monitors.hybrid_powertrain.excitation import ABSOLUTE, FIXED, SIGNED
-from gateway.monitors.hybrid_powertrain.faults import FAULTS, STRUCTURAL, UNISOLATED
+from gateway.monitors.hybrid_powertrain import (
+    blanking,
+    cusum,
+    dynamic,
+    excitation,
+    gate,
+    isolation,
+    observer,
+)
+from gateway.monitors.hybrid_powertrain.excitation import FIXED
+from gateway.monitors.hybrid_powertrain.faults import UNISOLATED, faults_of
 from gateway.monitors.hybrid_powertrain.generated import (
     t1,
     t2,
@@ -25,18 +33,16 @@ from gateway.monitors.hybrid_powertrain.generated import (
     t3_mcds,
     t4_icds,
     t4_mcds,
+    t5,
+    t6,
+    t7,
 )
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params
-from gateway.monitors.shape import Monitor, Wiring, inputs, report
+from gateway.monitors.shape import Fault, Monitor, Wiring, inputs, report
 from gateway.resources import shipped
 
-#: Time over which the speed that an integrated residual begins with is corrected [s]. A filter's 0.1 rad/s of noise would
-#: stay in the residual for as long as the clutch holds, and in one window of some thousand T would grow without a fault.
-CORRECTED = 1.0
 #: Sets that may be missing in a row.
 LONGEST = 5
-#: Sets that T2 waits for a gear change that blanks it.
-MOST_BLANK = 64
 #: Sets between two reports of the same.
 REPEAT = 100
 
@@ -52,7 +58,13 @@ REPEAT = 100
     T4_ABSOLUTE,
     T3_MIXED,
     T4_MIXED,
+    T5,
+    T6,
 ) = range(len(QUANTITIES))
+
+#: Systems by their place.
+SYSTEMS = tuple(isolation.TESTS)
+ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
 
 _MESSAGES = {
     "HEV_CTRL_PT": {
@@ -83,26 +95,29 @@ _MESSAGES = {
 
 INPUTS = inputs(**{name: f8 for fields in _MESSAGES.values() for name in fields})
 
-#: Residuals of the first second.
-START = record(total=f8, count=f8)
-
 CONST = record(
     period=f8,
-    mixed=i8,
+    system=i8,
+    tests=i8,
     blank=i8,
     least_volts=f8,
+    least_amps=f8,
     excitation=excitation.CONST,
     cusum=(cusum.CONST, len(QUANTITIES)),
     isolation=isolation.CONST,
+    observer=observer.CONST,
     t1=t1.CONST,
     t2=t2.CONST,
     t3=t3_icds.CONST,
     t4=t4_icds.CONST,
     t3m=t3_mcds.CONST,
     t4m=t4_mcds.CONST,
+    t5=t5.CONST,
+    t6=t6.CONST,
+    t7=t7.CONST,
 )
 
-#: ``on3``, ``on4``: the dynamic tests run. ``held``, ``due``: residuals of T2 that wait, and whether they still count.
+#: ``residual``: of T1, T2, T3, T4, T3 and T4 with mixed causality, T5, T6, T7; ``level``: T_norm of the tests that decide.
 STATE = record(
     sets=i8,
     valid=i8,
@@ -110,21 +125,16 @@ STATE = record(
     found=i8,
     explained=i8,
     counter=i8,
-    gear=i8,
     reported=i8,
-    on3=i8,
-    on4=i8,
-    at=i8,
-    held=(f8, MOST_BLANK),
-    due=(i8, MOST_BLANK),
-    quiet=i8,
-    residual=(f8, 6),
+    watched=i8,
+    level=(f8, isolation.MOST_TESTS),
+    blanking=blanking.STATE,
+    observer=observer.STATE,
+    residual=(f8, 9),
     norm=(f8, len(QUANTITIES)),
     gate=gate.STATE,
-    start3=START,
-    start4=START,
-    three=excitation.STATE,
-    four=excitation.STATE,
+    three=dynamic.STATE,
+    four=dynamic.STATE,
     cusum=(cusum.STATE, len(QUANTITIES)),
     t1=t1.STATE,
     t2=t2.STATE,
@@ -132,6 +142,9 @@ STATE = record(
     t4=t4_icds.STATE,
     t3m=t3_mcds.STATE,
     t4m=t4_mcds.STATE,
+    t5=t5.STATE,
+    t6=t6.STATE,
+    t7=t7.STATE,
 )
 
 
@@ -147,122 +160,121 @@ def _wire(_: Params) -> Wiring:
 
 def _prepare(p: Params, s: np.void, c: np.void) -> None:
     model = load_model(shipped("models/hybrid_truck.toml"))
-    c["period"], c["mixed"] = 1e-3 * p.period_ms, p.system == "MCDS"
-    c["blank"] = min(round(p.blank_ms / p.period_ms), MOST_BLANK - 1)
-    c["least_volts"] = p.least_volts
+    c["period"], c["system"] = 1e-3 * p.period_ms, SYSTEMS.index(p.system)
+    c["tests"] = len(isolation.TESTS[p.system])
+    c["blank"] = min(round(p.blank_ms / p.period_ms), blanking.MOST - 1)
+    c["least_volts"], c["least_amps"] = p.least_volts, p.least_amps
     e = c["excitation"]
     e["after"], e["signed"], e["absolute"] = p.after_s, p.signed_charge, p.absolute_charge
     e["efficiency"] = p.parameters.get("eta_em_0", model.quantities["eta_em_0"].value)
     for k, (name, residual, _) in enumerate(QUANTITIES):
         nu = getattr(p.nu, residual)
         cusum.prepare(c["cusum"][k], nu, nu * getattr(p.thresholds, name), p.limit)
-    isolation.prepare(c["isolation"], model)
-    for field in ("t1", "t2", "t3", "t4", "t3m", "t4m"):
+    isolation.prepare(c["isolation"], model, p.system)
+    o, w = c["observer"], p.observer
+    o["start"], o["torque"], o["noise"] = w.start**2, w.torque**2, w.speed**2
+    o["prior"], o["drift"] = w.prior.variances, w.drift.variances
+    o["own"], o["threshold"] = w.own**2, w.threshold
+    for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
         fill(c[field], model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
+    o["least"] = p.least_amps * c["t7"]["k_i"]
+    observer.prepare(s["observer"], o)
     s["counter"], s["found"] = -1, -1
+
+
+def _named(p: Params) -> tuple[Fault, ...]:
+    return faults_of(isolation.TESTS[p.system])
+
+
+@kernel
+def _judge(s: Any, c: Any, test: Any, first: int, residual: float) -> float:
+    """Update the integral test quantities of T3 or T4; returns what the integrated speed is to be corrected by [rad/s].
+
+    Args:
+        s: state.
+        c: constants.
+        test: of ``s``, T3 or T4.
+        first: place of its first test quantity.
+        residual: with integral causality.
+    """
+    settled = dynamic.settled(test)
+    for condition in range(3):
+        wanted = excitation.excited(test.excitation, c.excitation, condition)
+        _take(s, c, first + condition, residual, settled and wanted)
+    return dynamic.correction(test, residual)
+
+
+@kernel
+def _three(s: Any, c: Any, u: Any, dt: float) -> None:
+    """Step T3, integral and mixed, or begin it anew."""
+    step = dt
+    if s.three.on == 0:
+        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
+        t3_icds.start(s.t3, c.t3, u)
+        t3_mcds.start(s.t3m, c.t3m, u)
+        u.omega_gb_sens = measured
+        dynamic.begin(s.three)
+        step = 0.0
+    s.residual[2] = t3_icds.step(s.t3, c.t3, u, step)
+    s.residual[4] = t3_mcds.step(s.t3m, c.t3m, u, step)
+    e = s.three.excitation
+    excitation.update(e, c.excitation, s.t3.shown_I_em, s.t3.shown_u_gb, step)
+    s.t3.omega_w += _judge(s, c, s.three, T3_FIXED, s.residual[2]) / c.t3.u_f
+    _take(s, c, T3_MIXED, s.residual[4], excitation.excited(e, c.excitation, FIXED))
+
+
+@kernel
+def _four(s: Any, c: Any, u: Any, dt: float) -> None:
+    """Step T4, integral and mixed, or begin it anew."""
+    step = dt
+    if s.four.on == 0:
+        # The battery is known all the time from T2; T4 runs for a while only.
+        s.t4.SoC, s.t4m.SoC = s.t2.SoC, s.t2.SoC
+        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
+        t4_icds.start(s.t4, c.t4, u)
+        t4_mcds.start(s.t4m, c.t4m, u)
+        u.omega_gb_sens = measured
+        dynamic.begin(s.four)
+        step = 0.0
+    s.residual[3] = t4_icds.step(s.t4, c.t4, u, step)
+    s.residual[5] = t4_mcds.step(s.t4m, c.t4m, u, step)
+    e = s.four.excitation
+    excitation.update(e, c.excitation, s.t4.shown_I_em, s.t4.shown_u_gb, step)
+    s.t4.omega_w += _judge(s, c, s.four, T4_FIXED, s.residual[3]) / c.t4.u_f
+    _take(s, c, T4_MIXED, s.residual[5], excitation.excited(e, c.excitation, FIXED))
+
+
+@kernel
+def _seven(s: Any, c: Any, u: Any, dt: float) -> None:
+    """Step T7 with its observer, or begin it anew."""
+    step = dt
+    if s.watched == 0:
+        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
+        t7.start(s.t7, c.t7, u)
+        u.omega_gb_sens = measured
+        observer.restart(s.observer, c.observer)
+        s.watched = 1
+        step = 0.0
+    s.residual[8] = t7.step(s.t7, c.t7, u, step)
+    observer.update(s.observer, c.observer, s.t7, c.t7, s.residual[8], u.T_b_ctrl, step)
 
 
 @kernel
 def _dynamic(s: Any, c: Any, u: Any, dt: float) -> None:
-    """Step T3 and T4 of both systems, or begin them anew."""
-    gate.update(
-        s.gate,
-        u.u_c,
-        int(u.gear),
-        interpolate(c.t2.f_3_x, c.t2.f_3_y, u.gear),
-        u.omega_e_sens,
-        u.omega_gb_sens,
-        dt,
-    )
+    """Step the tests that need a clutch that holds."""
+    ratio = interpolate(c.t2.f_3_x, c.t2.f_3_y, u.gear)
+    gate.update(s.gate, u.u_c, int(u.gear), ratio, u.omega_e_sens, u.omega_gb_sens, dt)
     s.valid = 1 if gate.valid(s.gate) else 0
-    measured = u.omega_gb_sens
     if s.valid == 0:
-        s.on3 = 0
-    else:
-        step = dt
-        if s.on3 == 0:
-            u.omega_gb_sens = gate.speed(s.gate)
-            t3_icds.start(s.t3, c.t3, u)
-            t3_mcds.start(s.t3m, c.t3m, u)
-            u.omega_gb_sens = measured
-            excitation.restart(s.three)
-            s.start3.total, s.start3.count = 0.0, 0.0
-            step = 0.0
-        s.residual[2] = t3_icds.step(s.t3, c.t3, u, step)
-        s.residual[4] = t3_mcds.step(s.t3m, c.t3m, u, step)
-        excitation.update(s.three, c.excitation, s.t3.shown_I_em, s.t3.shown_u_gb, step)
-        s.on3 = 1
-        settled = _settle(s.start3, s.t3, c.t3, s.residual[2], s.three.time)
-        _take(
-            s,
-            c,
-            T3_FIXED,
-            s.residual[2],
-            settled and excitation.excited(s.three, c.excitation, FIXED),
-        )
-        _take(
-            s,
-            c,
-            T3_SIGNED,
-            s.residual[2],
-            settled and excitation.excited(s.three, c.excitation, SIGNED),
-        )
-        _take(
-            s,
-            c,
-            T3_ABSOLUTE,
-            s.residual[2],
-            settled and excitation.excited(s.three, c.excitation, ABSOLUTE),
-        )
-        _take(s, c, T3_MIXED, s.residual[4], excitation.excited(s.three, c.excitation, FIXED))
-    if s.valid == 0 or u.U_em_sens < c.least_volts:
-        s.on4 = 0
+        s.three.on, s.four.on, s.watched = 0, 0, 0
+        observer.age(s.observer, c.observer, dt)
         return
-    step = dt
-    if s.on4 == 0:
-        # The battery is known all the time from T2; T4 runs for a while only.
-        s.t4.SoC, s.t4m.SoC = s.t2.SoC, s.t2.SoC
-        u.omega_gb_sens = gate.speed(s.gate)
-        t4_icds.start(s.t4, c.t4, u)
-        t4_mcds.start(s.t4m, c.t4m, u)
-        u.omega_gb_sens = measured
-        excitation.restart(s.four)
-        s.start4.total, s.start4.count = 0.0, 0.0
-        step = 0.0
-    s.residual[3] = t4_icds.step(s.t4, c.t4, u, step)
-    s.residual[5] = t4_mcds.step(s.t4m, c.t4m, u, step)
-    excitation.update(s.four, c.excitation, s.t4.shown_I_em, s.t4.shown_u_gb, step)
-    s.on4 = 1
-    settled = _settle(s.start4, s.t4, c.t4, s.residual[3], s.four.time)
-    _take(
-        s, c, T4_FIXED, s.residual[3], settled and excitation.excited(s.four, c.excitation, FIXED)
-    )
-    _take(
-        s, c, T4_SIGNED, s.residual[3], settled and excitation.excited(s.four, c.excitation, SIGNED)
-    )
-    _take(
-        s,
-        c,
-        T4_ABSOLUTE,
-        s.residual[3],
-        settled and excitation.excited(s.four, c.excitation, ABSOLUTE),
-    )
-    _take(s, c, T4_MIXED, s.residual[5], excitation.excited(s.four, c.excitation, FIXED))
-
-
-@kernel
-def _settle(start: Any, s: Any, c: Any, residual: float, time: float) -> bool:
-    """Correct the speed that a residual (36) began with by its mean over the first second, (24); True behind that."""
-    if time <= CORRECTED:
-        if residual == residual:  # noqa: PLR0124 - not NaN
-            start.total += residual
-            start.count += 1.0
-        return False
-    if start.count > 0.0:
-        s.omega_w += start.total / start.count / c.u_f
-        start.count = 0.0
-        return False
-    return True
+    _three(s, c, u, dt)
+    _seven(s, c, u, dt)
+    if u.U_em_sens < c.least_volts:
+        s.four.on = 0
+    else:
+        _four(s, c, u, dt)
 
 
 @kernel
@@ -275,41 +287,48 @@ def _take(s: Any, c: Any, place: int, residual: float, wanted: bool) -> None:
 
 @kernel
 def _static(s: Any, c: Any, u: Any, dt: float) -> None:
-    """Step T1, and T2, which waits for gear changes that are to come."""
+    """Step T1, T6, and T2 and T5, which wait for gear changes that are to come.
+
+    They need no speed of the vehicle, but a machine that is used: at rest no fault shows, and T would come down (V-C).
+    """
+    used = abs(u.I_em_sens) >= c.least_amps
     s.residual[0] = t1.step(s.t1, c.t1, u, dt)
-    _take(s, c, T1, s.residual[0], True)
+    _take(s, c, T1, s.residual[0], abs(u.U_em_ctrl) >= c.least_volts)
+    s.residual[7] = t6.step(s.t6, c.t6, u, dt)
+    _take(s, c, T6, s.residual[7], used)
     s.residual[1] = t2.step(s.t2, c.t2, u, dt)
+    s.residual[6] = t5.step(s.t5, c.t5, u, dt)
     gear = int(u.gear)
-    if gear != s.gear:
-        s.gear = gear
-        s.quiet = c.blank
-        for k in range(MOST_BLANK):
-            s.due[k] = 0
-    at = s.at % MOST_BLANK
-    s.held[at] = s.residual[1]
-    s.due[at] = 1 if u.u_c >= gate.ENGAGED and gear > 0 and s.quiet == 0 else 0
-    s.quiet = max(s.quiet - 1, 0)
-    ready = (s.at - c.blank) % MOST_BLANK
-    if s.at >= c.blank and s.due[ready] == 1:
-        s.due[ready] = 0
-        _take(s, c, T2, s.held[ready], True)
-    s.at += 1
+    counts = used and u.u_c >= gate.ENGAGED and gear > 0
+    place = blanking.put(s.blanking, c.blank, gear, counts, s.residual[1], s.residual[6])
+    if place >= 0:
+        _take(s, c, T2, s.blanking.held[place, 0], True)
+        _take(s, c, T5, s.blanking.held[place, 1], True)
+
+
+@kernel
+def _weigh(s: Any, c: Any) -> int:
+    """Put T_norm of the tests that decide in their places; returns those that have fired, as bits."""
+    s.level[0], s.level[1] = s.norm[T1], s.norm[T2]
+    if c.system == ROBUST:
+        s.level[2], s.level[3], s.level[4] = s.norm[T5], s.norm[T6], s.observer.norm
+    elif c.system == MIXED:
+        s.level[2], s.level[3] = s.norm[T3_MIXED], s.norm[T4_MIXED]
+    else:
+        # Remark 4: two conditions, either of which suffices.
+        s.level[2] = max(s.norm[T3_SIGNED], s.norm[T3_ABSOLUTE])
+        s.level[3] = max(s.norm[T4_SIGNED], s.norm[T4_ABSOLUTE])
+    fired = 0
+    for place in range(len(s.level)):
+        if s.level[place] > 1.0:
+            fired |= 1 << place
+    return fired
 
 
 @kernel
 def _decide(s: Any, c: Any, out: Any) -> None:
     """Report which fault is isolated, or that one is not."""
-    three = s.norm[T3_MIXED] if c.mixed == 1 else max(s.norm[T3_SIGNED], s.norm[T3_ABSOLUTE])
-    four = s.norm[T4_MIXED] if c.mixed == 1 else max(s.norm[T4_SIGNED], s.norm[T4_ABSOLUTE])
-    fired = 0
-    if s.norm[T1] > 1.0:
-        fired |= 1
-    if s.norm[T2] > 1.0:
-        fired |= 2
-    if three > 1.0:
-        fired |= 4
-    if four > 1.0:
-        fired |= 8
+    fired = _weigh(s, c)
     changed = fired != s.fired
     s.fired = fired
     s.found = isolation.isolated(c.isolation, fired)
@@ -318,15 +337,19 @@ def _decide(s: Any, c: Any, out: Any) -> None:
     if not changed and s.reported < REPEAT:
         return
     s.reported = 0
-    largest = max(s.norm[T1], s.norm[T2], three, four)
+    largest = 0.0
+    for place in range(len(s.level)):
+        largest = max(largest, s.level[place])
     for k in range(UNISOLATED + 1):
         failed = k == s.found if k < UNISOLATED else fired != 0 and s.found < 0
         place = report(out, k, failed, largest, 1.0)
         if place >= 0 and failed:
             e = out.results[place].evidence
-            e[0], e[1], e[2], e[3] = s.norm[T1], s.norm[T2], three, four
-            e[4], e[5] = fired, s.explained
-            e[6], e[7] = s.norm[T3_MIXED], s.norm[T4_MIXED]
+            for j in range(c.tests):
+                e[j] = s.level[j]
+            e[c.tests] = fired
+            e[c.tests + 1] = isolation.ranked(c.isolation, s.explained, s.level)
+            e[c.tests + 2] = s.observer.error[observer.MOTOR]
 
 
 @kernel
@@ -340,17 +363,19 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
     if s.sets == 0:
         t2.reset(s.t2, c.t2)
         t2.start(s.t2, c.t2, u)
+        t6.reset(s.t6, c.t6)
+        t6.start(s.t6, c.t6, u)
+        t7.reset(s.t7, c.t7)
         t3_icds.reset(s.t3, c.t3)
         t4_icds.reset(s.t4, c.t4)
         t3_mcds.reset(s.t3m, c.t3m)
         t4_mcds.reset(s.t4m, c.t4m)
-        s.t2.SoC = u.charge
-        s.gear = int(u.gear)
+        s.t2.SoC, s.t6.SoC = u.charge, u.charge
+        s.blanking.gear = int(u.gear)
     elif steps > LONGEST:
         gate.restart(s.gate)
-        s.on3, s.on4, s.quiet, steps = 0, 0, c.blank, 0
-        for k in range(MOST_BLANK):
-            s.due[k] = 0
+        blanking.forget(s.blanking, c.blank)
+        s.three.on, s.four.on, s.watched, steps = 0, 0, 0, 0
     s.sets += 1
     dt = steps * c.period
     _static(s, c, u, dt)
@@ -365,10 +390,9 @@ MONITOR = Monitor(
     const=CONST,
     inputs=INPUTS,
     step=step,
-    faults=FAULTS,
+    faults=(),
+    named=_named,
     wire=_wire,
     prepare=_prepare,
     readout=("sets", "valid", "fired", "explained"),
 )
-
-assert len(FAULTS) == len(STRUCTURAL) + 1

@@ -21,6 +21,8 @@ QUANTITIES = (
     ("T4_absolute", "T4_ICDS", "absolute"),
     ("T3_mixed", "T3_MCDS", "fixed"),
     ("T4_mixed", "T4_MCDS", "fixed"),
+    ("T5", "T5", ""),
+    ("T6", "T6", ""),
 )
 
 
@@ -33,6 +35,8 @@ class Levels(StrictModel):
     T4_ICDS: float = Field(0.284, gt=0, description="[rad/s]")
     T3_MCDS: float = Field(0.048, gt=0, description="[rad/s2], of the wheels")
     T4_MCDS: float = Field(0.048, gt=0, description="[rad/s2], of the wheels")
+    T5: float = Field(0.284, gt=0, description="[rad/s]")
+    T6: float = Field(2.0, gt=0, description="[A]")
 
 
 class Thresholds(StrictModel):
@@ -48,13 +52,47 @@ class Thresholds(StrictModel):
     T4_absolute: float = Field(50.0, gt=0)
     T3_mixed: float = Field(50.0, gt=0)
     T4_mixed: float = Field(50.0, gt=0)
+    T5: float = Field(50.0, gt=0)
+    T6: float = Field(50.0, gt=0)
+
+
+class Spread(StrictModel):
+    """Standard deviation of what the observer of T7 estimates beside the wheels' speed."""
+
+    machine: float = Field(gt=0, description="relative error of the machine's torque")
+    engine: float = Field(gt=0, description="of the engine's")
+    slope: float = Field(gt=0, description="of the road that nobody measures [rad]")
+    mass: float = Field(gt=0, description="relative, of the truck")
+    brake: float = Field(gt=0, description="of the brakes' torque")
+
+    @property
+    def variances(self) -> tuple[float, ...]:
+        """In the observer's order."""
+        each = (self.machine, self.machine, self.engine, self.slope, self.mass, self.brake)
+        return tuple(value**2 for value in each)
+
+
+class Observer(StrictModel):
+    """Parameters of T7."""
+
+    prior: Spread = Spread(machine=0.3, engine=0.05, slope=0.01, mass=0.05, brake=0.1)
+    drift: Spread = Field(
+        Spread(machine=0.01, engine=1e-4, slope=2e-4, mass=1e-4, brake=1e-3),
+        description="within a second",
+    )
+    speed: float = Field(0.2, gt=0, description="noise of the gearbox's speed [rad/s]")
+    start: float = Field(0.03, gt=0, description="error of the wheels' speed at the start [rad/s]")
+    torque: float = Field(1e-3, gt=0, description="noise of the acceleration [rad/s2 sqrt(s)]")
+    own: float = Field(0.05, gt=0, description="what the model may make of the machine's errors")
+    threshold: float = Field(30.0, gt=0, description="of Wald's statistic")
 
 
 class Params(MonitorParams):
     """Parameters of the hybrid powertrain's monitor."""
 
-    system: Literal["ICDS", "MCDS"] = Field(
-        "ICDS", description="T3 and T4 that decide: with integral or with mixed causality"
+    system: Literal["ICDS", "MCDS", "RDS"] = Field(
+        "ICDS",
+        description="tests that decide: T1 to T4 with integral or mixed causality, or robust ones",
     )
     period_ms: float = Field(10.0, gt=0, le=100, description="of a set of four frames")
     filter_bandwidth: float = Field(0.5, gt=0, description="alpha of (20), of MCDS [rad/s]")
@@ -62,13 +100,19 @@ class Params(MonitorParams):
     signed_charge: float = Field(4000.0, gt=0, description="J_1 of (41) [As]")
     absolute_charge: float = Field(1000.0, gt=0, description="J_2 of (45) [As]")
     least_volts: float = Field(
-        20.0, gt=0, description="of the machine, below which T4 divides by too little [V]"
+        20.0,
+        gt=0,
+        description="of the machine, below which T4 divides by too little and T1 shows no inverter fault [V]",
+    )
+    least_amps: float = Field(
+        20.0, ge=0, description="of the machine, below which no fault shows in T2, T5 and T6 [A]"
     )
     blank_ms: float = Field(
         200.0, ge=0, le=300, description="T2 before and behind a gear change [ms]"
     )
     nu: Levels = Levels()
     thresholds: Thresholds = Thresholds()
+    observer: Observer = Observer()
     limit: float = Field(
         5.0, gt=1, description="of a test quantity, in units of J: it comes down again"
     )

@@ -11,4 +11,7 @@ GENERATED = {
     "t4_icds": ("T4_ICDS", ("I_em", "u_gb")),
     "t3_mcds": ("T3_MCDS", ()),
     "t4_mcds": ("T4_MCDS", ()),
+    "t5": ("T5", ()),
+    "t6": ("T6", ()),
+    "t7": ("T7", ("T_em", "T_c", "eta_gb", "u_gb", "J_tot", "m_v")),
 }
