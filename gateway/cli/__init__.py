@@ -253,15 +253,22 @@ def calibrate(
     mtfa: Annotated[
         float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")
     ] = 3600.0,
+    margin: Annotated[
+        float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")
+    ] = 0.5,
+    floor: Annotated[
+        float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")
+    ] = 25.0,
     into: Annotated[
         bool, typer.Option("--write", help="Put the thresholds into the configuration.")
     ] = False,
     json: Json = False,
 ) -> None:
-    """Find the thresholds of stopping rules from healthy logs, and say how far these carry."""
+    """Find thresholds of stopping rules and CUSUM tests from healthy logs, and say how far these carry."""
     from gateway.cli.calibrate import calibrate_logs as work
 
-    raise typer.Exit(work(config, logs, mtfa=mtfa, into=into, json=json))
+    found = work(config, logs, mtfa=mtfa, margin=margin, floor=floor, into=into, json=json)
+    raise typer.Exit(found)
 
 
 @app.command()

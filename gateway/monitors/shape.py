@@ -176,6 +176,23 @@ class Calibration:
 
 
 @dataclass(frozen=True)
+class CusumCalibration:
+    """CUSUM tests of a monitor whose nu and thresholds healthy logs can set.
+
+    Its parameters have tables ``nu``, by residual, and ``thresholds``, by quantity in units of its nu.
+
+    Attributes:
+        quantities: name, and residual; a quantity without a residual has a unit of its own.
+        sums: state record -> ``samples``, ``total`` and ``squares`` of the moduli that updated each quantity.
+        peaks: state record -> largest T of each quantity over its threshold.
+    """
+
+    quantities: tuple[tuple[str, str], ...]
+    sums: Callable[[np.void], Any]
+    peaks: Callable[[np.void], Any]
+
+
+@dataclass(frozen=True)
 class Monitor:
     """A type of monitor; configured instances of it share the kernel.
 
@@ -211,7 +228,7 @@ class Monitor:
     emission: Emission | None = None
     dtcs: Callable[[Any], Mapping[str, str]] | None = None
     message: Callable[[Any], str] | None = None
-    calibration: Calibration | None = None
+    calibration: Calibration | CusumCalibration | None = None
     warnings: Callable[[Any], tuple[str, ...]] | None = None
     named: Callable[[Any], tuple[Fault, ...]] | None = None
 

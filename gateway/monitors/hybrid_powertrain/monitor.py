@@ -38,7 +38,7 @@ from gateway.monitors.hybrid_powertrain.generated import (
     t7,
 )
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params
-from gateway.monitors.shape import Fault, Monitor, Wiring, inputs, report
+from gateway.monitors.shape import CusumCalibration, Fault, Monitor, Wiring, inputs, report
 from gateway.resources import shipped
 
 #: Sets that may be missing in a row.
@@ -174,12 +174,23 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
     o, w = c["observer"], p.observer
     o["start"], o["torque"], o["noise"] = w.start**2, w.torque**2, w.speed**2
     o["prior"], o["drift"] = w.prior.variances, w.drift.variances
-    o["own"], o["threshold"] = w.own**2, w.threshold
+    o["own"], o["threshold"] = w.own**2, p.thresholds.T7
     for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
         fill(c[field], model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
     o["least"] = p.least_amps * c["t7"]["k_i"]
     observer.prepare(s["observer"], o)
     s["counter"], s["found"] = -1, -1
+
+
+def _sums(s: np.void) -> dict[str, Any]:
+    """Return what residuals came to; the observer's has no nu."""
+    sums = {key: np.append(s["cusum"][key], 0.0) for key in ("samples", "total", "squares")}
+    sums["samples"][-1] = s["observer"]["samples"]
+    return sums
+
+
+def _peaks(s: np.void) -> Any:
+    return np.append(s["cusum"]["peak"], s["observer"]["peak"])
 
 
 def _named(p: Params) -> tuple[Fault, ...]:
@@ -394,5 +405,8 @@ MONITOR = Monitor(
     named=_named,
     wire=_wire,
     prepare=_prepare,
+    calibration=CusumCalibration(
+        (*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")), _sums, _peaks
+    ),
     readout=("sets", "valid", "fired", "explained"),
 )

@@ -42,6 +42,7 @@ CONST = record(
     least=f8,
     threshold=f8,
 )
+#: ``norm``: the statistic over its threshold; ``peak``, ``samples``: for calibration.
 STATE = record(
     error=(f8, ERRORS),
     does=(f8, ERRORS),
@@ -49,6 +50,7 @@ STATE = record(
     gain=(f8, _STATES),
     norm=f8,
     peak=f8,
+    samples=f8,
 )
 
 
@@ -141,6 +143,7 @@ def update(s: Any, c: Any, g: Any, q: Any, innovation: float, brake: float, dt: 
     _sensitivities(s, g, q, brake, c.least)
     for k in range(ERRORS):
         g.d_omega_w += s.does[k] * s.error[k]
+    s.samples += 1.0
     s.norm = wald(s, c) / c.threshold
     s.peak = max(s.peak, s.norm)
 

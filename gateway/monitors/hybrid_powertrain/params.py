@@ -54,6 +54,7 @@ class Thresholds(StrictModel):
     T4_mixed: float = Field(50.0, gt=0)
     T5: float = Field(50.0, gt=0)
     T6: float = Field(50.0, gt=0)
+    T7: float = Field(50.0, gt=0, description="Wald's statistic, which has no nu")
 
 
 class Spread(StrictModel):
@@ -84,7 +85,6 @@ class Observer(StrictModel):
     start: float = Field(0.03, gt=0, description="error of the wheels' speed at the start [rad/s]")
     torque: float = Field(1e-3, gt=0, description="noise of the acceleration [rad/s2 sqrt(s)]")
     own: float = Field(0.05, gt=0, description="what the model may make of the machine's errors")
-    threshold: float = Field(30.0, gt=0, description="of Wald's statistic")
 
 
 class Params(MonitorParams):

@@ -1,4 +1,4 @@
-"""Thresholds from healthy logs: what a target of the mean time between false alarms asks for, and what the data carry.
+"""Stopping rules: what a target of the mean time between false alarms asks for, and what the data carry.
 
 Each stopping rule keeps the largest level it has seen. Read once a second of recorded time, these maxima tell for any
 threshold how many alarms there would have been: seconds beyond it that follow each other are one. If the logs are
@@ -9,23 +9,20 @@ beyond the data. What the data assure, with 95 %, is chi-square: T / 3.0 without
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import tomlkit
 from numpy.typing import NDArray
 
 from gateway.app import Gateway
-from gateway.bus.frames import Frames
-from gateway.bus.ring import read_recording
-from gateway.config import Config, channels_of, monitor_of
+from gateway.calibration.logs import Progress, batches, of_kind, parts, refuse, watch
+from gateway.config import Config
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
+from gateway.monitors.shape import Calibration
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000
@@ -94,28 +91,6 @@ def propose(maxima: Array, seconds: float, target: float) -> float:
     return max(reached, largest * MARGIN)
 
 
-def digest(logs: Iterable[Path]) -> str:
-    """Return the first 12 digits of the SHA-256 of the logs' contents."""
-    total = hashlib.sha256()
-    for path in logs:
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        for file in files:
-            total.update(file.read_bytes())
-    return total.hexdigest()[:12]
-
-
-def _blocks(frames: Frames, end_ns: int) -> Iterator[tuple[Frames, bool]]:
-    """Yield parts of a batch; True behind a part at whose end a block ends."""
-    first = 0
-    while first < len(frames):
-        last = int(np.searchsorted(frames["t_ns"], end_ns))
-        yield frames[first:last], last < len(frames)
-        if last >= len(frames):
-            return
-        first = last
-        end_ns += BLOCK_NS
-
-
 @dataclass(frozen=True)
 class Levels:
     """What healthy logs did to the stopping rules.
@@ -136,7 +111,7 @@ def levels(
     logs: Sequence[Path],
     *,
     file: Path | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Levels:
     """Replay logs, each with a gateway of its own, and keep the largest levels of each second.
 
@@ -149,38 +124,28 @@ def levels(
     Raises:
         InputError: no monitor of the configuration can be calibrated, or a log cannot be read.
     """
-    chosen = []
-    for k, entry in enumerate(config.monitor):
-        calibration = monitor_of(entry)[0].calibration
-        if calibration is not None:
-            chosen.append((k, entry.name, calibration))
+    chosen = of_kind(config, Calibration)
     if not chosen:
-        raise InputError(
-            "no monitor here has thresholds that logs can set", file=file, key="monitor"
-        )
-    found: dict[str, list[Array]] = {name: [] for _, name, _ in chosen}
+        raise refuse("stopping rules", file)
+    found: dict[str, list[Array]] = {each.name: [] for each in chosen}
     failed: set[str] = set()
     blocks = 0
     for path in logs:
         gateway = Gateway(config, None, file=file)
-        gateway.listen(
-            lambda event: failed.add(str(event["dtc"])) if event["event"] == "dtc" else None
-        )
+        watch(gateway, failed)
         rules = [
-            (name, calibration.rules(gateway.engine.state_of(k)[0]))
-            for k, name, calibration in chosen
+            (each.name, each.calibration.rules(gateway.engine.state_of(each.place)[0]))
+            for each in chosen
         ]
         begun = 0
         end_ns = 0
         try:
-            for frames in read_recording(path, channels_of(config)):
-                if not len(frames):
-                    continue
+            for frames in batches(config, path, progress):
                 if not begun:
                     begun = int(frames[0]["t_ns"])
                     end_ns = begun + WARM_UP_NS
                     gateway.start(begun)
-                for part, ended in _blocks(gateway.without_own(frames), end_ns):
+                for part, ended in parts(gateway.without_own(frames), end_ns, BLOCK_NS):
                     gateway.feed(part)
                     if not ended:
                         continue
@@ -190,7 +155,6 @@ def levels(
                         states["peak"] = 0.0
                     blocks += end_ns > begun + WARM_UP_NS
                     end_ns += BLOCK_NS
-                progress(len(frames))
         finally:
             gateway.close()
     if not blocks:
@@ -208,20 +172,17 @@ def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:
         target: mean time between false alarms [s].
     """
     proposals = []
-    for entry in config.monitor:
-        monitor, params = monitor_of(entry)
-        if monitor.calibration is None:
-            continue
-        maxima = seen.maxima[entry.name]
-        each = target * len(monitor.calibration.names)
-        now = monitor.calibration.levels(params)
-        for j, (symptom, present) in enumerate(zip(monitor.calibration.names, now, strict=True)):
+    for chosen in of_kind(config, Calibration):
+        maxima = seen.maxima[chosen.name]
+        each = target * len(chosen.calibration.names)
+        now = chosen.calibration.levels(chosen.params)
+        for j, (symptom, present) in enumerate(zip(chosen.calibration.names, now, strict=True)):
             # A symptom that has never spoken keeps its threshold.
             threshold = propose(maxima[:, j], seen.seconds, each) or present
             count = alarms(maxima[:, j], threshold)
             proposals.append(
                 Proposal(
-                    monitor=entry.name,
+                    monitor=chosen.name,
                     symptom=symptom,
                     now=present,
                     largest=float(maxima[:, j].max()),
@@ -235,26 +196,10 @@ def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:
     return proposals
 
 
-def write(path: Path, proposals: Sequence[Proposal], source: str) -> None:
-    """Put thresholds into a configuration file; all else in it stays as it is.
-
-    Args:
-        path: of the configuration.
-        proposals: to put in.
-        source: what they come from, for ``calibrated``.
-    """
-    document = tomlkit.parse(path.read_text())
-    for entry in _tables(document):
-        mine = [p for p in proposals if p.monitor == entry.get("name")]
-        if not mine:
-            continue
-        table = tomlkit.inline_table()
-        for proposal in mine:
-            table[proposal.symptom] = float(f"{proposal.threshold:.4g}")
-        entry["thresholds"] = table
-        entry["calibrated"] = source
-    path.write_text(tomlkit.dumps(document))
-
-
-def _tables(document: Any) -> list[Any]:
-    return list(document.get("monitor", []))
+def tables(proposals: Sequence[Proposal]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return what a configuration is to hold: monitor -> ``thresholds``."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for proposal in proposals:
+        mine = found.setdefault(proposal.monitor, {"thresholds": {}})
+        mine["thresholds"][proposal.symptom] = proposal.threshold
+    return found

@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.logs import open_writer
-from gateway.calibration import alarms, calibrate, digest, levels, propose, write
+from gateway.calibration.file import write
+from gateway.calibration.logs import digest
+from gateway.calibration.stopping import alarms, calibrate, levels, propose, tables
 from gateway.config import load_config, monitor_of
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
@@ -98,7 +100,7 @@ def test_they_are_written_and_all_else_stays(healthy):
     config = load_config(path)
     before = path.read_text()
     rows = calibrate(config, levels(config, logs, file=path), 600.0)
-    write(path, rows, f"sha256 {digest(logs)}")
+    write(path, tables(rows), f"sha256 {digest(logs)}")
     after = path.read_text()
     assert "# steering wheel over road wheel, as the controller makes it" in after
     assert [line for line in before.splitlines() if line not in after.splitlines()] == []
@@ -133,7 +135,7 @@ def test_the_command_says_how_far_the_data_carry(healthy):
 
 def test_a_configuration_without_such_thresholds_is_refused(tmp_path):
     path = shipped("configs/pedal.toml")
-    with pytest.raises(InputError, match="no monitor here has thresholds"):
+    with pytest.raises(InputError, match="no monitor here has stopping rules"):
         levels(load_config(path), [tmp_path / "none.log"], file=path)
 
 

@@ -1,0 +1,220 @@
+"""CUSUM tests: nu and J of paper 004, (26) and (46), from healthy logs.
+
+A first replay gives each residual's nu, the mean and one standard deviation of its modulus while its quantities are
+updated; a second, with these nu, each quantity's largest T. Its threshold is the larger of that and a floor over the margin
+Phi:
+
+    J = max(T_max, floor nu) / Phi
+
+(46) as printed has no floor: a healthy T that is zero, or a few nu by chance, makes a threshold that the next drive passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from gateway.app import Gateway
+from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse, watch
+from gateway.config import Config
+from gateway.errors import InputError
+from gateway.monitors.shape import CusumCalibration
+
+#: Residuals that a nu takes at least.
+LEAST_SAMPLES = 100
+#: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
+_NEVER = 1e9
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What logs say of one test quantity.
+
+    Attributes:
+        monitor: name of the monitor.
+        name: of the quantity, key in ``thresholds``.
+        residual: key in ``nu``; none if the quantity has a unit of its own.
+        samples: residuals that updated it.
+        nu_now: of the configuration; None without a residual.
+        nu: found; that of the configuration where there were too few samples.
+        now: threshold of the configuration, in units of nu.
+        largest: healthy T, in units of the nu found.
+        threshold: found, in units of nu.
+        floored: the floor decides.
+    """
+
+    monitor: str
+    name: str
+    residual: str
+    samples: int
+    nu_now: float | None
+    nu: float | None
+    now: float
+    largest: float
+    threshold: float
+    floored: bool
+
+    @property
+    def margin(self) -> float:
+        """Largest healthy T over the threshold."""
+        return self.largest / self.threshold
+
+
+@dataclass(frozen=True)
+class Found:
+    """What logs say.
+
+    Attributes:
+        seconds: of the logs.
+        rows: of all quantities.
+        failed: DTCs that the logs set with the configuration as it is.
+    """
+
+    seconds: float
+    rows: tuple[Quantity, ...]
+    failed: tuple[str, ...]
+
+    @property
+    def tables(self) -> dict[str, dict[str, dict[str, float]]]:
+        """What a configuration is to hold: monitor -> ``nu`` and ``thresholds``."""
+        tables: dict[str, dict[str, dict[str, float]]] = {}
+        for row in self.rows:
+            mine = tables.setdefault(row.monitor, {"nu": {}, "thresholds": {}})
+            mine["thresholds"][row.name] = row.threshold
+            if row.nu is not None:
+                mine["nu"][row.residual] = row.nu
+        return tables
+
+
+_Monitors = list[Chosen[CusumCalibration]]
+
+
+def _replay(
+    config: Config,
+    logs: Sequence[Path],
+    chosen: _Monitors,
+    failed: set[str],
+    *,
+    file: Path | None,
+    progress: Progress,
+) -> tuple[float, dict[str, list[Any]]]:
+    """Replay logs; returns their seconds, and each monitor's state at the end of each."""
+    states: dict[str, list[Any]] = {name: [] for name in (c.name for c in chosen)}
+    seconds = 0.0
+    for path in logs:
+        gateway = Gateway(config, None, file=file)
+        watch(gateway, failed)
+        begun = last = 0
+        try:
+            for frames in batches(config, path, progress):
+                if not begun:
+                    begun = int(frames[0]["t_ns"])
+                    gateway.start(begun)
+                gateway.feed(gateway.without_own(frames))
+                last = int(frames[-1]["t_ns"])
+            for each in chosen:
+                states[each.name].append(gateway.engine.state_of(each.place)[0].copy())
+        finally:
+            gateway.close()
+        seconds += (last - begun) * 1e-9
+    return seconds, states
+
+
+def _rows(
+    chosen: Chosen[CusumCalibration],
+    states: list[Any],
+    nus: dict[str, float],
+    margin: float,
+    floor: float,
+) -> list[Quantity]:
+    """Say what logs did to a monitor's quantities when its thresholds were out of reach."""
+    rows = []
+    calibration, now = chosen.calibration, cast(Any, chosen.params)
+    peaks = np.max([calibration.peaks(s) for s in states], axis=0) * _NEVER
+    samples = sum(calibration.sums(s)["samples"] for s in states)
+    for place, (quantity, residual) in enumerate(calibration.quantities):
+        largest = float(peaks[place])
+        rows.append(
+            Quantity(
+                monitor=chosen.name,
+                name=quantity,
+                residual=residual,
+                samples=int(samples[place]),
+                nu_now=getattr(now.nu, residual) if residual else None,
+                nu=nus[residual] if residual else None,
+                now=getattr(now.thresholds, quantity),
+                largest=largest,
+                threshold=max(largest, floor) / margin,
+                floored=largest < floor,
+            )
+        )
+    return rows
+
+
+def _typical(chosen: Chosen[CusumCalibration], states: list[Any]) -> dict[str, float]:
+    """Return nu of each residual: the largest of its quantities', that of the parameters where there are too few samples."""
+    found: dict[str, float] = {}
+    calibration, now = chosen.calibration, cast(Any, chosen.params)
+    sums = np.array(
+        [[calibration.sums(s)[key] for key in ("samples", "total", "squares")] for s in states]
+    ).sum(axis=0)
+    for place, (_, residual) in enumerate(calibration.quantities):
+        if not residual or sums[0, place] < LEAST_SAMPLES:
+            continue
+        samples, total, squares = sums[:, place]
+        mean = total / samples
+        nu = mean + np.sqrt(max(squares / samples - mean**2, 0.0))
+        found[residual] = max(found.get(residual, 0.0), float(nu))
+    return {r: found.get(r, getattr(now.nu, r)) for _, r in calibration.quantities if r}
+
+
+def learn(
+    config: Config,
+    logs: Sequence[Path],
+    *,
+    margin: float = 0.5,
+    floor: float = 25.0,
+    file: Path | None = None,
+    progress: Progress = lambda _: None,
+) -> Found:
+    """Find nu and thresholds of all CUSUM tests.
+
+    Args:
+        config: the configuration.
+        logs: recordings without a fault.
+        margin: Phi of (46), largest healthy T over the threshold, in ]0, 1].
+        floor: least largest T, in units of nu.
+        file: of the configuration, for errors.
+        progress: called with the number of frames of each batch; each log is read twice.
+
+    Raises:
+        InputError: no monitor of the configuration has CUSUM tests, or a log cannot be read or holds no step of them.
+    """
+    chosen = of_kind(config, CusumCalibration)
+    if not chosen:
+        raise refuse("CUSUM tests", file)
+    failed: set[str] = set()
+    seconds, states = _replay(config, logs, chosen, failed, file=file, progress=progress)
+    nus = {}
+    for each in chosen:
+        if not any(each.calibration.sums(s)["samples"].any() for s in states[each.name]):
+            raise InputError(
+                f'the logs hold nothing that monitor "{each.name}" tests',
+                file=logs[0] if logs else None,
+            )
+        nus[each.name] = _typical(each, states[each.name])
+    entries = list(config.monitor)
+    for each in chosen:
+        never = {quantity: _NEVER for quantity, _ in each.calibration.quantities}
+        changes = {"nu": nus[each.name], "thresholds": never}
+        entries[each.place] = entries[each.place].model_copy(update=changes)
+    opened = config.model_copy(update={"monitor": tuple(entries)})
+    _, states = _replay(opened, logs, chosen, set(), file=file, progress=progress)
+    rows: list[Quantity] = []
+    for each in chosen:
+        rows += _rows(each, states[each.name], nus[each.name], margin, floor)
+    return Found(seconds, tuple(rows), tuple(sorted(failed)))

@@ -1,0 +1,88 @@
+"""Healthy logs: replayed, each with a gateway of its own, and named by their contents."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from gateway.app import Gateway
+from gateway.bus.frames import Frames
+from gateway.bus.ring import read_recording
+from gateway.config import Config, channels_of, monitor_of
+from gateway.errors import InputError
+from gateway.monitors.shape import MonitorParams
+
+Progress = Callable[[int], None]
+Kind = TypeVar("Kind")
+
+
+@dataclass(frozen=True)
+class Chosen(Generic[Kind]):
+    """A monitor that logs can calibrate.
+
+    Attributes:
+        place: in the configuration.
+        name: of the monitor.
+        calibration: what it lets be set.
+        params: its parameters.
+    """
+
+    place: int
+    name: str
+    calibration: Kind
+    params: MonitorParams
+
+
+def of_kind(config: Config, kind: type[Kind]) -> list[Chosen[Kind]]:
+    """Return the monitors of a configuration that can be calibrated in one way."""
+    found = []
+    for place, entry in enumerate(config.monitor):
+        monitor, params = monitor_of(entry)
+        if isinstance(monitor.calibration, kind):
+            found.append(Chosen(place, entry.name, monitor.calibration, params))
+    return found
+
+
+def refuse(what: str, file: Path | None) -> InputError:
+    """Return the error of a configuration that has none."""
+    return InputError(f"no monitor here has {what} that logs can set", file=file, key="monitor")
+
+
+def digest(logs: Iterable[Path]) -> str:
+    """Return the first 12 digits of the SHA-256 of the logs' contents."""
+    total = hashlib.sha256()
+    for path in logs:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        for file in files:
+            total.update(file.read_bytes())
+    return total.hexdigest()[:12]
+
+
+def batches(config: Config, path: Path, progress: Progress) -> Iterator[Frames]:
+    """Yield a log's frames, batch by batch, without empty ones."""
+    for frames in read_recording(path, channels_of(config)):
+        if len(frames):
+            yield frames
+            progress(len(frames))
+
+
+def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, bool]]:
+    """Yield parts of a batch; True behind a part at whose end a block ends."""
+    first = 0
+    while first < len(frames):
+        last = int(np.searchsorted(frames["t_ns"], end_ns))
+        yield frames[first:last], last < len(frames)
+        if last >= len(frames):
+            return
+        first = last
+        end_ns += block_ns
+
+
+def watch(gateway: Gateway, failed: set[str]) -> None:
+    """Collect the DTCs that a log sets."""
+    gateway.listen(lambda event: failed.add(str(event["dtc"])) if event["event"] == "dtc" else None)
