@@ -1,12 +1,6 @@
-"""CUSUM tests: nu and J of paper 004, (26) and (46), from healthy logs.
+"""CUSUM tests: nu and J (:mod:`gateway.fdi.cusum`) from healthy logs.
 
-A first replay gives each residual's nu, the mean and one standard deviation of its modulus while its quantities are
-updated; a second, with these nu, each quantity's largest T. Its threshold is the larger of that and a floor over the margin
-Phi:
-
-    J = max(T_max, floor nu) / Phi
-
-(46) as printed has no floor: a healthy T that is zero, or a few nu by chance, makes a threshold that the next drive passes.
+A first replay gives each residual's nu, a second, with these nu and thresholds out of reach, each quantity's largest T.
 """
 
 from __future__ import annotations
@@ -22,10 +16,9 @@ from gateway.app import Gateway
 from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse, watch
 from gateway.config import Config
 from gateway.errors import InputError
+from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.monitors.shape import CusumCalibration
 
-#: Residuals that a nu takes at least.
-LEAST_SAMPLES = 100
 #: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
 _NEVER = 1e9
 
@@ -148,7 +141,7 @@ def _rows(
                 nu=nus[residual] if residual else None,
                 now=getattr(now.thresholds, quantity),
                 largest=largest,
-                threshold=max(largest, floor) / margin,
+                threshold=threshold(largest, margin, floor),
                 floored=largest < floor,
             )
         )
@@ -157,27 +150,20 @@ def _rows(
 
 def _typical(chosen: Chosen[CusumCalibration], states: list[Any]) -> dict[str, float]:
     """Return nu of each residual: the largest of its quantities', that of the parameters where there are too few samples."""
-    found: dict[str, float] = {}
     calibration, now = chosen.calibration, cast(Any, chosen.params)
-    sums = np.array(
-        [[calibration.sums(s)[key] for key in ("samples", "total", "squares")] for s in states]
-    ).sum(axis=0)
-    for place, (_, residual) in enumerate(calibration.quantities):
-        if not residual or sums[0, place] < LEAST_SAMPLES:
-            continue
-        samples, total, squares = sums[:, place]
-        mean = total / samples
-        nu = mean + np.sqrt(max(squares / samples - mean**2, 0.0))
-        found[residual] = max(found.get(residual, 0.0), float(nu))
-    return {r: found.get(r, getattr(now.nu, r)) for _, r in calibration.quantities if r}
+    keys = ("samples", "total", "squares")
+    sums = np.sum([[calibration.sums(s)[key] for key in keys] for s in states], axis=0)
+    residuals = [residual for _, residual in calibration.quantities]
+    found = nus(residuals, sums)
+    return {r: found.get(r, getattr(now.nu, r)) for r in residuals if r}
 
 
 def learn(
     config: Config,
     logs: Sequence[Path],
     *,
-    margin: float = 0.5,
-    floor: float = 25.0,
+    margin: float = MARGIN,
+    floor: float = FLOOR,
     file: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> Found:
@@ -199,22 +185,22 @@ def learn(
         raise refuse("CUSUM tests", file)
     failed: set[str] = set()
     seconds, states = _replay(config, logs, chosen, failed, file=file, progress=progress)
-    nus = {}
+    typical = {}
     for each in chosen:
         if not any(each.calibration.sums(s)["samples"].any() for s in states[each.name]):
             raise InputError(
                 f'the logs hold nothing that monitor "{each.name}" tests',
                 file=logs[0] if logs else None,
             )
-        nus[each.name] = _typical(each, states[each.name])
+        typical[each.name] = _typical(each, states[each.name])
     entries = list(config.monitor)
     for each in chosen:
         never = {quantity: _NEVER for quantity, _ in each.calibration.quantities}
-        changes = {"nu": nus[each.name], "thresholds": never}
+        changes = {"nu": typical[each.name], "thresholds": never}
         entries[each.place] = entries[each.place].model_copy(update=changes)
     opened = config.model_copy(update={"monitor": tuple(entries)})
     _, states = _replay(opened, logs, chosen, set(), file=file, progress=progress)
     rows: list[Quantity] = []
     for each in chosen:
-        rows += _rows(each, states[each.name], nus[each.name], margin, floor)
+        rows += _rows(each, states[each.name], typical[each.name], margin, floor)
     return Found(seconds, tuple(rows), tuple(sorted(failed)))

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from gateway.fdi.cusum import grown
 from gateway.fdi.quantiles import chi2_above
 from gateway.jit import f8, i8, kernel, record
 
@@ -108,8 +109,8 @@ def update(s: Any, c: Any, x: float) -> bool:
         s.up += c.share * (x - s.up)
         s.level = abs(s.up)
     elif c.rule == _CUSUM:
-        s.up = min(max(0.0, s.up + x - c.drift), c.most)
-        s.down = min(max(0.0, s.down - x - c.drift), c.most)
+        s.up = grown(s.up, x - c.drift, c.most)
+        s.down = grown(s.down, -x - c.drift, c.most)
         s.level = max(s.up, s.down)
     elif c.rule == _SPRT:
         weight = c.shift / c.variance

@@ -8,12 +8,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from cantools.database.can import Message
+from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
 from gateway.signals.crc import ALGORITHMS, crc8_table
 
 _CRC = "crc8_sae_j1850"
+
+
+def _raw(signal: Signal, values: ArrayLike) -> NDArray[np.int64]:
+    """Return what stands for values in a frame, clipped to the signal's range."""
+    low = -np.inf if signal.minimum is None else float(signal.minimum)
+    high = np.inf if signal.maximum is None else float(signal.maximum)
+    clipped = np.clip(np.asarray(values, np.float64), low, high)
+    return np.rint((clipped - signal.offset) / signal.scale).astype(np.int64)
+
+
+def carried(message: Message, columns: Mapping[str, ArrayLike]) -> dict[str, NDArray[np.float64]]:
+    """Return values as a receiver decodes them: clipped and quantised, each of shape (frames,)."""
+    found = {}
+    for name, values in columns.items():
+        signal = message.get_signal_by_name(name)
+        raw = _raw(signal, values).astype(np.float64)
+        found[name] = np.asarray(raw * signal.scale + signal.offset, np.float64)
+    return found
 
 
 def pack(message: Message, columns: Mapping[str, ArrayLike], crc: str = "Crc") -> NDArray[np.uint8]:
@@ -41,10 +59,7 @@ def pack(message: Message, columns: Mapping[str, ArrayLike], crc: str = "Crc") -
             continue
         if signal.name not in columns:
             raise ValueError(f"{message.name}.{signal.name}: no values")
-        values = np.asarray(columns[signal.name], np.float64)
-        low = -np.inf if signal.minimum is None else float(signal.minimum)
-        high = np.inf if signal.maximum is None else float(signal.maximum)
-        raw = np.rint((np.clip(values, low, high) - signal.offset) / signal.scale).astype(np.int64)
+        raw = _raw(signal, columns[signal.name])
         mask = (1 << signal.length) - 1
         words |= (raw & mask).astype(np.uint64) << np.uint64(signal.start)
     data = words.astype("<u8").view(np.uint8).reshape(count, 8)[:, : message.length].copy()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.vecu.packing import pack
@@ -14,6 +16,8 @@ from gateway.vecu.truck_control import PERIOD
 from gateway.vecu.truck_drive import Drive, drive
 from gateway.vecu.truck_params import TruckFault, TruckParams
 
+Column = NDArray[Any]
+
 DATABASE = "dbc/hybrid.dbc"
 #: Messages in the order in which they are sent: commands first, what they did behind.
 MESSAGES = ("HEV_CTRL_PT", "HEV_CTRL_VEH", "HEV_SENS_ELEC", "HEV_SENS_MECH")
@@ -21,22 +25,21 @@ MESSAGES = ("HEV_CTRL_PT", "HEV_CTRL_VEH", "HEV_SENS_ELEC", "HEV_SENS_MECH")
 _BETWEEN = 300_000
 
 
-def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Generator) -> Frames:
-    """Return the frames of a drive with sensor noise, stamped from time 0.
+def signals_of(params: TruckParams, driven: Drive, rng: np.random.Generator) -> dict[str, Column]:
+    """Return the signals of a drive with sensor noise, by name, each of shape (samples,).
 
     Args:
         params: the truck.
         driven: a drive of it.
-        bus: index of its bus.
         rng: source of all randomness.
     """
     rows, noise = driven.samples, params.noise
     count = len(rows)
 
-    def sensed(name: str, sigma: float) -> np.ndarray:
-        return rows[name] + params.noise_factor * sigma * rng.normal(size=count)
+    def sensed(name: str, sigma: float) -> Column:
+        return np.asarray(rows[name] + params.noise_factor * sigma * rng.normal(size=count))
 
-    columns = {
+    return {
         "I_b_sens": sensed("i_b", noise.battery_current),
         "U_em_sens": sensed("u_em", noise.machine_voltage),
         "I_em_sens": sensed("i_em", noise.machine_current),
@@ -53,6 +56,19 @@ def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Ge
         "alpha": np.zeros(count),
         "FrameCnt": np.arange(count) % 256,
     }
+
+
+def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Generator) -> Frames:
+    """Return the frames of a drive, stamped from time 0.
+
+    Args:
+        params: the truck.
+        driven: a drive of it.
+        bus: index of its bus.
+        rng: source of all randomness.
+    """
+    count = len(driven.samples)
+    columns = signals_of(params, driven, rng)
     frames = empty(len(MESSAGES) * count)
     late = np.clip(
         np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.3 * _BETWEEN

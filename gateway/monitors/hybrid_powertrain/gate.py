@@ -18,6 +18,8 @@ from gateway.jit import f8, i8, kernel, record
 SLIP, START = 0.05, 0.07
 #: Greatest slip [rad/s], least engine speed [rad/s], time to settle [s], clutch that is engaged.
 MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
+#: Slip at which a clutch that holds lets go, and the speed below which the engine does: noise of either opens no window anew.
+LETS_GO, STALLS = 9.0, 64.0
 
 STATE = record(slip=f8, speed=f8, since=f8, gear=i8, low=f8, lower=f8, begun=i8)
 
@@ -57,7 +59,10 @@ def update(
     share = 1.0 - exp(-dt / START)
     s.low += share * (gearbox - s.low)
     s.lower += share * (s.low - s.lower)
-    holds = clutch >= ENGAGED and gear > 0 and abs(s.slip) < MOST_SLIP and s.speed > LEAST_SPEED
+    held = s.since >= SETTLES
+    slips = abs(s.slip) >= (LETS_GO if held else MOST_SLIP)
+    fast = s.speed > (STALLS if held else LEAST_SPEED)
+    holds = clutch >= ENGAGED and gear > 0 and fast and not slips
     s.since = s.since + dt if holds else 0.0
 
 

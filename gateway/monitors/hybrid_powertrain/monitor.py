@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.runtime import interpolate
 from gateway.jit import f8, i8, kernel, record
 from gateway.monitors.hybrid_powertrain import (
     blanking,
-    cusum,
     dynamic,
     excitation,
     gate,
@@ -66,7 +66,8 @@ REPEAT = 100
 SYSTEMS = tuple(isolation.TESTS)
 ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
 
-_MESSAGES = {
+#: Fields of the inputs by message: signal and unit.
+MESSAGES = {
     "HEV_CTRL_PT": {
         "U_em_ctrl": ("U_em_ctrl", "V"),
         "ice_ctrl": ("ice_ctrl", "J"),
@@ -93,7 +94,7 @@ _MESSAGES = {
     },
 }
 
-INPUTS = inputs(**{name: f8 for fields in _MESSAGES.values() for name in fields})
+INPUTS = inputs(**{name: f8 for fields in MESSAGES.values() for name in fields})
 
 CONST = record(
     period=f8,
@@ -150,12 +151,12 @@ STATE = record(
 
 def _wire(_: Params) -> Wiring:
     signals, units = [], {}
-    for message, fields in _MESSAGES.items():
+    for message, fields in MESSAGES.items():
         for signal, unit in fields.values():
             signals.append(f"{message}.{signal}")
             if unit:
                 units[f"{message}.{signal}"] = unit
-    return Wiring(tuple(_MESSAGES), tuple(signals), (), units)
+    return Wiring(tuple(MESSAGES), tuple(signals), (), units)
 
 
 def _prepare(p: Params, s: np.void, c: np.void) -> None:

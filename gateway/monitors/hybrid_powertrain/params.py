@@ -30,20 +30,20 @@ class Levels(StrictModel):
     """A number for each residual; what is typical of it without a fault."""
 
     T1: float = Field(1.40, gt=0, description="[V]")
-    T2: float = Field(1.92, gt=0, description="[A]")
-    T3_ICDS: float = Field(0.284, gt=0, description="[rad/s]")
-    T4_ICDS: float = Field(0.284, gt=0, description="[rad/s]")
+    T2: float = Field(1.94, gt=0, description="[A]")
+    T3_ICDS: float = Field(0.283, gt=0, description="[rad/s]")
+    T4_ICDS: float = Field(0.283, gt=0, description="[rad/s]")
     T3_MCDS: float = Field(0.048, gt=0, description="[rad/s2], of the wheels")
     T4_MCDS: float = Field(0.048, gt=0, description="[rad/s2], of the wheels")
-    T5: float = Field(0.284, gt=0, description="[rad/s]")
-    T6: float = Field(2.0, gt=0, description="[A]")
+    T5: float = Field(0.288, gt=0, description="[rad/s]")
+    T6: float = Field(2.13, gt=0, description="[A]")
 
 
 class Thresholds(StrictModel):
     """J of each test quantity, in units of its nu."""
 
     T1: float = Field(50.0, gt=0)
-    T2: float = Field(85.0, gt=0)
+    T2: float = Field(80.0, gt=0)
     T3_fixed: float = Field(50.0, gt=0)
     T3_signed: float = Field(50.0, gt=0)
     T3_absolute: float = Field(50.0, gt=0)
@@ -91,7 +91,7 @@ class Params(MonitorParams):
     """Parameters of the hybrid powertrain's monitor."""
 
     system: Literal["ICDS", "MCDS", "RDS"] = Field(
-        "ICDS",
+        "RDS",
         description="tests that decide: T1 to T4 with integral or mixed causality, or robust ones",
     )
     period_ms: float = Field(10.0, gt=0, le=100, description="of a set of four frames")
