@@ -131,6 +131,7 @@ def _rows(
     samples = sum(calibration.sums(s)["samples"] for s in states)
     for place, (quantity, residual) in enumerate(calibration.quantities):
         largest = float(peaks[place])
+        least = calibration.floors.get(quantity, floor)
         rows.append(
             Quantity(
                 monitor=chosen.name,
@@ -141,8 +142,8 @@ def _rows(
                 nu=nus[residual] if residual else None,
                 now=getattr(now.thresholds, quantity),
                 largest=largest,
-                threshold=threshold(largest, margin, floor),
-                floored=largest < floor,
+                threshold=threshold(largest, margin, least),
+                floored=largest < least,
             )
         )
     return rows

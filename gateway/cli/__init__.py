@@ -227,6 +227,23 @@ def evaluate_steering(
     raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))
 
 
+@evaluate_app.command("hybrid")
+def evaluate_hybrid(
+    seeds: Annotated[int, typer.Option(min=1, help="Noises of each case.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, help="First seed; nothing was chosen on those from 30000 on.")
+    ] = 30_000,
+    json: Json = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")
+    ] = None,
+) -> None:
+    """Hybrid powertrain: which system isolates which fault, on trucks as modelled and others."""
+    from gateway.cli.evaluate.hybrid import hybrid as work
+
+    raise typer.Exit(work(seeds=seeds, seed=seed, json=json, plot=plot))
+
+
 @evaluate_app.command("pi-bank")
 def evaluate_pi_bank(
     cases: Annotated[int, typer.Option(min=0, help="Random cases; 0: none.")] = 600,

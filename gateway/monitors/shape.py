@@ -183,11 +183,13 @@ class CusumCalibration:
 
     Attributes:
         quantities: name, and residual; a quantity without a residual has a unit of its own.
+        floors: of these, the largest T that a healthy drive is thought to reach at least.
         sums: state record -> ``samples``, ``total`` and ``squares`` of the moduli that updated each quantity.
         peaks: state record -> largest T of each quantity over its threshold.
     """
 
     quantities: tuple[tuple[str, str], ...]
+    floors: Mapping[str, float]
     sums: Callable[[np.void], Any]
     peaks: Callable[[np.void], Any]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gateway.engine.tables import table
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.jit import kernel
-from gateway.monitors.hybrid_powertrain import MONITOR, dynamic, monitor
+from gateway.monitors.hybrid_powertrain import MONITOR, dynamic, monitor, observer
 from gateway.monitors.hybrid_powertrain.observer import ERRORS
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params, Thresholds
 from gateway.monitors.shape import FAILED, RESULTS

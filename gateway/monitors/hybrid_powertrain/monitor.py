@@ -38,13 +38,21 @@ from gateway.monitors.hybrid_powertrain.generated import (
     t7,
 )
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params
-from gateway.monitors.shape import CusumCalibration, Fault, Monitor, Wiring, inputs, report
+from gateway.monitors.shape import (
+    CusumCalibration,
+    Emission,
+    Fault,
+    Monitor,
+    Wiring,
+    inputs,
+    report,
+)
 from gateway.resources import shipped
 
 #: Sets that may be missing in a row.
 LONGEST = 5
-#: Sets between two reports of the same.
-REPEAT = 100
+#: Sets between two reports of the same, and between two messages.
+REPEAT, SENT = 100, 10
 
 #: Places of the test quantities.
 (
@@ -61,6 +69,9 @@ REPEAT = 100
     T5,
     T6,
 ) = range(len(QUANTITIES))
+
+#: Largest T_norm that the message can carry.
+_SHOWN = 5.1
 
 #: Systems by their place.
 SYSTEMS = tuple(isolation.TESTS)
@@ -365,6 +376,18 @@ def _decide(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
+def _tell(s: Any, out: Any) -> None:
+    """Send how far the tests are, and the diagnosis: the fault's place and 1, or 6 for one that is not isolated."""
+    out.send = 1
+    for place in range(len(s.level)):
+        out.values[place] = min(s.level[place], _SHOWN)
+    at = len(s.level)
+    out.values[at] = s.fired
+    out.values[at + 1] = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.fired else 0)
+    out.values[at + 2] = s.valid
+
+
+@kernel
 def step(s: Any, c: Any, u: Any, out: Any) -> None:
     """Take a frame; when its set is complete, step all tests."""
     count = int(u.count_elec)
@@ -393,6 +416,8 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
     _static(s, c, u, dt)
     _dynamic(s, c, u, dt)
     _decide(s, c, out)
+    if s.sets % SENT == 0:
+        _tell(s, out)
 
 
 MONITOR = Monitor(
@@ -407,7 +432,14 @@ MONITOR = Monitor(
     wire=_wire,
     prepare=_prepare,
     calibration=CusumCalibration(
-        (*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")), _sums, _peaks
+        quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
+        floors={"T7": observer.FLOOR},
+        sums=_sums,
+        peaks=_peaks,
+    ),
+    emission=Emission(
+        "FDI_STATUS",
+        (*(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS)), "Fired", "Diagnosis", "Valid"),
     ),
     readout=("sets", "valid", "fired", "explained"),
 )

@@ -28,6 +28,8 @@ from gateway.jit import f8, kernel, record
 MOTOR, GENERATOR, ENGINE, SLOPE, MASS, BRAKE = range(6)
 ERRORS = 6
 _STATES = ERRORS + 1
+#: What the statistic reaches without a fault at least: chi-square of two numbers, one sample in five hundred.
+FLOOR = 12.5
 
 #: ``start``: variance of the first speed [rad2/s2]; ``torque``: noise of the acceleration [rad2/s3]; ``noise``: of the measured
 #: speed [rad2/s2]; ``drift`` of the errors [1/s]; ``own``: diagonal of Sigma_0; ``least``: torque of a machine

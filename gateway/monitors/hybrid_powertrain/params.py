@@ -54,7 +54,7 @@ class Thresholds(StrictModel):
     T4_mixed: float = Field(50.0, gt=0)
     T5: float = Field(50.0, gt=0)
     T6: float = Field(50.0, gt=0)
-    T7: float = Field(50.0, gt=0, description="Wald's statistic, which has no nu")
+    T7: float = Field(25.0, gt=0, description="Wald's statistic, which has no nu")
 
 
 class Spread(StrictModel):
@@ -78,7 +78,7 @@ class Observer(StrictModel):
 
     prior: Spread = Spread(machine=0.3, engine=0.05, slope=0.01, mass=0.05, brake=0.1)
     drift: Spread = Field(
-        Spread(machine=0.01, engine=1e-4, slope=2e-4, mass=1e-4, brake=1e-3),
+        Spread(machine=0.02, engine=1e-4, slope=2e-4, mass=1e-4, brake=1e-3),
         description="within a second",
     )
     speed: float = Field(0.2, gt=0, description="noise of the gearbox's speed [rad/s]")
