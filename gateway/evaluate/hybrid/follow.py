@@ -166,5 +166,8 @@ def calibrated(
     never = Thresholds(**dict.fromkeys(names, 1e9))
     opened = params.model_copy(update={"nu": params.nu.model_copy(update=nu), "thresholds": never})
     peaks = np.max([follow(u, opened).peak for u in healthy], axis=0) * 1e9
-    found = {name: threshold(peak, margin, floor) for name, peak in zip(names, peaks, strict=True)}
+    found = {
+        name: threshold(peak, margin, observer.FLOOR if name == "T7" else floor)
+        for name, peak in zip(names, peaks, strict=True)
+    }
     return opened.model_copy(update={"thresholds": Thresholds(**found)})

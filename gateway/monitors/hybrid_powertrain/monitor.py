@@ -316,7 +316,8 @@ def _static(s: Any, c: Any, u: Any, dt: float) -> None:
     """
     used = abs(u.I_em_sens) >= c.least_amps
     s.residual[0] = t1.step(s.t1, c.t1, u, dt)
-    _take(s, c, T1, s.residual[0], abs(u.U_em_ctrl) >= c.least_volts)
+    volts = max(abs(u.U_em_ctrl), abs(u.U_em_sens))
+    _take(s, c, T1, s.residual[0], volts >= c.least_volts)
     s.residual[7] = t6.step(s.t6, c.t6, u, dt)
     _take(s, c, T6, s.residual[7], used)
     s.residual[1] = t2.step(s.t2, c.t2, u, dt)
