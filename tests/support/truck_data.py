@@ -1,4 +1,4 @@
-"""The truck of paper 004 driven open loop, and its residuals T1 to T4, all by hand from the equations."""
+"""The truck of paper 004 driven open loop, and its residuals T1 to T7, all by hand from the equations."""
 
 from math import pi, sin, sqrt
 
@@ -103,11 +103,30 @@ def t2(rows):
     return found
 
 
+def t5(rows):
+    return [
+        z["omega_gb_sens"]
+        - (z["U_em_ctrl"] - P["R_em"] * z["I_em_sens"]) / (P["k_i"] * U_GB[int(z["gear"]) - 1])
+        for z in rows
+    ]
+
+
+def t6(rows):
+    soc, found = 0.5, []
+    for z in rows:
+        battery = open_voltage(soc) - P["R_b"] * z["I_b_sens"]
+        found.append(z["I_b_sens"] - z["I_em_sens"] * z["U_em_sens"] / battery)
+        soc -= DT * z["I_b_sens"] / P["Q_b"]
+    return found
+
+
 def currents(rows, test):
     soc, found = 0.5, []
     for z in rows:
         omega_em = U_GB[int(z["gear"]) - 1] * z["omega_gb_sens"]
-        if test == "T3":
+        if test == "T7":
+            found.append(z["I_em_sens"])
+        elif test == "T3":
             found.append((z["U_em_ctrl"] - P["k_i"] * omega_em) / P["R_em"])
         else:
             found.append(
@@ -118,7 +137,7 @@ def currents(rows, test):
 
 
 def integral(rows, test):
-    """T3, T4 of ICDS [rad/s], (36)."""
+    """T3, T4 of ICDS and T7 [rad/s], (36)."""
     omega_w, m_f, found = rows[0]["omega_gb_sens"] / P["u_f"], 0.0, []
     for z, i_em in zip(rows, currents(rows, test), strict=True):
         found.append(z["omega_gb_sens"] - P["u_f"] * omega_w)

@@ -23,6 +23,7 @@ NOISE, CHARGE = 5.0, 6000.0
 #: Parts of the cycle that the figures show [s].
 _TWO_WINDOWS, _LONG_WINDOW = (440.0, 620.0), (1560.0, 1700.0)
 _EFFICIENCY = TruckFault(kind="machine_efficiency", from_s=0.0)
+_EFFICIENCY_LATER = TruckFault(kind="machine_efficiency", from_s=_TWO_WINDOWS[0])
 _SENSOR = TruckFault(kind="machine_voltage_sensor", from_s=0.0)
 #: One sample in so many is drawn.
 _THIN = 20
@@ -44,25 +45,29 @@ def _blanked(trace: Trace, name: str) -> Any:
     return np.where(trace.valid, trace.residual[:, RESIDUALS.index(name)], np.nan)
 
 
+def _mean(values: Any, count: int) -> Any:
+    """Return the mean over so many samples, of those that are numbers; none where the value is none."""
+    known = np.isfinite(values)
+    ones = np.ones(count)
+    total = np.convolve(np.where(known, values, 0.0), ones, "same")
+    return np.where(known, total / np.maximum(np.convolve(known, ones, "same"), 1.0), np.nan)
+
+
 def _two_windows(path: Path, compared: Compared, title: str, shown: tuple[str, ...]) -> Path:
     trace = compared.trace
     at = _between(trace, _TWO_WINDOWS)
     figure, axes = plt.subplots(3, 1, figsize=(9, 7.5), sharex=True)
     residual = _blanked(trace, "T4_ICDS")
     axes[0].plot(trace.t[at], residual[at], lw=0.4, color="0.6", label="r")
-    mean = np.convolve(np.nan_to_num(residual[at]), np.ones(100) / 100, "same")
-    held = np.where(trace.valid[at], mean, np.nan)
-    axes[0].plot(trace.t[at], held, lw=1.0, color="C0", label="mean of 1 s")
+    axes[0].plot(trace.t[at], _mean(residual[at], 100), lw=1.0, color="C0", label="mean of 1 s")
     axes[0].set_ylabel("residual of T4 [rad/s]")
-    axes[0].set_ylim(-6, 4)
     for k, name in enumerate(CONDITIONS):
         if name in shown:
             axes[1].plot(trace.t[at], compared.norm[at, k], lw=1.2, label=name, color=f"C{k}")
     axes[1].axhline(1.0, color="k", lw=0.6, ls=":")
     axes[1].set_ylabel("$T_{norm}$")
     current = np.where(trace.settled[at], trace.current[at], np.nan)
-    mean = np.convolve(np.nan_to_num(current), np.ones(20) / 20, "same")
-    axes[2].plot(trace.t[at], mean, lw=0.6)
+    axes[2].plot(trace.t[at], _mean(current, 20), lw=0.6)
     axes[2].set_ylabel("$I_{em}$ as T4 has it [A]")
     axes[2].set_xlabel("t [s]")
     for axis in axes:
@@ -180,7 +185,7 @@ def draw(folder: Path, seed: int) -> list[Path]:
     truck = TRUCK.model_copy(update={"noise_factor": NOISE})
     sensor, efficiency = (
         compare(truck, fault, seed=seed, healthy=seed + 1, first_charge=CHARGE)
-        for fault in (_SENSOR, _EFFICIENCY)
+        for fault in (_SENSOR, _EFFICIENCY_LATER)
     )
     return [
         _two_windows(
@@ -192,7 +197,7 @@ def draw(folder: Path, seed: int) -> list[Path]:
         _two_windows(
             folder / "fig6.png",
             efficiency,
-            f"Fig. 6: T4 in ICDS, efficiency halved, noise {NOISE:g} times",
+            f"Fig. 6: T4 in ICDS, efficiency halved from 440 s on, noise {NOISE:g} times",
             ("(39)", "(41)", "(45)"),
         ),
         _fig7(folder / "fig7.png", seed),

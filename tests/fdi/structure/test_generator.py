@@ -39,10 +39,16 @@ def test_t2(truck, rows):
     close(Runner(of_truck(truck, "T2")).run(rows, truck_data.DT), truck_data.t2(rows))
 
 
-@pytest.mark.parametrize("test", ["T3", "T4"])
+@pytest.mark.parametrize("test", ["t5", "t6"])
+def test_beyond_the_paper(truck, rows, test):
+    found = Runner(of_truck(truck, test.upper())).run(rows, truck_data.DT)
+    close(found, getattr(truck_data, test)(rows))
+
+
+@pytest.mark.parametrize("test", ["T3_ICDS", "T4_ICDS", "T7"])
 def test_integral_causality(truck, rows, test):
-    found = Runner(of_truck(truck, f"{test}_ICDS")).run(rows, truck_data.DT)
-    close(found, truck_data.integral(rows, test))
+    found = Runner(of_truck(truck, test)).run(rows, truck_data.DT)
+    close(found, truck_data.integral(rows, test[:2]))
 
 
 @pytest.mark.parametrize("test", ["T3", "T4"])

@@ -202,6 +202,18 @@ def test_appendix_b(truck, msos, test, size):
             assert equations in names_of(truck, msos)
 
 
+@pytest.mark.parametrize(("test", "size"), [("T5", 7), ("T6", 7), ("T7", 27)])
+def test_ours_are_among_them_too(truck, msos, test, size):
+    """T5 and T6 have no equation of the engine, the vehicle or the road; T7 has no other fault than the efficiency's."""
+    equations = truck.residuals[test].equations
+    assert len(equations) == size
+    assert equations in names_of(truck, msos)
+    if test != "T7":
+        assert not {"e2", "e24", "e27", "e28", "e30"} & set(equations)
+    else:
+        assert {f for name in equations for f in truck.by_name[name].faults} == {"f_em_eta"}
+
+
 @pytest.mark.parametrize("test", ["T3", "T4"])
 def test_two_integral_causality_generators(truck, msos, candidates, test):
     where = names_of(truck, msos).index(truck.residuals[f"{test}_ICDS"].equations)
