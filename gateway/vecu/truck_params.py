@@ -42,6 +42,9 @@ class TruckParams(StrictModel):
     noise_factor: float = Field(1.0, ge=0, description="of all noise")
     mass: float = Field(1.0, gt=0, description="of the truck, relative to its model's 20 t")
     slope: float = Field(0.0, gt=-0.1, lt=0.1, description="of the road that nobody measures")
+    hills: float = Field(
+        0.0, ge=0, lt=0.1, description="amplitude of a slope that comes and goes over 600 m"
+    )
     wind: float = Field(0.0, gt=-40, lt=40, description="against it [m/s]")
     engine: float = Field(1.0, gt=0, description="torque of the engine, relative")
     brake: float = Field(1.0, gt=0, description="torque of the brakes, relative")
@@ -53,7 +56,9 @@ class TruckParams(StrictModel):
     @property
     def disturbance(self) -> Disturbance:
         """How the truck differs from its model."""
-        return Disturbance(self.mass, self.slope, self.wind, self.engine, self.brake, self.drag)
+        return Disturbance(
+            self.mass, self.slope, self.hills, self.wind, self.engine, self.brake, self.drag
+        )
 
     @property
     def summary(self) -> str:

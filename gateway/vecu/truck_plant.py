@@ -21,6 +21,8 @@ from gateway.jit import f8, i8, kernel, record
 STEP = 1e-3
 #: Lag of an engine whose clutch slips [s]; slip below which the clutch holds [rad/s].
 LAG, HOLDS = 0.12, 0.5
+#: Length of a hill and the dale behind it [m].
+HILL = 600.0
 #: Engine speed [rad/s] and greatest torque [Nm] of a 12.7 l Diesel engine.
 _RPM = (500.0, 600.0, 800.0, 1000.0, 1300.0, 1500.0, 1900.0, 2300.0)
 _TORQUE = (900.0, 1100.0, 1600.0, 2300.0, 2300.0, 2060.0, 1628.0, 0.0)
@@ -70,12 +72,13 @@ CONST = record(
     speed_x=(f8, 8),
     torque_y=(f8, 8),
     slope=f8,
+    hills=f8,
     wind=f8,
     engine=f8,
     brake=f8,
 )
 
-STATE = record(omega_w=f8, omega_e=f8, soc=f8, fuel=f8, locked=i8)
+STATE = record(omega_w=f8, omega_e=f8, soc=f8, fuel=f8, way=f8, locked=i8)
 
 #: What the actuators do: fuel energy a cycle [J], voltage [V], clutch 0 to 1, gear 0 to 12, brake torque [Nm].
 COMMAND = record(ice=f8, volts=f8, clutch=f8, gear=i8, brake=f8)
@@ -94,6 +97,7 @@ class Disturbance:
     Attributes:
         mass: of the truck, relative.
         slope: of the road that nobody measures [rad].
+        hills: amplitude of a slope that comes and goes over :data:`HILL` [rad].
         wind: against it [m/s].
         engine: torque of the engine, relative.
         brake: torque of the brakes, relative.
@@ -102,6 +106,7 @@ class Disturbance:
 
     mass: float = 1.0
     slope: float = 0.0
+    hills: float = 0.0
     wind: float = 0.0
     engine: float = 1.0
     brake: float = 1.0
@@ -120,7 +125,7 @@ def prepare(c: np.void, model: Model, disturbance: Disturbance) -> None:
     c["charge_x"], c["charge_y"] = model.tables["f_1"].x, model.tables["f_1"].y
     c["inertia"], c["ratio"] = model.tables["f_2"].y, model.tables["f_3"].y
     c["speed_x"], c["torque_y"] = np.array(_RPM) * pi / 30.0, _TORQUE
-    c["slope"], c["wind"] = disturbance.slope, disturbance.wind
+    c["slope"], c["hills"], c["wind"] = disturbance.slope, disturbance.hills, disturbance.wind
     c["engine"], c["brake"] = disturbance.engine, disturbance.brake
 
 
@@ -190,7 +195,8 @@ def step(c: Any, s: Any, u: Any, f: Any, out: Any) -> None:
     else:
         s.omega_e += STEP / LAG * (target - s.omega_e)
     torque += u.clutch * c.engine * engine_torque(c, u.ice, s.omega_e)
-    net = -resistance(c, s.omega_w, mass) - mass * c.g * c.r_w * sin(c.slope)
+    slope = c.slope + c.hills * sin(2.0 * pi * s.way / HILL)
+    net = -resistance(c, s.omega_w, mass) - mass * c.g * c.r_w * sin(slope)
     total = mass * c.r_w**2
     if u.gear > 0:
         loss = 8.0 + 0.6 * (12 - u.gear) + 0.08 * omega_mj
@@ -201,5 +207,6 @@ def step(c: Any, s: Any, u: Any, f: Any, out: Any) -> None:
     after = s.omega_w + STEP * (net - braking) / total
     # Brakes and losses stop a truck, they do not push it back.
     s.omega_w = max(after, 0.0)
+    s.way += STEP * s.omega_w * c.r_w
     s.fuel += STEP * u.ice * s.omega_e / (4.0 * pi * c.q_LHV)
     s.soc = min(max(s.soc - STEP * out.i_b / c.Q_b, 0.0), 1.0)

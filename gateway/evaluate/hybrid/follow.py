@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 #: FTP75 without its soak [s].
 DURATION = 1874.0
-#: Length of a fault's evidence, and residuals of the monitor.
+#: Residuals of the monitor by their place.
 RESIDUALS = ("T1", "T2", "T3_ICDS", "T4_ICDS", "T3_MCDS", "T4_MCDS", "T5", "T6", "T7")
 
 
@@ -83,7 +83,7 @@ class Trace:
         residual: shape (n, 9), in the order of RESIDUALS; T3, T4 and T7 keep their last value while they do not run.
         norm: T_norm, shape (n, quantities).
         wald: T7 over its threshold, shape (n,).
-        error: what T7's observer estimates, shape (n, 6).
+        error: what T7's observer estimates, shape (n, 7).
         current: of the machine as T4 computes it [A], shape (n,).
     """
 

@@ -42,6 +42,8 @@ DISTURBANCES: dict[str, dict[str, float]] = {
     "slope 0.1 %": {"slope": 0.001},
     "slope 0.3 %": {"slope": 0.003},
     "slope 1 %": {"slope": 0.01},
+    "hills of 1 %": {"hills": 0.01},
+    "hills of 3 %": {"hills": 0.03},
     "drag +10 %": {"drag": 1.1},
 }
 

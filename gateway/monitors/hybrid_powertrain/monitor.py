@@ -183,14 +183,9 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
         nu = getattr(p.nu, residual)
         cusum.prepare(c["cusum"][k], nu, nu * getattr(p.thresholds, name), p.limit)
     isolation.prepare(c["isolation"], model, p.system)
-    o, w = c["observer"], p.observer
-    o["start"], o["torque"], o["noise"] = w.start**2, w.torque**2, w.speed**2
-    o["prior"], o["drift"] = w.prior.variances, w.drift.variances
-    o["own"], o["threshold"] = w.own**2, p.thresholds.T7
     for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
         fill(c[field], model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
-    o["least"] = p.least_amps * c["t7"]["k_i"]
-    observer.prepare(s["observer"], o)
+    _prepare_observer(p, s["observer"], c["observer"], p.least_amps * c["t7"]["k_i"])
     s["counter"], s["found"] = -1, -1
 
 
@@ -207,6 +202,27 @@ def _peaks(s: np.void) -> Any:
 
 def _named(p: Params) -> tuple[Fault, ...]:
     return faults_of(isolation.TESTS[p.system])
+
+
+def _prepare_observer(p: Params, s: np.void, c: np.void, least: float) -> None:
+    w, prior, drift = p.observer, p.observer.prior, p.observer.drift
+    c["start"], c["torque"], c["noise"] = w.start**2, w.torque**2, w.speed**2
+    c["own"], c["least"], c["threshold"] = w.own**2, least, p.thresholds.T7
+    slope = prior.slope**2
+    bent = observer.curve(slope, w.slope_way, w.curve_way)
+    for place, before, each in (
+        (observer.MOTOR, prior.machine, drift.machine),
+        (observer.GENERATOR, prior.machine, drift.machine),
+        (observer.ENGINE, prior.engine, drift.engine),
+        (observer.MASS, prior.mass, drift.mass),
+        (observer.BRAKE, prior.brake, drift.brake),
+    ):
+        c["prior"][place], c["drift"][place] = before**2, each**2
+        c["forget"][place] = 0.5 * each**2 / before**2  # so that the prior stays
+    c["prior"][observer.SLOPE], c["forget"][observer.SLOPE] = slope, 1.0 / w.slope_way
+    c["prior"][observer.CURVE], c["forget"][observer.CURVE] = bent, 1.0 / w.curve_way
+    c["drift"][observer.CURVE] = 2.0 * bent / w.curve_way
+    observer.prepare(s, c)
 
 
 @kernel
@@ -290,7 +306,8 @@ def _dynamic(s: Any, c: Any, u: Any, dt: float) -> None:
     s.valid = 1 if gate.valid(s.gate) else 0
     if s.valid == 0:
         s.three.on, s.four.on, s.watched = 0, 0, 0
-        observer.age(s.observer, c.observer, dt)
+        way = dt * c.t7.r_w * u.omega_gb_sens / c.t7.u_f
+        observer.age(s.observer, c.observer, dt, way if way == way else 0.0)  # noqa: PLR0124 - not NaN
         return
     _three(s, c, u, dt)
     _seven(s, c, u, dt)

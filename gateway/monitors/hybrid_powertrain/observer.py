@@ -4,12 +4,14 @@ T3 and T4 of ICDS take their model's torque as true: an engine 2 % too strong or
 them like a fault. Here these are states beside the wheels' speed, and so are the errors of the machine's torque as motor
 and as generator. With p the errors and h what each does to the wheels' acceleration (:func:`_sensitivities`),
 
-    d omega_w / dt = T_net / J + h' p        (e30 of paper 004, corrected)
-    omega_gb       = u_f omega_w + noise     (e32, e37)
-    d p / dt       = white noise
+    d omega_w / dt = T_net / J + h' p                 (e30 of paper 004, corrected)
+    omega_gb       = u_f omega_w + noise              (e32, e37)
+    d slope / dx   = curve - slope / L                (x is the way: a road changes while one drives)
+    d curve / dx   = -curve / l + white noise
+    d p_k / dt     = -p_k / tau_k + white noise       (the others; the machine's: noise only, and only while it is used)
 
 a Kalman filter whose prediction is the residual generator T7 and whose innovation is that generator's residual (36): the
-observer feeds it back. Between two windows in which the model holds, p stays and its covariance grows.
+observer feeds it back. Between two windows in which the model holds, p goes on as above.
 
 The test is Wald's: w = a' (P_a + Sigma_0)^-1 a, a the machine's two errors, P_a their covariance, Sigma_0 what the model's own
 error may make of them. It fires above a threshold.
@@ -24,22 +26,25 @@ import numpy as np
 
 from gateway.jit import f8, kernel, record
 
-#: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the brakes.
-MOTOR, GENERATOR, ENGINE, SLOPE, MASS, BRAKE = range(6)
-ERRORS = 6
+#: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the brakes,
+#: curve of the road [rad/m].
+MOTOR, GENERATOR, ENGINE, SLOPE, MASS, BRAKE, CURVE = range(7)
+ERRORS = 7
 _STATES = ERRORS + 1
 #: What the statistic reaches without a fault at least: chi-square of two numbers, one sample in five hundred.
 FLOOR = 12.5
 
 #: ``start``: variance of the first speed [rad2/s2]; ``torque``: noise of the acceleration [rad2/s3]; ``noise``: of the measured
-#: speed [rad2/s2]; ``drift`` of the errors [1/s]; ``own``: diagonal of Sigma_0; ``least``: torque of a machine
-#: that is used [Nm].
+#: speed [rad2/s2]; ``prior``: variance of the errors; ``drift``: of what they take on [1/s], of the curve [rad2/m3];
+#: ``forget``: what they lose [1/s], slope and curve [1/m]; ``own``: diagonal of Sigma_0; ``least``: torque of a machine that is
+#: used [Nm].
 CONST = record(
     start=f8,
     torque=f8,
     noise=f8,
     prior=(f8, ERRORS),
     drift=(f8, ERRORS),
+    forget=(f8, ERRORS),
     own=f8,
     least=f8,
     threshold=f8,
@@ -61,6 +66,11 @@ def prepare(s: np.void, c: np.void) -> None:
     s["P"] = np.diag([c["start"], *c["prior"]])
 
 
+def curve(slope: float, way: float, curve_way: float) -> float:
+    """Return the variance of the curve that keeps a slope's at ``slope``, with L and l [m]; [rad2/m2]."""
+    return slope * (way + curve_way) / (way * way * curve_way)
+
+
 @kernel
 def restart(s: Any, c: Any) -> None:
     """Begin a window: the speed is new, the errors are what they were."""
@@ -73,10 +83,29 @@ def restart(s: Any, c: Any) -> None:
 
 
 @kernel
-def age(s: Any, c: Any, dt: float) -> None:
-    """Let the errors drift while nothing is known of them: road, load and brakes; a machine that is not used stays as it was."""
+def _drive_on(s: Any, c: Any, dt: float, way: float) -> None:
+    """Take the errors and their covariance on in time and way."""
     for k in range(ENGINE, ERRORS):
-        s.P[k + 1, k + 1] = min(s.P[k + 1, k + 1] + dt * c.drift[k], c.prior[k])
+        on_road = k in (SLOPE, CURVE)
+        keep = 1.0 - c.forget[k] * (way if on_road else dt)
+        turn = way if k == SLOPE else 0.0
+        # The curve stands behind the slope, so that it is still the one before.
+        s.error[k] = keep * s.error[k] + turn * s.error[CURVE]
+        for j in range(_STATES):
+            s.P[k + 1, j] = keep * s.P[k + 1, j] + turn * s.P[CURVE + 1, j]
+        for j in range(_STATES):
+            s.P[j, k + 1] = keep * s.P[j, k + 1] + turn * s.P[j, CURVE + 1]
+        s.P[k + 1, k + 1] += c.drift[k] * (way if on_road else dt)
+    for k in range(ENGINE):
+        if s.does[k] != 0.0:
+            s.P[k + 1, k + 1] += dt * c.drift[k]
+
+
+@kernel
+def age(s: Any, c: Any, dt: float, way: float) -> None:
+    """Drive on while nothing is known of the motion; a machine that is not used stays as it was."""
+    s.does[MOTOR], s.does[GENERATOR] = 0.0, 0.0
+    _drive_on(s, c, dt, way)
 
 
 @kernel
@@ -94,11 +123,12 @@ def _sensitivities(s: Any, g: Any, q: Any, brake: float, least: float) -> None:
     s.does[SLOPE] = -weight / inertia
     s.does[MASS] = -(g.shown_m_v * q.r_w**2 * g.d_omega_w + weight * q.C_r) / inertia
     s.does[BRAKE] = -brake / inertia
+    s.does[CURVE] = 0.0
 
 
 @kernel
-def _predict(s: Any, c: Any, dt: float) -> None:
-    """Take the covariance a step on, P := F P F' + Q, F = I but for the first row, (1, dt h')."""
+def _predict(s: Any, c: Any, dt: float, way: float) -> None:
+    """Take the covariance a step on, P := F P F' + Q; the speed's row of F is (1, dt h')."""
     for j in range(1, _STATES):
         row = 0.0
         for k in range(ERRORS):
@@ -110,9 +140,7 @@ def _predict(s: Any, c: Any, dt: float) -> None:
     s.P[0, 0] += dt * own + dt * c.torque
     for j in range(1, _STATES):
         s.P[j, 0] = s.P[0, j]
-    for k in range(ERRORS):
-        if k >= ENGINE or s.does[k] != 0.0:
-            s.P[k + 1, k + 1] += dt * c.drift[k]
+    _drive_on(s, c, dt, way)
 
 
 @kernel
@@ -131,7 +159,7 @@ def update(s: Any, c: Any, g: Any, q: Any, innovation: float, brake: float, dt: 
     if not isfinite(innovation):
         return
     if dt > 0.0:
-        _predict(s, c, dt)
+        _predict(s, c, dt, dt * g.omega_w * q.r_w)
     size = q.u_f * q.u_f * s.P[0, 0] + c.noise
     for j in range(_STATES):
         s.gain[j] = q.u_f * s.P[j, 0] / size

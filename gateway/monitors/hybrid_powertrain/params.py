@@ -57,30 +57,32 @@ class Thresholds(StrictModel):
     T7: float = Field(25.0, gt=0, description="Wald's statistic, which has no nu")
 
 
+class Drift(StrictModel):
+    """Standard deviation of what errors that the observer of T7 estimates take on within a second."""
+
+    machine: float = Field(0.02, gt=0, description="relative, of the machine's torque")
+    engine: float = Field(1e-4, gt=0, description="of the engine's")
+    mass: float = Field(1e-4, gt=0, description="of the truck's mass")
+    brake: float = Field(1e-3, gt=0, description="of the brakes' torque")
+
+
 class Spread(StrictModel):
-    """Standard deviation of what the observer of T7 estimates beside the wheels' speed."""
+    """Standard deviation of these errors, before anything is known."""
 
-    machine: float = Field(gt=0, description="relative error of the machine's torque")
-    engine: float = Field(gt=0, description="of the engine's")
-    slope: float = Field(gt=0, description="of the road that nobody measures [rad]")
-    mass: float = Field(gt=0, description="relative, of the truck")
-    brake: float = Field(gt=0, description="of the brakes' torque")
-
-    @property
-    def variances(self) -> tuple[float, ...]:
-        """In the observer's order."""
-        each = (self.machine, self.machine, self.engine, self.slope, self.mass, self.brake)
-        return tuple(value**2 for value in each)
+    machine: float = Field(0.3, gt=0)
+    engine: float = Field(0.05, gt=0)
+    slope: float = Field(0.03, gt=0, description="of the road, which nobody measures [rad]")
+    mass: float = Field(0.05, gt=0)
+    brake: float = Field(0.1, gt=0)
 
 
 class Observer(StrictModel):
     """Parameters of T7."""
 
-    prior: Spread = Spread(machine=0.3, engine=0.05, slope=0.01, mass=0.05, brake=0.1)
-    drift: Spread = Field(
-        Spread(machine=0.02, engine=1e-4, slope=2e-4, mass=1e-4, brake=1e-3),
-        description="within a second",
-    )
+    prior: Spread = Spread()
+    drift: Drift = Drift()
+    slope_way: float = Field(1000.0, gt=0, description="L, in which a road forgets its slope [m]")
+    curve_way: float = Field(100.0, gt=0, description="l, in which it forgets its curve [m]")
     speed: float = Field(0.2, gt=0, description="noise of the gearbox's speed [rad/s]")
     start: float = Field(0.03, gt=0, description="error of the wheels' speed at the start [rad/s]")
     torque: float = Field(1e-3, gt=0, description="noise of the acceleration [rad/s2 sqrt(s)]")
