@@ -6,7 +6,11 @@ from scenario_runs import by_config, run_all
 pytestmark = pytest.mark.vcan
 
 #: The others are the same over a bus; 30 s of one of them is enough of a slow kernel's time.
-((CONFIG, SCENARIOS),) = by_config("hybrid_truck").items()
+CONFIG, SCENARIOS = next(
+    (config, paths)
+    for config, paths in by_config("hybrid_truck").items()
+    if config.endswith("hybrid.toml")
+)
 
 
 def test_a_fault_is_named_over_can(tmp_path):
