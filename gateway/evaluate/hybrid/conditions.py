@@ -12,8 +12,8 @@ from gateway.engine.tables import table
 from gateway.evaluate.hybrid.follow import Trace, calibrated, follow, inputs
 from gateway.fdi import cusum
 from gateway.jit import kernel
-from gateway.monitors.hybrid_powertrain.monitor import T4_ABSOLUTE, T4_FIXED, T4_SIGNED
 from gateway.monitors.hybrid_powertrain.params import Params
+from gateway.monitors.hybrid_powertrain.records import T4_ABSOLUTE, T4_FIXED, T4_SIGNED
 from gateway.vecu.truck_params import TruckFault, TruckParams
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from gateway.evaluate.drawing import save
 from gateway.evaluate.hybrid.conditions import CONDITIONS, Compared, compare
 from gateway.evaluate.hybrid.follow import RESIDUALS, Trace, calibrated, follow, inputs
 from gateway.evaluate.hybrid.table import TRUCK
-from gateway.monitors.hybrid_powertrain.monitor import T4_ABSOLUTE, T4_MIXED, T4_SIGNED
 from gateway.monitors.hybrid_powertrain.observer import ENGINE, GENERATOR, MASS, MOTOR, SLOPE
 from gateway.monitors.hybrid_powertrain.params import Params
+from gateway.monitors.hybrid_powertrain.records import T4_ABSOLUTE, T4_MIXED, T4_SIGNED
 from gateway.vecu.truck_params import TruckFault
 
 #: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.

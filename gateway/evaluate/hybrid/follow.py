@@ -13,6 +13,7 @@ from gateway.engine.tables import table
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.jit import kernel
 from gateway.monitors.hybrid_powertrain import MONITOR, dynamic, monitor, observer
+from gateway.monitors.hybrid_powertrain.messages import MESSAGES
 from gateway.monitors.hybrid_powertrain.observer import ERRORS
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params, Thresholds
 from gateway.monitors.shape import FAILED, RESULTS
@@ -49,7 +50,7 @@ def inputs(truck: TruckParams, fault: TruckFault | None, seed: int) -> NDArray[n
     columns = signals_of(truck, driven, np.random.default_rng(seed))
     u: NDArray[np.void] = table(len(driven.samples), MONITOR.inputs)
     u["t_ns"] = np.rint(np.arange(len(u)) * PERIOD * 1e9).astype(np.int64)
-    for name, fields in monitor.MESSAGES.items():
+    for name, fields in MESSAGES.items():
         mine = {signal: columns[signal] for signal, _ in fields.values()}
         decoded = carried(message_of(DATABASE, name), mine)
         for field, (signal, _) in fields.items():

@@ -1,0 +1,93 @@
+"""What the tests say together: the fault, the ambiguity group, the message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.jit import kernel
+from gateway.monitors.hybrid_powertrain import isolation, observer
+from gateway.monitors.hybrid_powertrain.faults import UNISOLATED
+from gateway.monitors.hybrid_powertrain.records import (
+    MIXED,
+    ROBUST,
+    T1,
+    T2,
+    T3_ABSOLUTE,
+    T3_MIXED,
+    T3_SIGNED,
+    T4_ABSOLUTE,
+    T4_MIXED,
+    T4_SIGNED,
+    T5,
+    T6,
+)
+from gateway.monitors.shape import Emission, report
+
+#: Sets between two reports of the same.
+REPEAT = 100
+#: Largest T_norm that the message can carry.
+_SHOWN = 5.1
+
+#: The message.
+EMISSION = Emission(
+    "FDI_STATUS",
+    (*(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS)), "Fired", "Diagnosis", "Valid"),
+)
+
+
+@kernel
+def _weigh(s: Any, c: Any) -> int:
+    """Put T_norm of the tests that decide in their places; returns those that have fired, as bits."""
+    s.level[0], s.level[1] = s.norm[T1], s.norm[T2]
+    if c.system == ROBUST:
+        s.level[2], s.level[3], s.level[4] = s.norm[T5], s.norm[T6], s.observer.norm
+    elif c.system == MIXED:
+        s.level[2], s.level[3] = s.norm[T3_MIXED], s.norm[T4_MIXED]
+    else:
+        # Remark 4: two conditions, either of which suffices.
+        s.level[2] = max(s.norm[T3_SIGNED], s.norm[T3_ABSOLUTE])
+        s.level[3] = max(s.norm[T4_SIGNED], s.norm[T4_ABSOLUTE])
+    fired = 0
+    for place in range(len(s.level)):
+        if s.level[place] > 1.0:
+            fired |= 1 << place
+    return fired
+
+
+@kernel
+def decide(s: Any, c: Any, out: Any) -> None:
+    """Report which fault is isolated, or that one is not."""
+    fired = _weigh(s, c)
+    changed = fired != s.fired
+    s.fired = fired
+    s.found = isolation.isolated(c.isolation, fired)
+    s.explained = isolation.candidates(c.isolation, fired)
+    s.reported += 1
+    if not changed and s.reported < REPEAT:
+        return
+    s.reported = 0
+    largest = 0.0
+    for place in range(len(s.level)):
+        largest = max(largest, s.level[place])
+    for k in range(UNISOLATED + 1):
+        failed = k == s.found if k < UNISOLATED else fired != 0 and s.found < 0
+        place = report(out, k, failed, largest, 1.0)
+        if place >= 0 and failed:
+            e = out.results[place].evidence
+            for j in range(c.tests):
+                e[j] = s.level[j]
+            e[c.tests] = fired
+            e[c.tests + 1] = isolation.ranked(c.isolation, s.explained, s.level)
+            e[c.tests + 2] = s.observer.error[observer.MOTOR]
+
+
+@kernel
+def tell(s: Any, out: Any) -> None:
+    """Send how far the tests are, and the diagnosis: the fault's place and 1, or 6 for one that is not isolated."""
+    out.send = 1
+    for place in range(len(s.level)):
+        out.values[place] = min(s.level[place], _SHOWN)
+    at = len(s.level)
+    out.values[at] = s.fired
+    out.values[at + 1] = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.fired else 0)
+    out.values[at + 2] = s.valid
