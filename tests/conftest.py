@@ -14,7 +14,10 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 def pytest_collection_modifyitems(items):
     """Begin with what takes longest, so that no worker is left with it at the end."""
-    items.sort(key=lambda item: "test_guest" not in item.nodeid)
+    longest = ("test_guest", "test_plain_python")
+    items.sort(
+        key=lambda item: next((k for k, n in enumerate(longest) if n in item.nodeid), len(longest))
+    )
 
 
 @pytest.fixture(autouse=True)

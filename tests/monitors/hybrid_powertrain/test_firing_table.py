@@ -34,8 +34,8 @@ def test_exactly_the_tests_of_the_signature_fire(fault, dtc, paper, robust, onse
 
 
 @pytest.mark.parametrize("system", ["ICDS", "MCDS"])
-@pytest.mark.parametrize(("fault", "dtc", "paper", "robust"), TABLE)
-def test_the_papers_systems_name_the_fault(fault, dtc, paper, robust, system):
+@pytest.mark.parametrize(("fault", "dtc"), [row[:2] for row in TABLE[:: amount(1, 2)]])
+def test_the_papers_systems_name_the_fault(fault, dtc, system):
     config = configured(system=system)
     for seed in range(5100, 5100 + amount(20, 1)):
         assert right(run(driven(fault, 400.0), seed, config)[2], dtc, 400.0), seed

@@ -25,7 +25,7 @@ from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.vecu.truck_params import TruckFault
 
 compiled = pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of sets")
-#: The road, the load and the engine of the issue, of both signs.
+#: Engine, road and load, of both signs; the negative ones in a long run.
 OURS = {
     "engine +2 %": {"engine": 1.02},
     "engine -2 %": {"engine": 0.98},
@@ -143,19 +143,19 @@ def test_what_nothing_is_known_of_goes_back_to_its_prior_but_the_machine_stays()
     s, c, _, _ = records()
     s["P"][:] = 1e-12 * np.eye(8)
     s["error"][:] = [-0.5, 1.0, 0.04, 0.02, 0.03, 0.05, 1e-5]
-    for _ in range(60_000):
-        observer.age(s, c, 1.0, 0.0)
+    for _ in range(60):
+        observer.age(s, c, 1000.0, 0.0)
     spread = np.diag(s["P"])[1:]
     assert list(spread[[MOTOR, GENERATOR, SLOPE, CURVE]]) == [1e-12] * 4
     assert list(s["error"][[MOTOR, GENERATOR, SLOPE, CURVE]]) == [-0.5, 1.0, 0.02, 1e-5]
     assert 0.05 < spread[ENGINE] / c["prior"][ENGINE] < 1.0
-    for _ in range(20_000):
-        observer.age(s, c, 0.1, 1.0)
+    for _ in range(2000):
+        observer.age(s, c, 1.0, 10.0)
         assert np.linalg.eigvalsh(s["P"]).min() > -1e-15
     spread = np.diag(s["P"])[1:]
-    np.testing.assert_allclose(spread[[SLOPE, CURVE]], c["prior"][[SLOPE, CURVE]], rtol=0.1)
+    np.testing.assert_allclose(spread[[SLOPE, CURVE]], c["prior"][[SLOPE, CURVE]], rtol=0.15)
     assert abs(s["error"][SLOPE]) < 0.01
-    for _ in range(2000):
+    for _ in range(1500):
         observer.age(s, c, 1e3, 0.0)
     np.testing.assert_allclose(np.diag(s["P"])[3:], c["prior"][2:], rtol=0.1)
     assert list(s["error"][:2]) == [-0.5, 1.0]
@@ -183,7 +183,7 @@ def test_it_finds_road_load_and_engine_and_the_machines_fault():
 
 
 @compiled
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", list(OURS)[:: amount(1, 2)])
 def test_a_truck_that_differs_is_diagnosed_with_the_same_thresholds(name):
     """No false alarm, all five faults isolated, through frames, database and engine; nothing is learned anew."""
     truck = TRUCK.model_copy(update=OURS[name])
