@@ -54,7 +54,7 @@ def test_the_filter_is_filterpys():
     kf.R[:] = c["noise"]
     kf.H = np.zeros((1, ours + 1))
     kf.H[0, 0] = q["u_f"]
-    omega, does, dt = 30.0, np.zeros(ours), 0.0
+    omega, does, dt, largest = 30.0, np.zeros(ours), 0.0, 0.0
     g["omega_w"] = omega
     for _ in range(400):
         g["shown_T_em"], g["shown_T_c"] = rng.normal(0, 200), rng.normal(600, 200)
@@ -77,7 +77,10 @@ def test_the_filter_is_filterpys():
         # Theirs estimates the deviation of the speed from ours, which ours adds at once.
         kf.x[0] = 0.0
         kf.update(np.array([innovation]))
+        before = float(g["omega_w"])
         observer.update(s, c, g, q, innovation, brake, dt)
+        assert g["omega_w"] == pytest.approx(before + kf.x[0], rel=1e-12)
+        largest = max(largest, float(s["norm"]))
         does = np.array(s["does"])
         assert g["d_omega_w"] == pytest.approx(nominal + does @ np.array(s["error"]), abs=1e-12)
         np.testing.assert_allclose(s["error"], kf.x[1:], rtol=1e-9, atol=1e-12)
@@ -88,6 +91,29 @@ def test_the_filter_is_filterpys():
     block = np.array(s["P"])[1:3, 1:3] + float(c["own"]) * np.eye(2)
     a = np.array(s["error"])[:2]
     assert observer.wald(s, c) == pytest.approx(a @ np.linalg.solve(block, a), rel=1e-9)
+    assert s["norm"] == pytest.approx(observer.wald(s, c) / float(c["threshold"]))
+    assert s["peak"] == largest > s["norm"]
+    assert s["samples"] == 400
+
+
+def test_a_sample_that_is_no_number_changes_nothing():
+    s, c, g, q = records()
+    before = [s.tobytes(), g.tobytes()]
+    observer.update(s, c, g, q, float("nan"), 0.0, 0.01)
+    assert [s.tobytes(), g.tobytes()] == before
+
+
+def test_a_new_window_keeps_the_errors_and_forgets_the_speed():
+    s, c, _, _ = records()
+    s["error"][:], s["does"][:] = 0.1, 1.0
+    s["P"][:] = np.eye(8) + 0.1
+    observer.restart(s, c)
+    assert list(s["error"]) == [0.1] * 7
+    assert list(s["does"]) == [0.0] * 7
+    assert s["P"][0, 0] == c["start"]
+    assert not s["P"][0, 1:].any()
+    assert not s["P"][1:, 0].any()
+    np.testing.assert_array_equal(s["P"][1:, 1:], np.eye(7) + 0.1)
 
 
 def test_sensitivities_are_the_derivatives_of_the_model():
@@ -133,6 +159,10 @@ def test_sensitivities_are_the_derivatives_of_the_model():
         heavy = accelerated(scaled(m_v0=1 + small), current=current)
         found = (heavy["d_omega_w"] - base["d_omega_w"]) / small
         assert s["does"][MASS] == pytest.approx(found, rel=1e-3)
+        idle = accelerated(current=0.1 * current)
+        observer._sensitivities(s, idle, q, 500.0, float(c["least"]))
+        assert list(s["does"][:2]) == [0.0, 0.0]  # less than 20 A
+        observer._sensitivities(s, base, q, 500.0, float(c["least"]))
         braked = accelerated(brake=500.0 * (1 + small), current=current)
         found = (braked["d_omega_w"] - base["d_omega_w"]) / small
         assert s["does"][BRAKE] == pytest.approx(found, rel=1e-6)
@@ -143,6 +173,7 @@ def test_what_nothing_is_known_of_goes_back_to_its_prior_but_the_machine_stays()
     s, c, _, _ = records()
     s["P"][:] = 1e-12 * np.eye(8)
     s["error"][:] = [-0.5, 1.0, 0.04, 0.02, 0.03, 0.05, 1e-5]
+    s["does"][:] = 1.0  # of the window before
     for _ in range(60):
         observer.age(s, c, 1000.0, 0.0)
     spread = np.diag(s["P"])[1:]

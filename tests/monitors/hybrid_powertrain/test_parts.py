@@ -122,6 +122,30 @@ def test_the_gate_opens_when_the_clutch_has_held():
     assert not feed(100, gear=0)
 
 
+def test_noise_does_not_close_a_gate_that_is_open():
+    """Slip and engine speed have two levels each: one to open, one to close."""
+
+    def opened():
+        s = table(1, gate.STATE)
+        for _ in range(40):
+            gate.update(s[0], 1.0, 10, 1.5, 150.0, 100.0, 0.01)
+        assert gate.valid(s[0])
+        return s[0]
+
+    def held(s, engine, gearbox):
+        for _ in range(100):
+            gate.update(s, 1.0, 10, 1.5, engine, gearbox, 0.01)
+        return gate.valid(s)
+
+    assert held(opened(), 158.0, 100.0)  # 8 rad/s of slip
+    assert not held(opened(), 160.0, 100.0)  # 10
+    assert held(opened(), 65.0, 65.0 / 1.5)
+    assert not held(opened(), 63.0, 63.0 / 1.5)
+    fresh = table(1, gate.STATE)[0]
+    assert not held(fresh, 158.0, 100.0)
+    assert not held(table(1, gate.STATE)[0], 65.0, 65.0 / 1.5)
+
+
 def test_conditions_of_excitation():
     s, c = table(1, excitation.STATE), table(1, excitation.CONST)
     c[0]["after"], c[0]["signed"], c[0]["absolute"], c[0]["efficiency"] = 1.0, 100.0, 100.0, 0.5
