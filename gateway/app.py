@@ -412,7 +412,7 @@ class Gateway:
 
 
 def prepare(config: Config, file: Path | None = None) -> Parts:
-    """Build what needs no fault memory, compiled; may be done in a thread beside a running gateway.
+    """Build what needs no fault memory; its kernels are ready. May be done in a thread beside a running gateway.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
@@ -423,7 +423,6 @@ def prepare(config: Config, file: Path | None = None) -> Parts:
         raise error.within(file) from error
     except InputErrors as errors:
         raise InputErrors([error.within(file) for error in errors.errors]) from errors
-    parts.engine.warm()
     return parts
 
 

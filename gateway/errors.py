@@ -69,3 +69,7 @@ class BusError(GatewayError):
 
 class UnsupportedError(BusError):
     """A kind of bus that this system does not have; waiting for it is no use."""
+
+
+class KernelError(GatewayError):
+    """A kernel that cannot be compiled, loaded or run."""

@@ -13,7 +13,7 @@ from rich.table import Table
 from gateway.calibration import cusum, stopping
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
-from gateway.cli.present import print_json, say_if_cold, wide_console
+from gateway.cli.present import print_json, wide_console
 from gateway.config import load_config
 from gateway.fdi.stopping import assured
 from gateway.monitors.shape import Calibration, CusumCalibration
@@ -114,7 +114,6 @@ def calibrate_logs(
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     if not rules and not tests:
         raise refuse("thresholds", config_path)
-    say_if_cold()
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
     seen, found = None, None
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gateway.app import Gateway
-from gateway.cli.present import find_config, print_json, say_if_cold
+from gateway.cli.present import find_config, print_json
 from gateway.config import load_config, monitor_of, schema
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.registry import MONITORS
@@ -19,7 +19,6 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     path = find_config(config_path)
     try:
         config = load_config(path)
-        say_if_cold()
         gateway = Gateway(config, None, file=path)
     except (InputError, InputErrors) as error:
         if not json:

@@ -12,7 +12,7 @@ from gateway import __version__
 from gateway.cli.present import find_config, print_json
 from gateway.config import load_config
 from gateway.faults.service import daemon_state
-from gateway.jit import CACHE, COMPILED, cache_is_warm
+from gateway.jit import COMPILED, cache, cache_directory, shipped
 
 _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic", "asammdf")
 
@@ -96,8 +96,7 @@ def doctor(
         "interfaces": _interfaces(),
         "buffers": _kernel_buffers(),
         "kernels_compiled": COMPILED,
-        "cache": str(CACHE),
-        "cache_warm": cache_is_warm(),
+        "kernels": _kernels(),
         "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
     }
@@ -111,10 +110,8 @@ def doctor(
         print(f"CAN interfaces: {shown}")
     if not COMPILED:
         print("kernels run as plain Python (NUMBA_DISABLE_JIT is set): some hundred times slower")
-    elif cache_is_warm():
-        print(f"kernels are compiled: {CACHE}")
     else:
-        print("kernels are not compiled yet: run gateway warmup")
+        print(_told(facts["kernels"]))
     _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
     return code

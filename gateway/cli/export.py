@@ -6,14 +6,13 @@ from json import dumps
 from pathlib import Path
 
 from gateway.app import Gateway
-from gateway.cli.present import find_config, say_if_cold, strict
+from gateway.cli.present import find_config, strict
 from gateway.config import load_config
 
 
 def export(config_path: Path | None, *, out: Path | None) -> int:
     """Write the catalogue as JSON; returns the exit code."""
     path = find_config(config_path)
-    say_if_cold()
     gateway = Gateway(load_config(path), None, file=path)
     try:
         text = dumps(strict(gateway.describe()), indent=2)

@@ -16,7 +16,6 @@ from rich.markup import escape
 
 from gateway.errors import InputError
 from gateway.faults.status import Status
-from gateway.jit import COMPILED, cache_is_warm
 from gateway.resources import shipped
 
 #: Columns of a table that does not go to a terminal.
@@ -49,14 +48,6 @@ def wide_console() -> Console:
     """Return a console for wide tables, which stay wide in a file or a pipe."""
     console = Console()
     return console if console.is_terminal else Console(width=WIDTH)
-
-
-def say_if_cold() -> None:
-    """Say that the first start compiles, when it does."""
-    if COMPILED and not cache_is_warm():
-        say(
-            "first start: compiling the kernels, this takes up to a minute (gateway warmup does it)"
-        )
 
 
 def strict(value: Any) -> Any:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
-from gateway.cli.present import EventPrinter, find_config, say_if_cold
+from gateway.cli.present import EventPrinter, find_config
 from gateway.config import channels_of, load_config
 from gateway.replay import replay as feed
 
@@ -23,7 +23,6 @@ def replay(
     """Replay a log; returns the exit code."""
     path = find_config(config_path)
     config = load_config(path)
-    say_if_cold()
     printer = EventPrinter(as_json=json)
     gateway = Gateway(config, memory, file=path)
     gateway.listen(printer)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from gateway.bus.logs import open_writer
-from gateway.cli.present import EventPrinter, find_config, say, say_if_cold
+from gateway.cli.present import EventPrinter, find_config, say
 from gateway.config import load_config
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
@@ -51,7 +51,6 @@ def run(
     """Monitor until told to stop; returns the exit code."""
     ending = Ending()
     path = find_config(config_path)
-    say_if_cold()
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     with ExitStack() as stack:
         taps = []

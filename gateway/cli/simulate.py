@@ -20,7 +20,6 @@ from gateway.cli.present import (
     find_scenario,
     print_json,
     say,
-    say_if_cold,
     status_text,
 )
 from gateway.cli.run import Ending
@@ -50,7 +49,6 @@ def _finding_event(finding: Finding) -> dict[str, Any]:
 def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
     """Show the whole chain in one process; returns the exit code."""
     scenario, config, player = _open(scenario_name, seed)
-    say_if_cold()
     console = Console(highlight=False, soft_wrap=True)
     printer = EventPrinter(as_json=json)
     gateway = Gateway(config, file=scenario.config)
@@ -140,7 +138,6 @@ def simulate(
         writer = None if record is None else stack.enter_context(open_writer(record))
         judge = Judge(scenario)
         if bus == INSIDE:
-            say_if_cold()
             gateway = Gateway(config, file=scenario.config)
             stack.callback(gateway.close)
             printer = EventPrinter(as_json=json)

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from gateway.cli.present import find_shipped, print_json, say_if_cold, wide_console
+from gateway.cli.present import find_shipped, print_json, wide_console
 from gateway.errors import InputError
 from gateway.evaluate.structure.analysis import Analysis, Test, analyse, as_dict
 from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
@@ -248,7 +248,6 @@ def structure(
     if sensors is not None:
         _places(console, model, sensors, json=json)
         return 0
-    say_if_cold()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     stderr = Console(stderr=True)
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:

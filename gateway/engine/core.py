@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gateway.engine import loop
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
+from gateway.jit import COMPILED
 from gateway.monitors.bus_health import COUNTED
 from gateway.monitors.shape import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
@@ -55,14 +57,15 @@ class Engine:
         self.monitors = monitors
         self._states = states
         self._consts = consts  # the handlers hold its address
+        run: Any = loop.run
+        examples = (_NO_FRAMES, _NO_CELLS, 0, NEVER)
+        self._run: Callable[..., int] = (
+            run.bind(tables, rest=examples) if COMPILED else partial(run, tables)
+        )
 
     def state_of(self, monitor: int) -> Any:
         """Return the state records of a monitor, shape (1,)."""
         return self._states[monitor]
-
-    def warm(self) -> None:
-        """Compile the loop now, or load it from the cache, rather than at the first frame."""
-        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, NEVER)
 
     @property
     def now_ns(self) -> int:
@@ -82,7 +85,7 @@ class Engine:
         start, count = 0, len(frames)
         sent = []
         while start < count:
-            start = loop.run(self.tables, frames, cells, start, NEVER)
+            start = self._run(frames, cells, start, NEVER)
             self._drain(sink)
             if self.tables.clock[0]["sent"]:
                 sent.append(self._sent())
@@ -95,7 +98,7 @@ class Engine:
             t_ns: the new time; frames that arrive later with an earlier stamp count as late.
             sink: called with the events.
         """
-        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, t_ns)
+        self._run(_NO_FRAMES, _NO_CELLS, 0, t_ns)
         self._drain(sink)
         return self._sent()
 

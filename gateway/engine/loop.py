@@ -24,8 +24,8 @@ from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
 from gateway.engine.gate import closed, reached
 from gateway.engine.message_checks import judge, pass_over, time_out
 from gateway.engine.results import not_tested, push, tested, witness
-from gateway.engine.tables import NEVER, Tables, borrowed
-from gateway.jit import borrow, call_entry, kernel
+from gateway.engine.tables import NEVER
+from gateway.jit import call_entry, kernel
 from gateway.monitors.bus_health import disproved, elapsed
 from gateway.monitors.communication import ACCEPT, REJECT
 from gateway.monitors.shape import FAILED, NOT_TESTED, TIMER
@@ -66,7 +66,8 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     out.overflow = 0
     out.wake_ns = 0
     out.send = 0
-    call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0])
+    if call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0]) != 0:
+        raise RuntimeError("a monitor's kernel failed")
     h.steps += 1
     h.tested = 1
     h.wake_ns = out.wake_ns if out.wake_ns > 0 else NEVER
@@ -225,18 +226,16 @@ def advance(T: Any, t_ns: int) -> None:
 
 
 @kernel
-def run(tables: Tables, frames: Any, cells: Any, start: int, until_ns: int) -> int:
+def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     """Walk a batch from frame ``start``; returns the first frame not handled yet.
 
     Args:
-        tables: the tables.
+        T: the tables, a :class:`gateway.engine.tables.Tables`.
         frames: batch, shape (n,) of FRAME.
         cells: the same batch as uint64, shape (n, 10): two of header, eight of payload.
         start: where to begin.
         until_ns: let time pass to here after the frames; NEVER: it ends with the last frame.
     """
-    T = borrowed(tables)
-    frames, cells = borrow(frames), borrow(cells)
     clock = T.clock[0]
     clock.stop = 0
     room = T.ring.shape[0] // 2

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.engine.debounce import NEVER
-from gateway.jit import COMPILED, borrow, i4, i8, kernel, record, u1
+from gateway.jit import COMPILED, i4, i8, record, u1
 
-__all__ = ["CLOCK", "HANDLER", "NEVER", "VECTOR", "Tables", "borrowed", "table"]
+__all__ = ["CLOCK", "HANDLER", "NEVER", "VECTOR", "Tables", "table"]
 
 #: One row of the vector table, for each message of the decode plan: the monitors it triggers
 #: (``handlers[first:first + count]``, by priority), its communication check (-1: none), the operation
@@ -115,44 +115,6 @@ class Tables(NamedTuple):
     ring: NDArray[np.void]
     health: NDArray[np.void]
     clock: NDArray[np.void]
-
-
-@kernel
-def borrowed(T: Tables) -> Tables:
-    """Return the same tables without reference counts (see :func:`gateway.jit.borrow`)."""
-    return Tables(
-        borrow(T.keys),
-        borrow(T.rows),
-        borrow(T.messages),
-        borrow(T.signals),
-        borrow(T.mux_ids),
-        borrow(T.values),
-        borrow(T.present),
-        borrow(T.mailbox),
-        borrow(T.vectors),
-        borrow(T.triggers),
-        borrow(T.handlers),
-        borrow(T.slots),
-        borrow(T.sources),
-        borrow(T.pool),
-        borrow(T.pool_ns),
-        borrow(T.checks),
-        borrow(T.crc_tables),
-        borrow(T.debounces),
-        borrow(T.conditions),
-        borrow(T.roots),
-        borrow(T.watches),
-        borrow(T.cycles),
-        borrow(T.out),
-        borrow(T.out_address),
-        borrow(T.emits),
-        borrow(T.emit_signals),
-        borrow(T.outbox),
-        borrow(T.outbox_cells),
-        borrow(T.ring),
-        borrow(T.health),
-        borrow(T.clock),
-    )
 
 
 def table(count: int, dtype: np.dtype[np.void]) -> Any:

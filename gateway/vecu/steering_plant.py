@@ -142,8 +142,9 @@ def _slope(c: Any, x: Any, d: Any, u_alpha: float, u_beta: float, load: float) -
 
 @kernel
 def simulate(
-    c: Any, demand: Any, load: Any, wrong: Any, noise: Any, out: Any, voltage_noise: Any, per: int
-) -> None:
+    c: Any, demand: Any, load: Any, wrong: Any, noise: Any, out: Any, voltage_noise: Any, per: int,
+    scratch: Any,
+) -> None:  # fmt: skip
     """Run the drive.
 
     Args:
@@ -155,9 +156,10 @@ def simulate(
         out: shape (n // per,) of SAMPLE.
         voltage_noise: shape (n // per, 2) [V].
         per: controller samples a frame.
+        scratch: zeros, shape (4, 4).
     """
     m, b = c.motor, c.believed
-    x, k1, mid, k2 = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
+    x, k1, mid, k2 = scratch[0], scratch[1], scratch[2], scratch[3]
     x[3] = demand[0]
     h = CONTROL / SUBSTEPS
     emf = b.flux * b.pole_pairs
@@ -272,5 +274,6 @@ def drive(
         out.view(np.recarray),
         voltage_noise,
         per,
+        np.zeros((4, 4)),
     )
     return out

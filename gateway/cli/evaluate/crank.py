@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, say_if_cold, wide_console
+from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.crank.figures import draw
 from gateway.evaluate.crank.table import (
     KINDS,
@@ -71,7 +71,6 @@ def _alarm_table(rows: list[Alarms]) -> Table:
 
 def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
-    say_if_cold()
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy))

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.cli.present import print_json, say_if_cold, wide_console
+from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.hybrid.conditions import CONDITIONS, Compared, compare
 from gateway.evaluate.hybrid.figures import CHARGE, NOISE, draw
 from gateway.evaluate.hybrid.table import (
@@ -97,7 +97,6 @@ def _finite(row: Row) -> dict[str, object]:
 
 def hybrid(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the tests of the hybrid powertrain; returns the exit code."""
-    say_if_cold()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         cases = 1 + len(FAULTS) * len(ONSETS)

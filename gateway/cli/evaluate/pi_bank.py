@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from gateway.cli.present import print_json, say, say_if_cold, wide_console
+from gateway.cli.present import print_json, say, wide_console
 from gateway.evaluate.pi_bank import example
 from gateway.evaluate.pi_bank.bank import Quiet, quiet
 from gateway.evaluate.pi_bank.continuous import observe, spans
@@ -87,7 +87,6 @@ def _quiet_table(rows: list[Quiet]) -> Table:
 
 def pi_bank(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the bank of PI observers; returns the exit code."""
-    say_if_cold()
     paper = _paper()
     if cases:
         say(f"{cases} random cases, seeds from {seed} on ...")

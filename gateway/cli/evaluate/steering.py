@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, say_if_cold, wide_console
+from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.steering import operations
 from gateway.evaluate.steering.estimators import Accuracy, accuracy
 from gateway.evaluate.steering.estimators import jobs as accuracy_jobs
@@ -185,7 +185,6 @@ def steering(
     *, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None
 ) -> int:
     """Evaluate the steering monitor; returns the exit code."""
-    say_if_cold()
     todo = [job for job in plan(runs, healthy, seed) if runs or not job[0]]
     first = accuracy_jobs(SEEDS)
     with Progress(console=Console(stderr=True), transient=True) as bar:

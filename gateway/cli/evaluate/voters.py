@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, say_if_cold, wide_console
+from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.voters.cases import STROKES
 from gateway.evaluate.voters.figures import draw
 from gateway.evaluate.voters.follow import VOTERS
@@ -99,7 +99,6 @@ def _tables(scores: list[Score]) -> list[Table]:
 
 def voters(*, runs: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the voters; returns the exit code."""
-    say_if_cold()
     todo = plan(runs, seed) if runs else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("voters", total=len(todo))

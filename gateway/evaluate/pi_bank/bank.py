@@ -77,6 +77,10 @@ def records(start_s: float, *, known: bool) -> tuple[Any, Any]:
     return s[0], c[0]
 
 
+#: Samples of a long flight whose noise is drawn at a time.
+PORTION = 100_000
+
+
 @kernel
 def _walk(s: Any, c: Any, y: Any, u: Any, flags: Any, sizes: Any) -> None:
     """Step through samples; ``flags``: actuators, sensors, unexplained; ``sizes``: of actuators, sensors."""
@@ -132,19 +136,21 @@ def _long(
     phi: Any,
     gamma: Any,
     feedback: Any,
-    count: int,
-    sigma: float,
-    seed: int,
+    first: int,
+    noise: Any,
+    scratch: Any,
     seen: Any,
 ) -> None:
-    """Fly healthy for so many samples; counts flags that go up in ``seen``, and samples judged."""
-    np.random.seed(seed)
-    x, after, y, u = np.zeros(4), np.zeros(4), np.zeros(3), np.zeros(2)
-    for t in range(count):
+    """Fly healthy from sample ``first`` on; counts flags that go up in ``seen``, and samples judged.
+
+    ``noise`` of the sensors, shape (samples, 3); ``scratch``, shape (4, 4), begins with the state of the plant.
+    """
+    x, after, y, u = scratch[0], scratch[1], scratch[2], scratch[3]
+    for t in range(noise.shape[0]):
         for j in range(3):
-            y[j] = x[j] + np.random.normal(0.0, sigma)
+            y[j] = x[j] + noise[t, j]
         for i in range(2):
-            u[i] = 0.5 * np.sin(0.03 * t * (1.0 + 0.6 * i))
+            u[i] = 0.5 * np.sin(0.03 * (first + t) * (1.0 + 0.6 * i))
             for j in range(4):
                 u[i] -= feedback[i, j] * x[j]
         before_0, before_1, confirmed, lost = (
@@ -191,5 +197,8 @@ def quiet(sigma: float, hours: float, seed: int) -> Quiet:
     plant, seen = example.plant(), np.zeros(5, np.int64)
     count = round(hours * 3600 / example.PERIOD)
     s, c = records(5.0, known=False)
-    _long(s, c, plant.phi, plant.gamma, np.array(FEEDBACK), count, sigma, seed, seen)
+    rng, scratch, feedback = np.random.default_rng(seed), np.zeros((4, 4)), np.array(FEEDBACK)
+    for first in range(0, count, PORTION):
+        noise = rng.normal(0.0, sigma, (min(PORTION, count - first), 3))
+        _long(s, c, plant.phi, plant.gamma, feedback, first, noise, scratch, seen)
     return Quiet(sigma, float(seen[4]) * example.PERIOD / 3600, int(seen[:4].sum()), seed)

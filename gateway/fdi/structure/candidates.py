@@ -102,14 +102,11 @@ def _classify_one(
 def _classify(
     rows: Any, members: Any, starts: Any, choices: Any, choice_starts: Any, state: Any, solve: Any,
     loops: Any, loop_solvable: Any, bits: int, everything: Any, mate: Any, owner: Any, came: Any, queue: Any,
-    flags: Any, seen: Any, block: Any, step: Any, kind: Any, scratch: Any, rest: Any, masks: Any, results: Any,
+    flags: Any, seen: Any, block: Any, step: Any, kind: Any, scratch: Any, rest: Any, masks: Any, one: Any, mate_one: Any, owner_one: Any, equations: Any, variables: Any,
+    results: Any,
 ) -> None:  # fmt: skip
     """Classify all choices of all sets into ``results``: status, integration, differentiations."""
     m, n = rows.shape[0], len(owner)
-    one = np.zeros(m, np.int64)
-    mate_one, owner_one = np.zeros(m, np.int64), np.zeros(n, np.int64)
-    equations = np.zeros(loops.shape[1] - rows.shape[1], np.int64)
-    variables = np.zeros(rows.shape[1], np.int64)
     for k in range(len(starts) - 1):
         first, size = starts[k], starts[k + 1] - starts[k]
         for i in range(size):
@@ -243,6 +240,9 @@ def classify(
     tacit = s.tacit[:m]
     mso, equation = np.nonzero(msos)
     results = np.zeros((len(mso), 3), np.int64)
+    one, mate_one, owner_one = (np.zeros(size, np.int64) for size in (len(s.rows), len(s.rows), len(s.owner)))
+    variables = np.zeros(s.rows.shape[1], np.int64)
+    equations = np.zeros(loops.shape[1] - len(variables), np.int64)
     done = 0
     for begin in range(0, len(msos), PORTION):
         portion = msos[begin : begin + PORTION]
@@ -257,6 +257,7 @@ def classify(
             choices, np.concatenate([[0], np.cumsum(portion.sum(1))]), s.state, solve,
             loops, loop_solvable, BITS, s.everything, s.mate, s.owner, s.came, s.queue,
             s.flags, s.seen, s.block, s.step, s.kind, s.scratch, s.rest, s.masks,
+            one, mate_one, owner_one, equations, variables,
             results[done : done + len(choices)],
         )  # fmt: skip
         done += len(choices)

@@ -56,12 +56,14 @@ def _lump(
     queue: Any,
     reached: Any,
     seen: Any,
+    done: Any,
 ) -> int:
     """Lump the equivalence classes that may be left out; returns how many equations are left.
 
     ``state`` of each equation: 1 it may be left out, 0 it may not.
     """
-    done = np.zeros(size, np.bool_)
+    for i in range(size):
+        done[i] = False
     for i in range(size):
         if mate[i] == ABSENT or state[i] == 0 or done[i]:
             continue
@@ -100,18 +102,15 @@ def _lump(
 
 @kernel
 def _search(
-    rows: Any, ids: Any, state: Any, mate: Any, owner: Any, size: Any, at: Any, found: Any
-) -> int:
+    rows: Any, ids: Any, state: Any, mate: Any, owner: Any, size: Any, at: Any,
+    came: Any, queue: Any, reached: Any, seen: Any, done: Any, found: Any,
+) -> int:  # fmt: skip
     """Go on with the search until ``found`` is full or nothing is left; returns how many sets were found.
 
-    First index of all but ``found``: the level, from which equations were left out. ``at``: the level, and then the next
+    First index of those before ``at``: the level, from which equations were left out. ``at``: the level, and then the next
     equation to be left out on each level.
     """
-    levels, most = rows.shape[0], rows.shape[1]
-    came = np.zeros(owner.shape[1], np.int64)
-    queue = np.zeros(most, np.int64)
-    reached = np.zeros(most, np.bool_)
-    seen = np.zeros(rows.shape[2], np.int64)
+    levels = rows.shape[0]
     level, count = at[0], 0
     while level >= 0 and count < found.shape[0]:
         if level == levels - 1:
@@ -126,7 +125,7 @@ def _search(
         if at[1 + level] == 0:
             size[level] = _lump(
                 rows[level], ids[level], state[level], mate[level], owner[level], size[level],
-                came, queue, reached, seen,
+                came, queue, reached, seen, done,
             )  # fmt: skip
         i = at[1 + level]
         while i < size[level] and state[level, i] == 0:
@@ -203,11 +202,15 @@ def find_msos(
     size = np.zeros(phi, np.int64)
     size[0] = k
     at = np.zeros(1 + phi, np.int64)
+    came, seen = np.zeros(n, np.int64), np.zeros(w, np.int64)
+    queue, reached, done = np.zeros(k, np.int64), np.zeros(k, np.bool_), np.zeros(k, np.bool_)
     portions: list[Any] = []
     total = 0
     while at[0] >= 0:
         found = np.zeros((min(PORTION, limit + 1 - total), words(m)), np.int64)
-        count = _search(rows, ids, state, mate, owner, size, at, found)
+        count = _search(
+            rows, ids, state, mate, owner, size, at, came, queue, reached, seen, done, found
+        )
         portions.append(found[:count])
         total += count
         if progress is not None:

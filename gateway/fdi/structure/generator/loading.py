@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
-import os
+import linecache
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from gateway.fdi.structure.generator.code import Generated, write
 from gateway.fdi.structure.generator.realisation import realise
 from gateway.fdi.structure.generator.records import field_name, fill
 from gateway.fdi.structure.model import Model
-from gateway.jit import CACHE, f8, record
+from gateway.jit import f8, record
 
 
 @dataclass(frozen=True)
@@ -73,28 +72,19 @@ class Loaded:
 
 
 def load_source(name: str, source: str) -> ModuleType:
-    """Return generated code as a module; it lies in the cache, so that its kernels are compiled once."""
+    """Return generated code as a module.
+
+    It has no file: its source is where debuggers, tracebacks and the digests of kernels look for one.
+    """
     digest = hashlib.blake2b(source.encode(), digest_size=8).hexdigest()
     label = f"gateway_generated_{digest}"
     if label in sys.modules:
         return sys.modules[label]
-    folder = CACHE / "generated"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{label}.py"
-    if not path.exists():
-        draft = folder / f"{label}.{os.getpid()}"
-        draft.write_text(source, encoding="utf-8")
-        draft.replace(path)  # whoever else makes the same finds all of it, or nothing
-    specification = importlib.util.spec_from_file_location(label, path)
-    if specification is None or specification.loader is None:
-        raise ValueError(f"{name}: no module can be made of {path}")
-    module = importlib.util.module_from_spec(specification)
+    module = ModuleType(label)
+    file = f"<generated {name} {digest}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    exec(compile(source, file, "exec"), module.__dict__)
     sys.modules[label] = module
-    try:
-        specification.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[label]
-        raise
     return module
 
 

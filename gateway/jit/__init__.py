@@ -1,0 +1,21 @@
+"""Compiled kernels: one decorator, its cache, and calls through an address.
+
+Every numeric kernel of the gateway is decorated with :func:`kernel`. Its machine code comes with the package
+(:mod:`gateway.jit.shipped`), or from the cache of this machine (:mod:`gateway.jit.cache`), or is made by numba
+(:mod:`gateway.jit.frontend`) and LLVM (:mod:`gateway.jit.machine`); with ``NUMBA_DISABLE_JIT=1`` the same code runs as
+plain Python. numba is imported only where something is compiled.
+
+Monitor kernels are reached like interrupt handlers: the vector table holds their addresses, and
+:func:`call_entry` jumps there. So the engine is compiled once for all configurations, and a monitor
+is compiled once for all engines.
+"""
+
+from gateway.jit.intrinsics import call_entry, lowest_bit
+from gateway.jit.kernel import Kernel, entry_point, kernel
+from gateway.jit.records import f8, i1, i2, i4, i8, record, record_at, u1, u4
+from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
+
+__all__ = [
+    "BOUNDSCHECK", "COMPILED", "Kernel", "cache_directory", "call_entry", "entry_point", "f8",
+    "i1", "i2", "i4", "i8", "kernel", "lowest_bit", "record", "record_at", "u1", "u4",
+]  # fmt: skip

@@ -1,0 +1,128 @@
+"""Compiled kernels in files: what was compiled once is loaded from then on.
+
+A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
+at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
+reason is said once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.jit.settings import cache_directory
+
+_MAGIC = b"gateway kernel 1\n"
+_DIGEST = 16
+
+#: Files of one kernel that are kept: the newest.
+KEPT = 3
+
+
+def _say_nothing(_text: str) -> None:
+    """Take a line of a process that nobody listens to."""
+
+
+#: Takes a line for people; the command line sets it.
+say: Callable[[str], None] = _say_nothing
+
+_said: set[str] = set()
+
+
+def _say_once(text: str) -> None:
+    if text not in _said:
+        _said.add(text)
+        say(text)
+
+
+@dataclass(frozen=True)
+class Code:
+    """Compiled code of an entry.
+
+    Attributes:
+        symbol: name of its C function.
+        results: form of its result, as text.
+        needs: symbols from elsewhere.
+        code: object code.
+    """
+
+    symbol: str
+    results: str
+    needs: tuple[str, ...]
+    code: bytes
+
+
+def _pack(code: Code) -> bytes:
+    head = {"symbol": code.symbol, "results": code.results, "needs": code.needs}
+    body = json.dumps(head).encode() + b"\n" + code.code
+    return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
+
+
+def _unpack(data: bytes) -> Code | None:
+    """Return the code in a file's bytes; None if they are damaged."""
+    start = len(_MAGIC) + _DIGEST
+    body = data[start:]
+    digest = hashlib.blake2b(body, digest_size=_DIGEST).digest()
+    if data[: len(_MAGIC)] != _MAGIC or data[len(_MAGIC) : start] != digest:
+        return None
+    head, _, code = body.partition(b"\n")
+    values = json.loads(head)
+    return Code(values["symbol"], values["results"], tuple(values["needs"]), code)
+
+
+def read(name: str, key: str) -> Code | None:
+    """Return the code of a kernel, None if it is not there, or not to be used."""
+    path = cache_directory() / f"{name}-{key}.kernel"
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _say_once(f"compiled kernels cannot be read ({error}): they are compiled again")
+        return None
+    code = _unpack(data)
+    if code is None:
+        _say_once(f"{path}: damaged, so this kernel is compiled again")
+    return code
+
+
+def write(name: str, key: str, code: Code) -> None:
+    """Keep the code of a kernel, if that is possible; older ones of the same name make room."""
+    folder = cache_directory()
+    draft = folder / f".{name}-{key}.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        draft.write_bytes(_pack(code))
+        draft.replace(folder / f"{name}-{key}.kernel")
+        _prune(folder, name)
+    except OSError as error:
+        _say_once(f"compiled kernels cannot be kept ({error}): the next start compiles them again")
+        try:
+            draft.unlink(missing_ok=True)
+        except OSError:
+            return
+
+
+def _changed(path: Path) -> float:
+    """When a file was changed; 0 if another process has just deleted it."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def _prune(folder: Path, name: str) -> None:
+    """Delete all but the newest files of a kernel."""
+    files = sorted(folder.glob(f"{name}-*.kernel"), key=_changed, reverse=True)
+    for path in files[KEPT:]:
+        path.unlink(missing_ok=True)
+
+
+def size() -> tuple[int, int]:
+    """Return how many compiled kernels are kept, and their bytes."""
+    sizes = [path.stat().st_size for path in cache_directory().glob("*.kernel")]
+    return len(sizes), sum(sizes)

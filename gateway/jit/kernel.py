@@ -1,0 +1,284 @@
+"""The decorator of kernels, and their calls.
+
+Every numeric kernel of the gateway is decorated with :func:`kernel`. Called from Python it is an entry: the forms of
+its arguments (:mod:`gateway.jit.forms`) choose the machine code, which is shipped with the package, or was compiled
+before, or is compiled now. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import inspect
+import struct
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from gateway.errors import KernelError
+from gateway.jit import cache, progress, shipped
+from gateway.jit.closure import Closure
+from gateway.jit.forms import Form, Rec, Tup, cells_of, code_of, form_of, parse_results, put, take, text_of
+from gateway.jit.intrinsics import PYTHON_ENTRIES
+from gateway.jit.settings import BOUNDSCHECK, COMPILED, MAY_COMPILE, USE_SHIPPED
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+#: Raised whenever the way in which code is made changes: keys of compiled code depend on it.
+VERSION = 1
+
+_ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)
+
+#: One thread compiles at a time.
+_lock = threading.RLock()
+
+#: Called with each entry that was made ready: kernel, forms, key (for what ships them).
+observers: list[Callable[[Any, tuple[Form, ...], str], None]] = []
+
+
+class Entry:
+    """Machine code of a kernel for one signature.
+
+    Attributes:
+        address: of its C function.
+    """
+
+    def __init__(self, name: str, arguments: tuple[Form, ...], address: int, results: str) -> None:
+        self._name = name
+        self._forms = arguments
+        self._codes = [code_of(form) for form in arguments]
+        self._pack = struct.Struct("=" + "".join(self._codes)).pack
+        self._result = parse_results(results)
+        self._unpack = struct.Struct("=" + code_of(self._result))
+        self._many = isinstance(self._result, Tup)
+        self.address = address
+        self._function = _ENTRY(address)
+
+    def __call__(self, arguments: tuple[Any, ...]) -> Any:
+        """Call it with arguments of its forms."""
+        cells: list[Any] = []
+        for form, value in zip(self._forms, arguments, strict=True):
+            put(form, value, cells)
+        return self._run(self._pack(*cells))
+
+    def _run(self, cells: bytes) -> Any:
+        unpack = self._unpack
+        if not unpack.size:
+            self._check(self._function(cells, None))
+            return None
+        room = ctypes.create_string_buffer(unpack.size)
+        self._check(self._function(cells, ctypes.addressof(room)))
+        return take(self._result, unpack.unpack(room))[0]
+
+    def _check(self, status: int) -> None:
+        if status:
+            raise KernelError(
+                f"the kernel {self._name} failed (status {status}): an index out of bounds, or a value that it"
+                " refuses; NUMBA_DISABLE_JIT=1 runs it as plain Python and shows where"
+            )
+
+    def bound(self, first: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return a function of the remaining arguments.
+
+        Args:
+            first: the leading arguments. Their arrays must stay where they are.
+        """
+        cells: list[Any] = []
+        for form, value in zip(self._forms, first, strict=False):
+            put(form, value, cells)
+        head = struct.pack("=" + "".join(self._codes[: len(first)]), *cells)
+        forms = self._forms[len(first) :]
+        pack = struct.Struct("=" + "".join(self._codes[len(first) :])).pack
+        run = self._run
+
+        def call(*rest: Any) -> Any:
+            more: list[Any] = []
+            for form, value in zip(forms, rest, strict=True):
+                put(form, value, more)
+            return run(head + pack(*more))
+
+        call.__dict__["kept"] = first
+        return call
+
+
+class Kernel:
+    """A function that runs compiled; made by :func:`kernel`.
+
+    Attributes:
+        py_func: the function of plain Python.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.py_func = function
+        self.__wrapped__ = function
+        self.__name__ = function.__name__
+        self.__qualname__ = function.__qualname__
+        self.__module__ = function.__module__
+        self.__doc__ = function.__doc__
+        self._entries: dict[tuple[Form, ...], Entry] = {}
+        self._callee: Any = None
+        self._closure: Closure | None = None
+
+    def __repr__(self) -> str:
+        return f"<kernel {self.__module__}.{self.__qualname__}>"
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Type by which numba knows a kernel that a kernel calls."""
+        from numba.core import types  # noqa: PLC0415 - only when compiling
+
+        if self._callee is None:
+            from gateway.jit.frontend import callee  # noqa: PLC0415
+
+            self._callee = callee(self.py_func)
+        return types.Dispatcher(self._callee)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run the kernel's machine code."""
+        try:
+            return self._entries[tuple(map(form_of, args))](args)
+        except KeyError:
+            pass
+        if kwargs or len(args) != self.py_func.__code__.co_argcount:
+            bound = inspect.signature(self.py_func).bind(*args, **kwargs)
+            bound.apply_defaults()
+            args = bound.args
+        return self.entry(tuple(map(form_of, args)))(args)
+
+    @property
+    def id(self) -> str:
+        """Its name on every machine: ``module:name``."""
+        return f"{self.__module__}:{self.__qualname__}"
+
+    @property
+    def closure(self) -> Closure:
+        """What its code is made from."""
+        if self._closure is None:
+            self._closure = Closure(cast(Any, self.py_func))
+        return self._closure
+
+    def entry(self, arguments: tuple[Form, ...]) -> Entry:
+        """Return its machine code for a signature: shipped, kept from before, or compiled now.
+
+        Raises:
+            KernelError: it cannot be compiled.
+        """
+        with _lock:
+            if arguments not in self._entries:
+                self._entries[arguments] = self._ready(arguments)
+            return self._entries[arguments]
+
+    def _ready(self, arguments: tuple[Form, ...]) -> Entry:
+        from gateway.jit import machine  # noqa: PLC0415 - not where nothing is compiled
+
+        text = ",".join(map(text_of, arguments))
+        signature = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+        code = self._shipped(signature)
+        if code is None:
+            code = self._made(arguments, self._key(signature))
+        for observer in observers:
+            observer(self, arguments, signature)
+        address = machine.load(code.symbol, code.needs, code.code)
+        return Entry(self.__qualname__, arguments, address, code.results)
+
+    def _key(self, signature: str) -> str:
+        text = f"{VERSION} {self.id} {signature} {self.closure.digest}"
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    def _shipped(self, signature: str) -> cache.Code | None:
+        """Return shipped code that was made from the kernel as it is, if there is any."""
+        from gateway.jit import machine  # noqa: PLC0415
+
+        found = shipped.entry(self.id, signature) if USE_SHIPPED else None
+        if found is None:
+            return None
+        if not shipped.unchanged(found) and self._key(signature) != found["key"]:
+            return None
+        here = machine.architecture()
+        code = shipped.code(found, here)
+        if code is not None:
+            return code
+        name, key = self._file(), f"{found['key'][:16]}-{here}"
+        code = cache.read(name, key)
+        if code is None:
+            code = shipped.bitcode(found)
+            if code is not None:
+                made = machine.translate(code.code)
+                code = cache.Code(code.symbol, code.results, code.needs, made)
+                cache.write(name, key, code)
+        return code
+
+    def _file(self) -> str:
+        return f"{self.__module__.removeprefix('gateway.')}.{self.__qualname__}".replace("<", "_")
+
+    def _made(self, arguments: tuple[Form, ...], key: str) -> cache.Code:
+        """Return code that was compiled here, before or now."""
+        from importlib.metadata import version  # noqa: PLC0415
+
+        from gateway.jit import machine  # noqa: PLC0415
+
+        tools = f"{version('numba')} {version('llvmlite')} {machine.architecture()} {BOUNDSCHECK}"
+        full = hashlib.blake2b(f"{key} {tools}".encode(), digest_size=8).hexdigest()
+        name = self._file()
+        code = cache.read(name, full)
+        if code is None:
+            if not MAY_COMPILE:
+                raise KernelError(f"{self.id} is not shipped, and nothing may be compiled")
+            bitcode, results = self.compile(arguments, key)
+            needs = machine.externals(bitcode)
+            code = cache.Code(symbol_of(key), results, needs, machine.translate(bitcode))
+            cache.write(name, full, code)
+        return code
+
+    def compile(self, arguments: tuple[Form, ...], key: str) -> tuple[bytes, str]:
+        """Compile for a signature; returns optimised bitcode and the form of the result as text."""
+        from gateway.jit import machine  # noqa: PLC0415
+        from gateway.jit.frontend import lower  # noqa: PLC0415 - imports numba
+
+        with progress.compiling(self._file(), len(self.closure.kernels)) as lowered:
+            module, result = lower(self, arguments, symbol_of(key), lowered)
+            return machine.optimise(module), text_of(result)
+
+    def bind(self, *first: Any, rest: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return a function of the remaining arguments, for calls that must be short.
+
+        Args:
+            first: the leading arguments; their arrays must stay where they are.
+            rest: examples of the remaining ones: each call must have arguments of these forms.
+        """
+        return self.entry(tuple(map(form_of, (*first, *rest)))).bound(first)
+
+
+def symbol_of(key: str) -> str:
+    """Return the name of the C function of an entry."""
+    return f"gateway_{key[:16]}"
+
+
+def kernel(function: F) -> F:
+    """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy.
+
+    A kernel allocates nothing, reads no clock, and returns numbers or tuples of them. Kernels that it calls are inlined,
+    so that tables handed down in a tuple cost nothing.
+    """
+    return cast(F, Kernel(function)) if COMPILED else function
+
+
+def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
+    """Give a kernel of four records an address that :func:`gateway.jit.call_entry` can jump to.
+
+    Args:
+        step: a kernel ``step(a, b, c, d)`` over four records.
+        records: the dtypes of the four.
+
+    Returns:
+        the address; the compiled code lives as long as the process.
+    """
+    if not COMPILED:
+        PYTHON_ENTRIES.append((step, records))
+        return len(PYTHON_ENTRIES) - 1
+    return cast(Kernel, step).entry(tuple(map(Rec, records))).address
+
+
+__all__ = ["Entry", "Kernel", "cells_of", "entry_point", "kernel", "observers", "symbol_of"]

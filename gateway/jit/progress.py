@@ -1,0 +1,38 @@
+"""Who is told when a kernel is compiled: a start never stands silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+#: Called with the name of the entry that is compiled, the kernels that are lowered, and how many there are. The last
+#: call has ``done > total``: it is ready.
+Listener = Callable[[str, int, int], None]
+
+_listeners: list[Listener] = []
+
+
+def listen(listener: Listener) -> None:
+    """Have a listener called from now on."""
+    _listeners.append(listener)
+
+
+@contextmanager
+def compiling(name: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Tell the listeners of one entry; yields what is to be called with each kernel that was lowered."""
+    done = 0
+
+    def tell(at: int) -> None:
+        for listener in list(_listeners):
+            listener(name, at, total)
+
+    def lowered(_kernel: str) -> None:
+        nonlocal done
+        done += 1
+        tell(min(done, total))
+
+    tell(0)
+    try:
+        yield lowered
+    finally:
+        tell(total + 1)
