@@ -11,8 +11,9 @@ import hashlib
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from gateway.jit.settings import cache_directory
 
@@ -20,7 +21,7 @@ _MAGIC = b"gateway kernel 1\n"
 _DIGEST = 16
 
 #: Files of one kernel that are kept: the newest.
-KEPT = 3
+KEPT = 8  # of all its signatures
 
 
 def _say_nothing(_text: str) -> None:
@@ -48,21 +49,28 @@ class Code:
         results: form of its result, as text.
         needs: symbols from elsewhere.
         code: object code.
+        origin: what it was made from, for who ships it: kernel, digest of its signature, key, files.
     """
 
     symbol: str
     results: str
     needs: tuple[str, ...]
     code: bytes
+    origin: dict[str, Any] = field(default_factory=dict)
 
 
 def _pack(code: Code) -> bytes:
-    head = {"symbol": code.symbol, "results": code.results, "needs": code.needs}
+    head = {
+        "symbol": code.symbol,
+        "results": code.results,
+        "needs": code.needs,
+        "origin": code.origin,
+    }
     body = json.dumps(head).encode() + b"\n" + code.code
     return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
 
 
-def _unpack(data: bytes) -> Code | None:
+def unpack(data: bytes) -> Code | None:
     """Return the code in a file's bytes; None if they are damaged."""
     start = len(_MAGIC) + _DIGEST
     body = data[start:]
@@ -71,7 +79,8 @@ def _unpack(data: bytes) -> Code | None:
         return None
     head, _, code = body.partition(b"\n")
     values = json.loads(head)
-    return Code(values["symbol"], values["results"], tuple(values["needs"]), code)
+    needs = tuple(values["needs"])
+    return Code(values["symbol"], values["results"], needs, code, values["origin"])
 
 
 def read(name: str, key: str) -> Code | None:
@@ -84,19 +93,28 @@ def read(name: str, key: str) -> Code | None:
     except OSError as error:
         _say_once(f"compiled kernels cannot be read ({error}): they are compiled again")
         return None
-    code = _unpack(data)
+    code = unpack(data)
     if code is None:
         _say_once(f"{path}: damaged, so this kernel is compiled again")
     return code
 
 
-def write(name: str, key: str, code: Code) -> None:
-    """Keep the code of a kernel, if that is possible; older ones of the same name make room."""
+def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
+    """Keep the code of a kernel, if that is possible; older ones of the same name make room.
+
+    Args:
+        name: of the kernel, with its module.
+        key: what the code depends on.
+        code: the code.
+        bitcode: kept beside it, if there is any.
+    """
     folder = cache_directory()
     draft = folder / f".{name}-{key}.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         draft.write_bytes(_pack(code))
+        if bitcode:
+            (folder / f"{name}-{key}.bc").write_bytes(bitcode)
         draft.replace(folder / f"{name}-{key}.kernel")
         _prune(folder, name)
     except OSError as error:

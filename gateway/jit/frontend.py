@@ -252,6 +252,7 @@ def _wrapper(
 def _linked(library: Any, module: Any) -> Any:
     """Return the module of an entry with all code that it reaches; only the entry is seen from outside."""
     whole = llvm.parse_assembly(str(module))
+    whole.name = "gateway"
     kept = [function.name for function in whole.functions if not function.is_declaration]
     todo, seen = [library], set()
     while todo:

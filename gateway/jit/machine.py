@@ -55,6 +55,8 @@ def optimise(module: Any) -> bytes:
     tuning.loop_vectorization = tuning.slp_vectorization = True
     builder = llvm.create_pass_builder(target, tuning)
     passes = builder.getModulePassManager()
+    passes.add_strip_symbols_pass()  # names of what is inside count what was compiled before
+    passes.add_global_dead_code_eliminate_pass()
     passes.run(module, builder)
     module.verify()
     return bytes(module.as_bitcode())

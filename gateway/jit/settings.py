@@ -3,7 +3,7 @@
 ``NUMBA_DISABLE_JIT=1``: as plain Python, for a debugger. ``GATEWAY_BOUNDSCHECK=1``: compiled with every index checked.
 ``GATEWAY_CACHE_DIR`` (else ``NUMBA_CACHE_DIR``, else the user's cache directory): where compiled kernels are kept.
 ``GATEWAY_KERNELS=shipped``: nothing may be compiled; a kernel that would have to be is an error (tests).
-``GATEWAY_KERNELS=source``: what is shipped is not used.
+``GATEWAY_KERNELS=source``: what is shipped is not used, and bitcode is kept beside the code (``scripts/precompile``).
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ COMPILED: bool = LOADABLE and not _on("NUMBA_DISABLE_JIT")
 #: Whether each index is checked against its array's length.
 BOUNDSCHECK: bool = _on("GATEWAY_BOUNDSCHECK")
 
-#: Whether what is shipped is used, and whether what is not may be compiled.
-USE_SHIPPED: bool = os.environ.get("GATEWAY_KERNELS") != "source" and not BOUNDSCHECK
+#: Whether code is made to be shipped; whether what is shipped is used, and whether what is not may be compiled.
+BUILDING: bool = os.environ.get("GATEWAY_KERNELS") == "source"
+USE_SHIPPED: bool = not BUILDING and not BOUNDSCHECK
 MAY_COMPILE: bool = os.environ.get("GATEWAY_KERNELS") != "shipped"
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from gateway.errors import KernelError
 from gateway.jit import cache, progress, shipped
 from gateway.jit.closure import Closure
-from gateway.jit.forms import Form, Rec, Tup, cells_of, code_of, form_of, parse_results, put, take, text_of
+from gateway.jit.forms import Form, Rec, Tup, code_of, form_of, parse_results, put, take, text_of
 from gateway.jit.intrinsics import PYTHON_ENTRIES
-from gateway.jit.settings import BOUNDSCHECK, COMPILED, MAY_COMPILE, USE_SHIPPED
+from gateway.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -33,10 +33,6 @@ _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)
 
 #: One thread compiles at a time.
 _lock = threading.RLock()
-
-#: Called with each entry that was made ready: kernel, forms, key (for what ships them).
-observers: list[Callable[[Any, tuple[Form, ...], str], None]] = []
-
 
 class Entry:
     """Machine code of a kernel for one signature.
@@ -177,9 +173,7 @@ class Kernel:
         signature = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
         code = self._shipped(signature)
         if code is None:
-            code = self._made(arguments, self._key(signature))
-        for observer in observers:
-            observer(self, arguments, signature)
+            code = self._made(arguments, signature)
         address = machine.load(code.symbol, code.needs, code.code)
         return Entry(self.__qualname__, arguments, address, code.results)
 
@@ -213,12 +207,13 @@ class Kernel:
     def _file(self) -> str:
         return f"{self.__module__.removeprefix('gateway.')}.{self.__qualname__}".replace("<", "_")
 
-    def _made(self, arguments: tuple[Form, ...], key: str) -> cache.Code:
+    def _made(self, arguments: tuple[Form, ...], signature: str) -> cache.Code:
         """Return code that was compiled here, before or now."""
         from importlib.metadata import version  # noqa: PLC0415
 
         from gateway.jit import machine  # noqa: PLC0415
 
+        key = self._key(signature)
         tools = f"{version('numba')} {version('llvmlite')} {machine.architecture()} {BOUNDSCHECK}"
         full = hashlib.blake2b(f"{key} {tools}".encode(), digest_size=8).hexdigest()
         name = self._file()
@@ -228,8 +223,10 @@ class Kernel:
                 raise KernelError(f"{self.id} is not shipped, and nothing may be compiled")
             bitcode, results = self.compile(arguments, key)
             needs = machine.externals(bitcode)
-            code = cache.Code(symbol_of(key), results, needs, machine.translate(bitcode))
-            cache.write(name, full, code)
+            origin = {"kernel": self.id, "signature": signature, "key": key}
+            made = machine.translate(bitcode)
+            code = cache.Code(symbol_of(key), results, needs, made, origin)
+            cache.write(name, full, code, bitcode if BUILDING else b"")
         return code
 
     def compile(self, arguments: tuple[Form, ...], key: str) -> tuple[bytes, str]:
@@ -279,6 +276,3 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
         PYTHON_ENTRIES.append((step, records))
         return len(PYTHON_ENTRIES) - 1
     return cast(Kernel, step).entry(tuple(map(Rec, records))).address
-
-
-__all__ = ["Entry", "Kernel", "cells_of", "entry_point", "kernel", "observers", "symbol_of"]
