@@ -1,19 +1,31 @@
-"""``gateway warmup``: make every kernel ready, so that no start compiles."""
+"""``gateway warmup``: make the kernels of the daemon ready, so that no start compiles."""
 
 from __future__ import annotations
 
+import socket
 import time
 
+from gateway.app import Gateway
+from gateway.bus.base import Statistics
+from gateway.bus.can_structs import RawReceiver
 from gateway.cli.present import print_json
+from gateway.config import load_config
 from gateway.jit import cache_directory
-PARTS: dict = {}
+from gateway.monitors.registry import MONITORS
+from gateway.resources import shipped
 
 
 def warmup(*, json: bool) -> int:
-    """Load all kernels that the gateway's commands use, or compile those that changed; returns the exit code."""
+    """Load all kernels that a daemon uses, or compile those that changed; returns the exit code."""
     begun = time.monotonic()
-    for make_ready in PARTS.values():
-        make_ready()
+    for monitor in MONITORS.values():
+        _ = monitor.entry
+    config = load_config(shipped("gateway.toml"))
+    memory = config.memory.model_copy(update={"path": None})
+    Gateway(config.model_copy(update={"memory": memory})).close()
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        RawReceiver(ours, Statistics())
     seconds = time.monotonic() - begun
     if json:
         print_json({"seconds": seconds, "cache": str(cache_directory())})

@@ -25,6 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gateway.jit.addresses import address_of_array, address_of_record
+
 INT, UINT, FLOAT, BOOL, NONE = "i", "u", "f", "b", "n"
 
 _CODES = {INT: "q", UINT: "Q", FLOAT: "d", BOOL: "q", NONE: ""}
@@ -121,7 +123,7 @@ def cells_of(form: Form) -> int:
 
 def put_array(value: Any, cells: list[Any]) -> None:
     """Append the cells of an array."""
-    cells.append(value.ctypes.data)
+    cells.append(address_of_array(value))
     cells += value.shape
     cells += value.strides
 
@@ -134,7 +136,7 @@ def put(form: Form, value: Any, cells: list[Any]) -> None:
     elif isinstance(form, Arr):
         put_array(value, cells)
     elif isinstance(form, Rec):
-        cells.append(value.__array_interface__["data"][0])
+        cells.append(address_of_record(value))
     elif isinstance(form, Tup):
         for item, one in zip(form.items, value, strict=True):
             put(item, one, cells)
