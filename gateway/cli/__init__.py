@@ -59,8 +59,10 @@ def _main(
     ] = False,
 ) -> None:
     from gateway.cli.present import set_up_logging
+    from gateway.cli.progress import tell_of_kernels
 
     set_up_logging()
+    tell_of_kernels()
 
 
 @app.command()

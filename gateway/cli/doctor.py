@@ -76,6 +76,30 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
             print(f"    lost {bus['losses']} times {bus['reason']}".rstrip())
 
 
+def _kernels() -> dict[str, Any]:
+    """Return where the machine code of kernels comes from."""
+    there, changed = shipped.survey()
+    kept, size = cache.size()
+    return {
+        "compiled": COMPILED,
+        "shipped": there,
+        "changed": changed,
+        "cache": str(cache_directory()),
+        "cached": kept,
+        "cached_bytes": size,
+    }
+
+
+def _told(kernels: dict[str, Any]) -> str:
+    """Return one line about the kernels."""
+    if not COMPILED:
+        return "kernels run as plain Python (NUMBA_DISABLE_JIT is set, or llvmlite is missing): hundreds of times slower"
+    text = f"kernels: {kernels['shipped']} shipped"
+    if kernels["changed"]:
+        text += f" ({kernels['changed']} with changed sources: compiled when needed)"
+    return f"{text}, {kernels['cached']} compiled here ({kernels['cached_bytes'] / 1e6:.1f} MB in {kernels['cache']})"
+
+
 def doctor(
     config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool
 ) -> int:
@@ -88,6 +112,7 @@ def doctor(
     )
     code = 1 if running and not healthy else 0
     can, said = _socketcan()
+    kernels = _kernels()
     facts = {
         "gateway": __version__,
         "python": platform.python_version(),
@@ -95,8 +120,7 @@ def doctor(
         "socketcan": can,
         "interfaces": _interfaces(),
         "buffers": _kernel_buffers(),
-        "kernels_compiled": COMPILED,
-        "kernels": _kernels(),
+        "kernels": kernels,
         "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
     }
@@ -108,10 +132,7 @@ def doctor(
     if can:
         shown = ", ".join(_interfaces()) or "none; make one: ip link add dev vcan0 type vcan"
         print(f"CAN interfaces: {shown}")
-    if not COMPILED:
-        print("kernels run as plain Python (NUMBA_DISABLE_JIT is set): some hundred times slower")
-    else:
-        print(_told(facts["kernels"]))
+    print(_told(kernels))
     _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
     return code

@@ -6,7 +6,9 @@ import sys
 import time
 from typing import Any
 
+from gateway.cli.present import say
 from gateway.jit import cache, progress
+from gateway.jit.settings import LOADABLE
 
 #: Time between two lines where no terminal is [s].
 PERIOD_S = 5.0
@@ -73,5 +75,10 @@ class CompileProgress:
 
 def tell_of_kernels() -> None:
     """Have this process tell what it compiles, and what is wrong with its cache."""
+    if not LOADABLE:
+        say(
+            "llvmlite is missing: kernels run as plain Python, right but hundreds of times slower, too slow for a"
+            " bus (pip install llvmlite)"
+        )
     progress.listen(CompileProgress())
-    cache.say = lambda text: print(text, file=sys.stderr, flush=True)
+    cache.say = say

@@ -72,9 +72,7 @@ _SCALARS: dict[type, str] = {
     np.uint64: UINT,
     np.float64: FLOAT,
     np.float32: FLOAT,
-    **dict.fromkeys(
-        (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32), INT
-    ),
+    **dict.fromkeys((np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32), INT),
 }
 
 

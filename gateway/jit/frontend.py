@@ -15,7 +15,8 @@ from typing import Any
 import llvmlite.binding as llvm
 import numba
 from llvmlite import ir
-from numba.core import codegen, compiler, sigutils, types, typing
+from numba.core import codegen, compiler, sigutils, typing
+from numba.core import types as _types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.np import arrayobj
@@ -24,6 +25,8 @@ from gateway.errors import KernelError
 from gateway.jit import forms
 from gateway.jit.forms import Form
 from gateway.jit.settings import BOUNDSCHECK
+
+types: Any = _types
 
 #: Called with each function that was lowered.
 OnLowered = Callable[[str], None]
@@ -40,8 +43,10 @@ _OPTIONS = {
 _on_lowered: list[OnLowered] = []
 
 
-class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
+class _Library(codegen.JITCodeLibrary):
     """Code of a kernel that was lowered: linked into entries as it is."""
+
+    _shared_module: Any
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -66,7 +71,7 @@ def _widened(kind: Any) -> Any:
     return types.float64 if isinstance(kind, types.Float) else kind
 
 
-class Callee(CPUDispatcher):  # type: ignore[misc]
+class Callee(CPUDispatcher):
     """A kernel as kernels call it."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
@@ -278,7 +283,7 @@ def _reason(error: BaseException) -> str:
     return "\n  ".join(lines[:12])
 
 
-@global_compiler_lock  # type: ignore[untyped-decorator]
+@global_compiler_lock
 def lower(
     kernel: Any, arguments: tuple[Form, ...], symbol: str, on_lowered: OnLowered | None = None
 ) -> tuple[Any, Form]:

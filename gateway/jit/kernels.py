@@ -34,6 +34,7 @@ _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)
 #: One thread compiles at a time.
 _lock = threading.RLock()
 
+
 class Entry:
     """Machine code of a kernel for one signature.
 

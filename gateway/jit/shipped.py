@@ -53,6 +53,12 @@ def unchanged(found: dict[str, Any]) -> bool:
     return all(file_digest(files[k][0]) == files[k][1] for k in found["files"])
 
 
+def survey() -> tuple[int, int]:
+    """Return how many entries are shipped, and how many of these have sources that were changed since."""
+    entries = _index()["entries"].values()
+    return len(entries), sum(not unchanged(found) for found in entries)
+
+
 def code(found: dict[str, Any], architecture: str) -> Code | None:
     """Return the object code of an entry, None if there is none for this architecture, or it is damaged."""
     return _read(found, f"{architecture}/{found['name']}.o", found["objects"].get(architecture))

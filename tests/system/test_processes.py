@@ -238,5 +238,6 @@ def test_commands_for_scripts(tmp_path):
     assert {"fault": "crank.missed_pulse", "dtc": "P0336-29"}.items() <= good["faults"][0].items()
     assert "properties" in json.loads(gateway("check", "--schema", cwd=tmp_path).stdout)
     facts = json.loads(gateway("doctor", "--json", cwd=tmp_path).stdout)
-    assert facts["cache_warm"] is True
+    assert facts["kernels"]["compiled"] is True
+    assert facts["kernels"]["shipped"] > 20
     assert gateway("--version", cwd=tmp_path).stdout.startswith("gateway ")

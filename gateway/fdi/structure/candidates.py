@@ -240,7 +240,9 @@ def classify(
     tacit = s.tacit[:m]
     mso, equation = np.nonzero(msos)
     results = np.zeros((len(mso), 3), np.int64)
-    one, mate_one, owner_one = (np.zeros(size, np.int64) for size in (len(s.rows), len(s.rows), len(s.owner)))
+    one, mate_one, owner_one = (
+        np.zeros(size, np.int64) for size in (len(s.rows), len(s.rows), len(s.owner))
+    )
     variables = np.zeros(s.rows.shape[1], np.int64)
     equations = np.zeros(loops.shape[1] - len(variables), np.int64)
     done = 0

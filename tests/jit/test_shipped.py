@@ -1,0 +1,149 @@
+"""The compiled kernels that come with the package."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gateway
+from gateway.jit import COMPILED, shipped
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="not COMPILED: nothing is loaded")
+
+PACKAGE = Path(gateway.__file__).parent
+ROOT = PACKAGE.parent
+
+
+def run(program, *arguments, root=ROOT, cache="/dev/null/none", **environment):
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        cwd=root,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(root),
+            "GATEWAY_CACHE_DIR": str(cache),
+            **environment,
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+COMMAND = "import sys; from gateway.cli import main; sys.exit(main())"
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    ["crank_missed_tooth", "pedal_faults", "steering_healthy", "aircraft_faults", "hybrid_mass"],
+)
+def test_the_demos_compile_nothing_and_need_no_cache(scenario):
+    ended = run(COMMAND, "demo", scenario, GATEWAY_KERNELS="shipped")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+
+
+def test_the_daemon_s_kernels_and_the_structural_analysis_compile_nothing():
+    assert run(COMMAND, "warmup", GATEWAY_KERNELS="shipped").returncode == 0
+    assert run(COMMAND, "structure", "example_1", GATEWAY_KERNELS="shipped").returncode == 0
+
+
+def test_numba_is_not_imported_where_nothing_is_compiled():
+    program = COMMAND.replace(
+        "sys.exit(main())", "\ntry: main()\nfinally: print('numba' in sys.modules)"
+    )
+    assert run(program, "demo").stdout.strip().endswith("False")
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """Return a copy of the package that a test may change."""
+    shutil.copytree(PACKAGE, tmp_path / "gateway", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("dbc", "scenarios", "configs", "models", "cycles"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "gateway.toml").symlink_to(ROOT / "gateway.toml")
+    return tmp_path
+
+
+MADE_READY = """
+from gateway.jit import progress
+names = set()
+progress.listen(lambda name, done, total: names.add(name))
+from gateway.cli.warmup import warmup
+warmup(json=True)
+print(sorted(names))
+"""
+
+
+def edit(file, old, new):
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+def test_a_comment_compiles_nothing(copy):
+    edit(copy / "gateway/cli/bus.py", '"""', '# a comment\n"""')
+    edit(copy / "gateway/monitors/brake_pedal/diagnosis.py", '"""', '# a comment\n"""')
+    ended = run(MADE_READY, root=copy, GATEWAY_KERNELS="shipped")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip().endswith("[]")
+
+
+def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
+    edit(
+        copy / "gateway/monitors/linear_observer.py", "s.samples > c.start", "s.samples >= c.start"
+    )
+    ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
+
+
+def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
+    for path in (copy / "gateway/precompiled").glob("*/monitors.linear_observer.*"):
+        path.write_bytes(path.read_bytes()[:-1] + b"x")
+    ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
+
+
+def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
+    shutil.rmtree(copy / "gateway/precompiled/x86_64")
+    shutil.rmtree(copy / "gateway/precompiled/aarch64")
+    cache = tmp_path / "cache"
+    ended = run(MADE_READY, root=copy, cache=cache, GATEWAY_KERNELS="shipped")
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip().endswith("[]")
+    first = {path: path.stat().st_mtime_ns for path in (cache / "kernels").iterdir()}
+    assert any("engine.loop.run" in path.name for path in first)
+    assert run(MADE_READY, root=copy, cache=cache, GATEWAY_KERNELS="shipped").returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in (cache / "kernels").iterdir()} == first
+
+
+def test_without_the_loader_of_machine_code_kernels_run_as_plain_python(tmp_path):
+    """The end of the load order: slow, and right."""
+    program = """
+import importlib.util, sys
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == "llvmlite" else found(name, *rest)
+sys.modules["llvmlite"] = sys.modules["numba"] = None
+from gateway.signals.crc import ALGORITHMS
+from gateway.jit import COMPILED
+from gateway.cli import main
+assert not COMPILED
+main()
+"""
+    ended = run(program, "check")
+    assert ended.returncode == 0, ended.stderr
+    assert "llvmlite" in ended.stderr
+
+
+def test_every_entry_that_is_shipped_is_there_for_both_architectures():
+    index = shipped._index()
+    assert len(index["entries"]) > 20
+    for found in index["entries"].values():
+        assert shipped.bitcode(found) is not None
+        for architecture in ("x86_64", "aarch64"):
+            assert shipped.code(found, architecture) is not None
