@@ -1,6 +1,6 @@
 # syntax=docker/dockerfile:1
 
-# Build: a wheel, a virtual environment with it, and the compiled kernels.
+# Build: a virtual environment with the package, which brings its compiled kernels.
 FROM python:3.13-slim AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE gateway.toml ./
@@ -10,18 +10,15 @@ COPY scenarios ./scenarios
 COPY configs ./configs
 COPY cycles ./cycles
 COPY models ./models
-ENV GATEWAY_CACHE_DIR=/opt/gateway/cache
 RUN python -m venv /opt/gateway/venv \
-    && /opt/gateway/venv/bin/pip install --no-cache-dir . \
-    && /opt/gateway/venv/bin/gateway warmup
+    && /opt/gateway/venv/bin/pip install --no-cache-dir .
 
-# Run: no compiler, no source, not root. The kernels are compiled for the building machine's kind of
-# processor; on another one the first start compiles them anew.
+# Run: no compiler, no source, not root.
 FROM python:3.13-slim
 RUN useradd --system --uid 10001 --home-dir /var/lib/gateway --create-home gateway
 COPY --from=build --chown=gateway:gateway /opt/gateway /opt/gateway
 ENV PATH=/opt/gateway/venv/bin:$PATH \
-    GATEWAY_CACHE_DIR=/opt/gateway/cache \
+    GATEWAY_CACHE_DIR=/var/lib/gateway/cache \
     GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite \
     PYTHONUNBUFFERED=1
 USER 10001
@@ -29,7 +26,7 @@ WORKDIR /var/lib/gateway
 VOLUME /var/lib/gateway
 STOPSIGNAL SIGTERM
 # Healthy while the daemon runs and its buses are open.
-HEALTHCHECK --interval=30s --timeout=10s --start-period=180s CMD ["gateway", "doctor", "--running"]
+HEALTHCHECK --interval=30s --timeout=10s --start-period=30s CMD ["gateway", "doctor", "--running"]
 ENTRYPOINT ["gateway"]
 # With --network host the interfaces are the host's: docker run --network host IMAGE. An interface that is not there
 # yet is waited for. Your own: docker run --network host -v $PWD/bench:/bench IMAGE run /bench/gateway.toml
