@@ -1,8 +1,8 @@
 """How long a start takes and how much it weighs, beside the commands of python-can and cantools, in one run.
 
 CPU seconds (user and system), wall time and largest resident memory of one process each; the least of several runs, with
-bytecode and kernels there. The peers run as one installs them, without asammdf, which python-can loads where it finds it;
-ours runs with what is installed here. Then a start on an empty cache of kernels, what an import of each spends its time
+bytecode and kernels there. The peers run as one installs them, without asammdf and matplotlib, which they load where they find
+them; ours runs with what is installed here. Then a start on an empty cache of kernels, what an import of each spends its time
 on, and what is to be installed. Nothing here imports the gateway: a child's memory begins with its parent's.
 
     python bench/start.py [--runs 5] [--no-cold] [--no-wheel] [--json]
@@ -28,7 +28,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
-_ALONE = "import runpy, sys; sys.modules['asammdf'] = None; "
+_ALONE = "import runpy, sys; sys.modules['asammdf'] = sys.modules['matplotlib'] = None; "
 PEER = [
     *(sys.executable, "-c"),
     _ALONE + "del sys.argv[0]; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)",
