@@ -2,9 +2,9 @@
 
 Each function imports its work only when called, so that ``--help`` answers at once. Exit codes:
 0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input.
-"""
 
-from __future__ import annotations
+Annotations are values here, no texts: typer asks for all of them at each start, and would have each text compiled.
+"""
 
 import gc
 import sys
