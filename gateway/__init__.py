@@ -2,6 +2,6 @@
 
 __version__ = "0.1.0"
 
-from gateway.quick_start import import_can
+from gateway.postponed import postpone
 
-import_can()  # before anything here, or cantools, imports can
+postpone()  # before anything here imports cantools or can-isotp

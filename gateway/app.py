@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import structlog
 
 from gateway.assemble import Parts, assemble, identifiers_of, outputs_of
 from gateway.bus.frames import OWN, URGENT, Frames, empty
@@ -32,6 +31,7 @@ from gateway.faults.memory import FaultMemory, Observed
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.faults.store import Store
+from gateway.log import get_logger
 from gateway.monitors.shape import FAILED, PASSED
 from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
@@ -43,7 +43,7 @@ Listener = Callable[[dict[str, Any]], None]
 
 #: Frames of a batch that is looked at one by one.
 FEW = 16
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 _NOBODY = np.void(b"")
 _RESULTS = {PASSED: "passed", FAILED: "failed"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 from cantools.database.can import Message
@@ -141,7 +142,9 @@ def _emission(
     if emission is None:
         raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
     name = entry.send if isinstance(entry.send, str) else emission.message
-    for known in (database, *(load_database([shipped(file)]) for file in OWN_DATABASES)):
+    # One after the other: where the bus's own database has the message, no other is read.
+    own = (load_database([shipped(file)]) for file in OWN_DATABASES)
+    for known in chain([database], own):
         if any(message.name == name for message in known):
             found = known.message(name)
             missing = set(emission.signals) - {signal.name for signal in found.signals}

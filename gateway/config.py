@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of
@@ -102,12 +103,12 @@ class CatalogueFile(StrictModel):
     did: tuple[DidParams, ...] = ()
 
 
-class Config(BaseSettings):
-    """A whole gateway."""
+#: What a variable of the environment begins with that overrides the file, and what stands between its levels.
+_PREFIX, _BETWEEN = "GATEWAY_", "__"
 
-    model_config = SettingsConfigDict(
-        extra="forbid", frozen=True, env_prefix="GATEWAY_", env_nested_delimiter="__"
-    )
+
+class Config(StrictModel):
+    """A whole gateway."""
 
     name: str = "gateway"
     bus: tuple[BusConfig, ...] = Field(min_length=1)
@@ -129,18 +130,6 @@ class Config(BaseSettings):
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"
     )
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Let the environment win over the file."""
-        return env_settings, init_settings
 
     def bus_index(self, name: str | None) -> int:
         """Return the index of a bus.
@@ -280,6 +269,41 @@ def _with_catalogues(config: Config, folder: Path) -> Config:
     return config.model_copy(update={"fault": faults, "did": tuple(dids)})
 
 
+def _environment_says_something() -> bool:
+    """Tell whether a variable of the environment overrides a key of the configuration."""
+    names = (name.upper() for name in os.environ)
+    keys = {
+        name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)
+    }
+    return any(name.upper() in keys for name in Config.model_fields)
+
+
+@cache
+def _with_environment() -> type[Config]:
+    """Return the configuration's model with the environment before the file."""
+    from pydantic_settings import (  # noqa: PLC0415 - slow to load
+        BaseSettings,
+        PydanticBaseSettingsSource,
+        SettingsConfigDict,
+    )
+
+    class Settings(Config, BaseSettings):
+        model_config = SettingsConfigDict(env_prefix=_PREFIX, env_nested_delimiter=_BETWEEN)
+
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return env_settings, init_settings
+
+    return Settings
+
+
 def load_config(path: Path) -> Config:
     """Read a configuration; relative database paths become relative to its folder.
 
@@ -289,7 +313,7 @@ def load_config(path: Path) -> Config:
     """
     data: dict[str, Any] = read_toml(path)
     try:
-        config = Config(**data)
+        config = (_with_environment() if _environment_says_something() else Config)(**data)
     except ValidationError as error:
         raise input_errors(error, path, data=data) from error
     folder = path.parent

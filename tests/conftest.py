@@ -3,8 +3,9 @@
 import os
 
 import pytest
-import structlog
 from hypothesis import settings
+
+from gateway import log
 
 # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
 settings.register_profile("local", deadline=None, print_blob=True)
@@ -38,4 +39,4 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True)
 def _plain_logging():
     """Log lines go to this test's standard error, whatever a test of the command line has set up."""
-    structlog.reset_defaults()
+    log.reset()

@@ -8,12 +8,14 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-
-import can
+from typing import TYPE_CHECKING
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, put_message, to_message
 from gateway.errors import BusError, InputError
+
+if TYPE_CHECKING:
+    import can
 
 #: Messages kept between two reads; beyond that the oldest are dropped and counted.
 QUEUE = 65536

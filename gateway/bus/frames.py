@@ -10,13 +10,15 @@ frame's own clock in integer nanoseconds.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import can
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
+
+if TYPE_CHECKING:
+    import can
 
 EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
 REMOTE = 0x4000_0000  # CAN_RTR_FLAG
@@ -135,6 +137,8 @@ def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 
 
 def to_message(frame: np.void, channel: Any = None) -> can.Message:
     """Return one frame as a python-can message; ``timestamp`` is float seconds there."""
+    import can  # noqa: PLC0415 - slow to load
+
     can_id = int(frame["can_id"])
     flags = int(frame["flags"])
     return can.Message(

@@ -13,8 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import structlog
-
 from gateway.bus.socketcand import (
     Parts,
     extended_frame,
@@ -29,8 +27,6 @@ from gateway.errors import BusError
 QUEUE = 20_000
 #: A plain client's first frames wait so long [s]: python-can wants the answer to rawmode alone.
 HOLD_S = 0.05
-
-log = structlog.get_logger(__name__)
 
 
 @dataclass

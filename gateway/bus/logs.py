@@ -6,14 +6,15 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
-
-import can
+from typing import TYPE_CHECKING, Protocol, Self
 
 from gateway.bus.candump import CandumpWriter, parse
 from gateway.bus.frames import Frames, empty, put_message, to_message
 from gateway.errors import InputError
-from gateway.quick_start import load_mf4
+from gateway.extras import need
+
+if TYPE_CHECKING:
+    import can
 
 #: Suffix -> what it is.
 FORMATS = {
@@ -32,7 +33,7 @@ def _checked_suffix(path: Path) -> str:
         known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
         raise InputError(f"a log is one of {known}", file=path)
     if suffix == ".mf4":
-        load_mf4()
+        need("mf4", "MF4 logs", file=path)
     return suffix
 
 
@@ -112,6 +113,8 @@ class LogReader:
                 return
 
     def _messages(self) -> Iterator[can.Message]:
+        import can  # noqa: PLC0415 - slow to load
+
         with can.LogReader(self.path) as reader:
             file = getattr(reader, "file", None)
             for number, message in enumerate(reader):
@@ -142,6 +145,8 @@ class _Sink(Protocol):
 
 class _PythonCanWriter:
     def __init__(self, path: Path) -> None:
+        import can  # noqa: PLC0415 - slow to load
+
         self._logger = can.Logger(path)
 
     def write(self, frames: Frames) -> None:

@@ -13,19 +13,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-import structlog
 from pydantic import Field
 
 from gateway.bus.frames import Frames
 from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
 from gateway.errors import InputError
+from gateway.log import get_logger
 from gateway.tomlfile import StrictModel
 
 _NAME = re.compile(r"^frames-(\d{6,})-\d{8}T\d{6}Z\.(log|blf)$")
 #: After a failure (disk full) the next attempt waits so long [s].
 PAUSE_S = 1.0
 
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 
 class RingParams(StrictModel):

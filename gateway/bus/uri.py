@@ -5,8 +5,6 @@ from __future__ import annotations
 import ipaddress
 from urllib.parse import parse_qsl
 
-import can
-
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Bus
 from gateway.bus.loopback import DEFAULT_ADDRESS, DEFAULT_BUS, LoopbackBus
@@ -99,6 +97,15 @@ def open_bus(uri: str, index: int = 0, *, patience_s: float = 10.0) -> Bus:
         if not isinstance(rcvbuf, int) or isinstance(rcvbuf, bool) or rcvbuf <= 0:
             raise InputError("rcvbuf is a number of bytes", key="uri", value=rcvbuf)
         return SocketCanBus(uri, index, place, fd=bool(options.get("fd", True)), rcvbuf=rcvbuf)
+    return _python_can_bus(uri, index, scheme, place, options)
+
+
+def _python_can_bus(
+    uri: str, index: int, scheme: str, place: str, options: dict[str, object]
+) -> Bus:
+    """Open a bus of python-can, which is loaded for these only."""
+    import can  # noqa: PLC0415 - slow to load
+
     if scheme == "virtual":
         options = {"preserve_timestamps": True, **options}
     elif scheme not in can.VALID_INTERFACES:

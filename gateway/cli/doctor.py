@@ -11,10 +11,18 @@ from typing import Any
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
 from gateway.config import load_config
+from gateway.extras import EXTRAS, PURPOSES, installed
 from gateway.faults.service import daemon_state
 from gateway.jit import COMPILED, cache, cache_directory, shipped
 
-_LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic", "asammdf")
+_LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
+
+
+def _extras() -> dict[str, str | None]:
+    """Return the version of each extra's package; None where it is not installed."""
+    return {
+        extra: version(package) if installed(extra) else None for extra, package in EXTRAS.items()
+    }
 
 
 def _socketcan() -> tuple[bool, str]:
@@ -123,6 +131,7 @@ def doctor(
         "kernels": kernels,
         "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
+        "extras": _extras(),
     }
     if json:
         print_json(facts)
@@ -135,4 +144,7 @@ def doctor(
     print(_told(kernels))
     _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
+    for extra, found in _extras().items():
+        if found is None:
+            print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
     return code

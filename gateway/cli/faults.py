@@ -7,9 +7,6 @@ import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 from gateway.cli.present import find_config, print_json, status_text, wide_console
 from gateway.config import load_config
 from gateway.faults import service
@@ -34,6 +31,9 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(entries)
         return 0
+    from rich.console import Console  # noqa: PLC0415 - slow to load
+    from rich.table import Table  # noqa: PLC0415
+
     table = Table("DTC", "fault", "status", "occurrence", "first", "last", "frames", box=None)
     for entry in entries:
         table.add_row(
@@ -90,6 +90,8 @@ def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(found)
         return 0
+    from rich.table import Table  # noqa: PLC0415 - slow to load
+
     table = Table("DTC", "fault", "near misses", "greatest detection counter", box=None)
     for entry in found:
         table.add_row(

@@ -3,40 +3,21 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
-
-import structlog
-from rich.console import Console
-from rich.markup import escape
+from typing import TYPE_CHECKING, Any
 
 from gateway.errors import InputError
 from gateway.faults.status import Status
 from gateway.resources import shipped
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 #: Columns of a table that does not go to a terminal.
 WIDTH = 180
-
-
-def set_up_logging() -> None:
-    """Send log lines to stderr: readable on a terminal, JSON elsewhere."""
-    terminal = sys.stderr.isatty()
-    structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso"),
-            structlog.processors.format_exc_info,
-            structlog.dev.ConsoleRenderer() if terminal else structlog.processors.JSONRenderer(),
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-        cache_logger_on_first_use=True,
-    )
 
 
 def say(text: str) -> None:
@@ -46,6 +27,8 @@ def say(text: str) -> None:
 
 def wide_console() -> Console:
     """Return a console for wide tables, which stay wide in a file or a pipe."""
+    from rich.console import Console  # noqa: PLC0415 - slow to load
+
     console = Console()
     return console if console.is_terminal else Console(width=WIDTH)
 
@@ -83,6 +66,8 @@ class EventPrinter:
         self._json = as_json
         self.start_ns = start_ns
         self.failures = 0
+        from rich.console import Console  # noqa: PLC0415 - slow to load
+
         self._console = Console(highlight=False, soft_wrap=True)
 
     def __call__(self, event: dict[str, Any]) -> None:
@@ -116,10 +101,12 @@ class EventPrinter:
                 f"{k} {'-' if v is None else format(v, '.6g')}"
                 for k, v in event["evidence"].items()
             )
-            self._console.print(escape(f"{'':14}evidence: {shown}"), style="dim")
+            self._console.print(f"{'':14}evidence: {shown}", style="dim", markup=False)
 
     def _bus(self, event: dict[str, Any]) -> None:
         if event["state"] in ("open", "lost"):
+            from rich.markup import escape  # noqa: PLC0415 - slow to load
+
             colour = "green" if event["state"] == "open" else "bold red"
             text = f"{self._time(event)}  bus {event['bus']} [{colour}]{event['state']}[/]  "
             self._console.print(text + escape(event["reason"] or event["uri"]))

@@ -14,6 +14,7 @@ from rich.table import Table
 from gateway.cli.present import find_shipped, print_json, wide_console
 from gateway.errors import InputError
 from gateway.evaluate.structure.analysis import Analysis, Test, analyse, as_dict
+from gateway.extras import need
 from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.isolability import Isolability
@@ -243,6 +244,10 @@ def structure(
     """Analyse a structural model; returns the exit code."""
     if plot is not None and plot.suffix not in _FORMATS:
         raise InputError(f"a picture is {', '.join(_FORMATS)}", key="--plot", value=str(plot))
+    if plot is not None:
+        need("studies", "pictures", key="--plot")
+    if residual is not None:
+        need("structure", "residual generators", key="--residual")
     model = load_model(find_shipped(name, "models", "model"))
     console = wide_console()
     if sensors is not None:

@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from gateway.app import Gateway, prepare
 from gateway.bus.ring import Ring
 from gateway.bus.uri import open_bus
@@ -19,8 +17,9 @@ from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
+from gateway.log import get_logger
 
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 
 class Daemon:

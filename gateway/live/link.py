@@ -11,20 +11,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 
 import numpy as np
-import structlog
 
 from gateway.bus.base import Bus, Statistics
 from gateway.bus.conditions import LOSS, LOST, RUNNING, condition_frame
 from gateway.bus.frames import Frames, empty
 from gateway.errors import BusError, UnsupportedError
 from gateway.live.transmit import Transmitter
+from gateway.log import get_logger, load
 
 #: First and longest wait before a bus that is gone is tried again [s].
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.05, 0.8
 #: Frames taken at one call.
 BATCH = 256
 
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 #: Opens a bus: URI and index.
 Opener = Callable[[str, int], Bus]
@@ -78,6 +78,7 @@ class Link:
             UnsupportedError: this system has no such kind of bus.
             InputError: not a URI of a bus.
         """
+        load()  # not when the first line comes, with frames waiting
         try:
             self._open()
         except UnsupportedError:

@@ -10,12 +10,12 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
-import structlog
 
 from gateway.bus.conditions import LOST, RUNNING
 from gateway.bus.frames import ERROR, OWN, Frames
 from gateway.live.link import Link
 from gateway.live.merge import Merger
+from gateway.log import get_logger
 
 #: Without traffic, time is let pass this far behind the clock, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.
@@ -33,7 +33,7 @@ TURN = 16
 #: The same, when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
 
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 
 class Tap(Protocol):

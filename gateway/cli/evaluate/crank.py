@@ -10,7 +10,6 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
-from gateway.evaluate.crank.figures import draw
 from gateway.evaluate.crank.table import (
     KINDS,
     Alarms,
@@ -21,6 +20,7 @@ from gateway.evaluate.crank.table import (
     fault_jobs,
     monte_carlo,
 )
+from gateway.extras import need
 
 
 def _share(value: float) -> str:
@@ -71,12 +71,18 @@ def _alarm_table(rows: list[Alarms]) -> Table:
 
 def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
+    if plot is not None:
+        need("studies", "figures", key="--plot")
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy))
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
-    files = [] if plot is None else draw(plot, seed)
+    files: list[Path] = []
+    if plot is not None:
+        from gateway.evaluate.crank.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, seed)
     if json:
         print_json(
             {

@@ -12,8 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
-from gateway.evaluate.hybrid.conditions import CONDITIONS, Compared, compare
-from gateway.evaluate.hybrid.figures import CHARGE, NOISE, draw
+from gateway.evaluate.hybrid.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
 from gateway.evaluate.hybrid.table import (
     DISTURBANCES,
     FAULTS,
@@ -24,6 +23,7 @@ from gateway.evaluate.hybrid.table import (
     disturbed,
     firing,
 )
+from gateway.extras import need
 from gateway.vecu.truck_params import TruckFault
 
 
@@ -97,6 +97,8 @@ def _finite(row: Row) -> dict[str, object]:
 
 def hybrid(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the tests of the hybrid powertrain; returns the exit code."""
+    if plot is not None:
+        need("studies", "figures", key="--plot")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         cases = 1 + len(FAULTS) * len(ONSETS)
@@ -114,7 +116,11 @@ def hybrid(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
         compare(noisy, fault, seed=k, healthy=k + 10_000, first_charge=CHARGE)
         for k in range(seed, seed + seeds)
     ]
-    files = [] if plot is None else draw(plot, seed)
+    files: list[Path] = []
+    if plot is not None:
+        from gateway.evaluate.hybrid.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, seed)
     if json:
         print_json(
             {

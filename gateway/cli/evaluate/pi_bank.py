@@ -12,8 +12,8 @@ from gateway.cli.present import print_json, say, wide_console
 from gateway.evaluate.pi_bank import example
 from gateway.evaluate.pi_bank.bank import Quiet, quiet
 from gateway.evaluate.pi_bank.continuous import observe, spans
-from gateway.evaluate.pi_bank.figures import draw
 from gateway.evaluate.pi_bank.holdout import Row, holdout
+from gateway.extras import need
 
 
 def _span(found: list[tuple[float, float]]) -> str:
@@ -87,12 +87,18 @@ def _quiet_table(rows: list[Quiet]) -> Table:
 
 def pi_bank(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the bank of PI observers; returns the exit code."""
+    if plot is not None:
+        need("studies", "figures", key="--plot")
     paper = _paper()
     if cases:
         say(f"{cases} random cases, seeds from {seed} on ...")
     rows = holdout(cases, seed) if cases else []
     flown = [quiet(sigma, hours, seed) for sigma in (0.005, example.NOISE)] if hours else []
-    files = [] if plot is None else draw(plot, rows)
+    files: list[Path] = []
+    if plot is not None:
+        from gateway.evaluate.pi_bank.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, rows)
     if json:
         print_json(
             {

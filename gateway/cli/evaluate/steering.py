@@ -14,9 +14,9 @@ from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.steering import operations
 from gateway.evaluate.steering.estimators import Accuracy, accuracy
 from gateway.evaluate.steering.estimators import jobs as accuracy_jobs
-from gateway.evaluate.steering.figures import draw
 from gateway.evaluate.steering.symptoms import Combination
 from gateway.evaluate.steering.table import CASES, Health, Score, monte_carlo, plan, structure
+from gateway.extras import need
 from gateway.fdi.stopping import RULES
 
 #: Seeds of the estimators' table.
@@ -185,6 +185,8 @@ def steering(
     *, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None
 ) -> int:
     """Evaluate the steering monitor; returns the exit code."""
+    if plot is not None:
+        need("studies", "figures", key="--plot")
     todo = [job for job in plan(runs, healthy, seed) if runs or not job[0]]
     first = accuracy_jobs(SEEDS)
     with Progress(console=Console(stderr=True), transient=True) as bar:
@@ -197,7 +199,11 @@ def steering(
             task = bar.add_task("rules", total=9)
             combinations = structure(runs, healthy, seed, lambda: bar.advance(task))
     loads = operations.table()
-    files = [] if plot is None else draw(plot, scores, seed)
+    files: list[Path] = []
+    if plot is not None:
+        from gateway.evaluate.steering.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, scores, seed)
     if json:
         print_json(
             {

@@ -12,9 +12,9 @@ from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
 from gateway.evaluate.voters.cases import STROKES
-from gateway.evaluate.voters.figures import draw
 from gateway.evaluate.voters.follow import VOTERS
 from gateway.evaluate.voters.table import FAULTS, RATES, VALUES, Score, monte_carlo, plan
+from gateway.extras import need
 
 
 def _share(value: float) -> str:
@@ -99,11 +99,17 @@ def _tables(scores: list[Score]) -> list[Table]:
 
 def voters(*, runs: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the voters; returns the exit code."""
+    if plot is not None:
+        need("studies", "figures", key="--plot")
     todo = plan(runs, seed) if runs else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("voters", total=len(todo))
         scores = monte_carlo(todo, lambda: bar.advance(task))
-    files = [] if plot is None else draw(plot, scores, seed)
+    files: list[Path] = []
+    if plot is not None:
+        from gateway.evaluate.voters.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, scores, seed)
     if json:
         print_json(
             {

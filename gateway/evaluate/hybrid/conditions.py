@@ -19,6 +19,8 @@ from gateway.vecu.truck_params import TruckFault, TruckParams
 Array = NDArray[np.float64]
 
 CONDITIONS = ("(39)", "(41)", "(45)", "always")
+#: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.
+NOISE, CHARGE = 5.0, 6000.0
 #: Place of T4 of ICDS among the residuals.
 _T4 = 3
 #: T is not limited here, as in the paper.

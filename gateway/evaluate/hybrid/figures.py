@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.evaluate.drawing import save
-from gateway.evaluate.hybrid.conditions import CONDITIONS, Compared, compare
+from gateway.evaluate.hybrid.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
 from gateway.evaluate.hybrid.follow import RESIDUALS, Trace, calibrated, follow, inputs
 from gateway.evaluate.hybrid.table import TRUCK
 from gateway.monitors.hybrid_powertrain.observer import ENGINE, GENERATOR, MASS, MOTOR, SLOPE
@@ -18,8 +18,6 @@ from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.monitors.hybrid_powertrain.records import T4_ABSOLUTE, T4_MIXED, T4_SIGNED
 from gateway.vecu.truck_params import TruckFault
 
-#: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.
-NOISE, CHARGE = 5.0, 6000.0
 #: Parts of the cycle that the figures show [s].
 _TWO_WINDOWS, _LONG_WINDOW = (440.0, 620.0), (1560.0, 1700.0)
 _EFFICIENCY = TruckFault(kind="machine_efficiency", from_s=0.0)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 Array = NDArray[np.float64]
 
@@ -34,6 +33,8 @@ class Gain:
 
 def with_noise(phi: Array, c: Array, gain: Array, q: Array, r: Array) -> Gain:
     """Return a gain with its covariances, for white noise on states (q) and outputs (r)."""
+    from scipy.linalg import solve_discrete_lyapunov  # noqa: PLC0415 - slow to load
+
     f = phi - gain @ c
     error = solve_discrete_lyapunov(f, gain @ r @ gain.T + q)
     return Gain(gain, error, c @ error @ c.T + r)
@@ -45,6 +46,8 @@ def from_noise(phi: Array, c: Array, q: Array, r: Array) -> Gain:
     Raises:
         ValueError: there is none: something neither dies out nor is observed, or is not driven by any noise.
     """
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - slow to load
+
     try:
         error = solve_discrete_are(phi.T, c.T, q, r)
     except np.linalg.LinAlgError as error_:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm, null_space
 
 Array = NDArray[np.float64]
 
@@ -90,6 +89,8 @@ def discretised(
         raise ValueError(f"c has {z.shape[1]} columns, a has {n}")
     if discrete:
         return LinearPlant(x, y, z, period)
+    from scipy.linalg import expm  # noqa: PLC0415 - slow to load
+
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = x, y
     whole = expm(block * period)
@@ -114,6 +115,8 @@ def unobservable(phi: Array, c: Array, names: tuple[str, ...] = ()) -> str:
         c: shape (p, n).
         names: of the states; default x1, x2, ...
     """
+    from scipy.linalg import null_space  # noqa: PLC0415 - slow to load
+
     hidden = null_space(observability(phi, c), rcond=1e-10)
     if hidden.shape[1] == 0:
         return ""
