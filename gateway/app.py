@@ -134,6 +134,7 @@ class Gateway:
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
+        self.engine.warm()
         self.controls.start_cycle(t_ns)
 
     def stop(self, t_ns: int) -> None:
@@ -412,7 +413,7 @@ class Gateway:
 
 
 def prepare(config: Config, file: Path | None = None) -> Parts:
-    """Build what needs no fault memory; its kernels are ready. May be done in a thread beside a running gateway.
+    """Build what needs no fault memory; may be done in a thread beside a running gateway.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.

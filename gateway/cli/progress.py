@@ -6,9 +6,7 @@ import sys
 import time
 from typing import Any
 
-from gateway.cli.present import say
-from gateway.jit import cache, progress
-from gateway.jit.settings import LOADABLE
+from gateway import progress
 
 #: Time between two lines where no terminal is [s].
 PERIOD_S = 5.0
@@ -75,10 +73,10 @@ class CompileProgress:
 
 def tell_of_kernels() -> None:
     """Have this process tell what it compiles, and what is wrong with its cache."""
-    if not LOADABLE:
-        say(
-            "llvmlite is missing: kernels run as plain Python, right but hundreds of times slower, too slow for a"
-            " bus (pip install llvmlite)"
-        )
     progress.listen(CompileProgress())
-    cache.say = say
+    progress.say = say
+
+
+def say(text: str) -> None:
+    """Tell a person something that is not data."""
+    print(text, file=sys.stderr, flush=True)

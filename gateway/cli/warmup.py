@@ -22,7 +22,9 @@ def warmup(*, json: bool) -> int:
         _ = monitor.entry
     config = load_config(shipped("gateway.toml"))
     memory = config.memory.model_copy(update={"path": None})
-    Gateway(config.model_copy(update={"memory": memory})).close()
+    gateway = Gateway(config.model_copy(update={"memory": memory}))
+    gateway.start(0)
+    gateway.close()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         RawReceiver(ours, Statistics())

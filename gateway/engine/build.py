@@ -141,7 +141,6 @@ def build_engine(
         own = [plan.slot(*reference) for reference in references]
         waived = {plan.message(*message) for message in optional}
         rows = sorted({int(plan.slot_message[slot]) for slot in own} - waived)
-        h["entry"] = m.monitor.entry
         h["state"], h["const"] = state.ctypes.data, const.ctypes.data
         h["inputs"] = cells
         h["first_slot"], h["slots"] = len(slots), len(own)

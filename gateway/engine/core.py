@@ -57,15 +57,23 @@ class Engine:
         self.monitors = monitors
         self._states = states
         self._consts = consts  # the handlers hold its address
-        run: Any = loop.run
-        examples = (_NO_FRAMES, _NO_CELLS, 0, NEVER)
-        self._run: Callable[..., int] = (
-            run.bind(tables, rest=examples) if COMPILED else partial(run, tables)
-        )
+        self._run: Callable[..., int] = self._first_run
 
     def state_of(self, monitor: int) -> Any:
         """Return the state records of a monitor, shape (1,)."""
         return self._states[monitor]
+
+    def warm(self) -> None:
+        """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
+        for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):
+            handler["entry"] = instance.monitor.entry
+        run: Any = loop.run
+        examples = (_NO_FRAMES, _NO_CELLS, 0, NEVER)
+        self._run = run.bind(self.tables, rest=examples) if COMPILED else partial(run, self.tables)
+
+    def _first_run(self, *arguments: Any) -> int:
+        self.warm()
+        return self._run(*arguments)
 
     @property
     def now_ns(self) -> int:

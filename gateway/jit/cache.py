@@ -10,26 +10,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gateway import progress
 from gateway.jit.settings import cache_directory
 
-_MAGIC = b"gateway kernel 1\n"
+_MAGIC = b"gateway kernel 2\n"
 _DIGEST = 16
 
 #: Files of one kernel that are kept: the newest.
 KEPT = 8  # of all its signatures
 
-
-def _say_nothing(_text: str) -> None:
-    """Take a line of a process that nobody listens to."""
-
-
-#: Takes a line for people; the command line sets it.
-say: Callable[[str], None] = _say_nothing
 
 _said: set[str] = set()
 
@@ -37,7 +30,7 @@ _said: set[str] = set()
 def _say_once(text: str) -> None:
     if text not in _said:
         _said.add(text)
-        say(text)
+        progress.say(text)
 
 
 @dataclass(frozen=True)

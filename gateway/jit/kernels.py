@@ -17,8 +17,9 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from gateway import progress
 from gateway.errors import KernelError
-from gateway.jit import cache, progress, shipped
+from gateway.jit import cache, shipped
 from gateway.jit.closure import Closure
 from gateway.jit.forms import Form, Rec, Tup, code_of, form_of, parse_results, put, take, text_of
 from gateway.jit.intrinsics import PYTHON_ENTRIES

@@ -12,6 +12,8 @@ import importlib.util
 import os
 from pathlib import Path
 
+from gateway import progress
+
 
 def _on(name: str) -> bool:
     return os.environ.get(name, "") not in ("", "0")
@@ -19,6 +21,12 @@ def _on(name: str) -> bool:
 
 #: Whether the loader of machine code is there. Without it kernels run as plain Python: right, but hundreds of times slower.
 LOADABLE: bool = importlib.util.find_spec("llvmlite") is not None
+
+if not LOADABLE:
+    progress.say(
+        "llvmlite is missing: kernels run as plain Python, right but hundreds of times slower, too slow for a bus"
+        " (pip install llvmlite)"
+    )
 
 #: True when kernels are compiled; False under ``NUMBA_DISABLE_JIT=1``, or where llvmlite is missing.
 COMPILED: bool = LOADABLE and not _on("NUMBA_DISABLE_JIT")

@@ -172,7 +172,9 @@ class Daemon:
                 key="memory.path",
                 value=str(config.memory.path),
             )
-        return Prepared(config, prepare(config, self._path))
+        parts = prepare(config, self._path)
+        parts.engine.warm()  # the loop's thread compiles nothing
+        return Prepared(config, parts)
 
     def _change(self, new: Prepared) -> None:
         """Go on with another configuration; what cannot be built or opened changes nothing."""

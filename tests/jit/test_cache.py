@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from gateway import progress
 from gateway.jit import COMPILED, cache
 from gateway.jit.cache import Code
 
@@ -16,10 +17,10 @@ CODE = Code("gateway_1", "i", ("sqrt",), b"\x00code\n\xff" * 50, {"kernel": "a:b
 #: A process that compiles a kernel of a file, says what it said, and prints 5.
 PROGRAM = """
 import sys
-from gateway.jit import cache, progress
+from gateway import progress
 import mine
 said = []
-cache.say = said.append
+progress.say = said.append
 compiled = []
 progress.listen(lambda name, done, total: compiled.append(name) if done == 0 else None)
 assert mine.plus(2, 3) == 5
@@ -38,7 +39,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def said(monkeypatch):
     lines = []
-    monkeypatch.setattr(cache, "say", lines.append)
+    monkeypatch.setattr(progress, "say", lines.append)
     return lines
 
 

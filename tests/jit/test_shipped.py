@@ -69,7 +69,7 @@ def copy(tmp_path):
 
 
 MADE_READY = """
-from gateway.jit import progress
+from gateway import progress
 names = set()
 progress.listen(lambda name, done, total: names.add(name))
 from gateway.cli.warmup import warmup
