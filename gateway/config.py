@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors import bus_health, communication
@@ -168,15 +168,39 @@ class Config(BaseSettings):
         return share_address(uds, obd, same_bus=same_bus)
 
 
-def channels_of(config: Config) -> dict[str, int] | None:
-    """Return which names in a log stand for which bus; None: there is one bus, and all is on it."""
-    if len(config.bus) == 1:
+def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | None:
+    """Return which names in a log stand for which bus; None: there is one bus, and all is on it.
+
+    Args:
+        config: the configuration.
+        maps: further names, ``"channel=bus"`` each. With one bus, only these and its own names are on it then.
+
+    Raises:
+        InputError: a map that is none, to a bus that is not there, or of a channel that has another.
+    """
+    if len(config.bus) == 1 and not maps:
         return None
-    names = {f"can{k}": k for k in range(len(config.bus))}  # as our logs call buses without a name
-    names |= {str(k): k for k in range(len(config.bus))}
+    names = {}
+    if len(config.bus) > 1:
+        names = {
+            f"can{k}": k for k in range(len(config.bus))
+        }  # as our logs call buses without a name
+        names |= {str(k): k for k in range(len(config.bus))}
     for k, bus in enumerate(config.bus):
         names |= {bus.name: k, bus.channel: k}
-    return names
+    known = [bus.name for bus in config.bus]
+    joined: dict[str, int] = {}
+    for text in maps:
+        channel, equals, name = text.rpartition("=")
+        if not equals or not channel:
+            raise InputError("channel=bus, e.g. vcan7=chassis", key="--map", value=text)
+        if name not in known:
+            hint = nearest(name, known)
+            raise InputError(f"the buses are {', '.join(known)}{hint}", key="--map", value=text)
+        index = known.index(name)
+        if joined.setdefault(channel, index) != index:
+            raise InputError("this channel is joined to another bus", key="--map", value=text)
+    return names | joined
 
 
 def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
@@ -187,8 +211,9 @@ def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
     """
     monitor = MONITORS.get(entry.type)
     if monitor is None:
-        known = ", ".join(sorted(MONITORS))
-        raise InputError(f"the types are {known}", key="type", value=entry.type)
+        known = sorted(MONITORS)
+        text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
+        raise InputError(text, key="type", value=entry.type)
     return monitor, validate(dict(entry.model_extra or {}), monitor.params, None)
 
 

@@ -40,6 +40,14 @@ ConfigArgument = Annotated[
 MemoryOption = Annotated[
     Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")
 ]
+Maps = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="CHANNEL=BUS",
+        help="Take a channel of the log as a bus of the configuration; may be repeated.",
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[
     Path, typer.Argument(help="Scenario file, or the name of a shipped one.")
@@ -279,13 +287,24 @@ def calibrate(
     into: Annotated[
         bool, typer.Option("--write", help="Put the thresholds into the configuration.")
     ] = False,
+    maps: Maps = None,
     json: Json = False,
 ) -> None:
     """Find thresholds of stopping rules and CUSUM tests from healthy logs, and say how far these carry."""
     from gateway.cli.calibrate import calibrate_logs as work
 
-    found = work(config, logs, mtfa=mtfa, margin=margin, floor=floor, into=into, json=json)
-    raise typer.Exit(found)
+    raise typer.Exit(
+        work(
+            config,
+            logs,
+            mtfa=mtfa,
+            margin=margin,
+            floor=floor,
+            into=into,
+            maps=maps or (),
+            json=json,
+        )
+    )
 
 
 @app.command()
@@ -339,7 +358,10 @@ def record(
 def replay(
     log: Annotated[
         Path,
-        typer.Argument(help="candump .log, .asc, .blf, .mf4, .trc, .csv, or a folder of segments."),
+        typer.Argument(
+            help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst;"
+            " or a folder of segments."
+        ),
     ],
     config: Annotated[
         Path | None,
@@ -347,14 +369,35 @@ def replay(
             "--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."
         ),
     ] = None,
+    maps: Maps = None,
     memory: MemoryOption = None,
+    allow_empty: Annotated[
+        bool,
+        typer.Option(
+            "--allow-empty", help="A log without a frame of a configured bus is no error."
+        ),
+    ] = False,
+    allow_cut: Annotated[
+        bool, typer.Option("--allow-cut", help="A log that is cut off at its end is no error.")
+    ] = False,
     json: Json = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
     """Run a recorded log through the monitors. Without --memory no fault memory is touched."""
     from gateway.cli.replay import replay as work
 
-    raise typer.Exit(work(log, config, memory=memory, json=json, fail_on_dtc=fail_on_dtc))
+    raise typer.Exit(
+        work(
+            log,
+            config,
+            memory=memory,
+            maps=maps or (),
+            allow_empty=allow_empty,
+            allow_cut=allow_cut,
+            json=json,
+            fail_on_dtc=fail_on_dtc,
+        )
+    )
 
 
 @app.command()

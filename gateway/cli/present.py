@@ -36,7 +36,7 @@ def set_up_logging() -> None:
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-        cache_logger_on_first_use=True,
+        cache_logger_on_first_use=False,  # lines are rare, and what set this up may be called again
     )
 
 
@@ -106,6 +106,9 @@ class EventPrinter:
             self._bus(event)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
+        elif event["event"] == "log":
+            for note in event["notes"]:
+                self._console.print(f"log: {escape(note)}")
         elif event["event"] == "summary":
             self._summary(event)
 

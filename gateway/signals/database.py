@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 import cantools
@@ -13,15 +12,10 @@ from cantools.database.can import Database as CanDatabase
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 
 _LINE = re.compile(r"line (\d+)")
 _SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
-
-
-def _suggest(name: str, known: Sequence[str]) -> str:
-    close = get_close_matches(name, known, n=3, cutoff=0.5)
-    return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
 class Database:
@@ -60,7 +54,7 @@ class Database:
             raise InputError(f"several messages have this name, in {files}", value=name)
         if found is None:
             known = list(self._messages)
-            raise InputError(f"no message {name!r} in the database{_suggest(name, known)}")
+            raise InputError(f"no message {name!r} in the database{nearest(name, known)}")
         return found
 
     def signal(self, message: str, name: str) -> Signal:
@@ -74,7 +68,7 @@ class Database:
             if signal.name == name:
                 return signal
         known = [signal.name for signal in found.signals]
-        raise InputError(f"no signal {name!r} in message {message!r}{_suggest(name, known)}")
+        raise InputError(f"no signal {name!r} in message {message!r}{nearest(name, known)}")
 
 
 def load_database(paths: Sequence[Path]) -> Database:
