@@ -10,11 +10,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
 
 from gateway.bus.ring import RingParams
-from gateway.bus.uri import channel_of
+from gateway.bus.uri import channel_of, parse_uri
 from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
@@ -45,6 +50,15 @@ class BusConfig(StrictModel):
     health: bus_health.Params = Field(
         bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
     )
+
+    @field_validator("uri")
+    @classmethod
+    def _uri_can_be_opened(cls, uri: str) -> str:
+        try:
+            parse_uri(uri)
+        except InputError as error:
+            raise ValueError(error.message) from error
+        return uri
 
     @property
     def channel(self) -> str:
@@ -203,18 +217,22 @@ def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | No
     return names | joined
 
 
-def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
+def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor, MonitorParams]:
     """Return the type and the parameters of a configured monitor.
 
+    Args:
+        entry: of the configuration.
+        key: its key path there, for errors.
+
     Raises:
-        InputError, InputErrors: no such type; wrong parameters. Keys are relative to the entry.
+        InputError, InputErrors: no such type; wrong parameters.
     """
     monitor = MONITORS.get(entry.type)
     if monitor is None:
         known = sorted(MONITORS)
         text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
-        raise InputError(text, key="type", value=entry.type)
-    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None)
+        raise InputError(text, key=f"{key}.type" if key else "type", value=entry.type)
+    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None, key)
 
 
 def _cross_check(config: Config) -> Iterator[InputError]:
@@ -225,14 +243,11 @@ def _cross_check(config: Config) -> Iterator[InputError]:
                 yield InputError("this name is taken", key=f"{kind}[{k}].name", value=name)
     for k, entry in enumerate(config.monitor):
         try:
-            monitor_of(entry)
+            monitor_of(entry, f"monitor[{k}]")
         except InputErrors as errors:
-            for error in errors.errors:
-                # An error of the monitor as a whole has no key of its own; its value would be everything.
-                key = f"monitor[{k}].{error.key}" if error.key else f"monitor[{k}]"
-                yield InputError(error.message, key=key, value=error.value if error.key else None)
+            yield from errors.errors
         except InputError as error:
-            yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
+            yield error
         try:
             config.bus_index(entry.bus)
         except InputError as error:
@@ -316,7 +331,12 @@ def load_config(path: Path) -> Config:
     try:
         config = Config(**data)
     except ValidationError as error:
-        raise input_errors(error, path, data=data) from error
+        raise input_errors(error, path, data=data, model=Config) from error
+    except (
+        SettingsError
+    ) as error:  # a variable of the environment that is no JSON where a table belongs
+        text = f"the environment: {error}: {error.__cause__ or 'not readable'}"
+        raise InputError(text, file=path) from error
     folder = path.parent
     config = _with_catalogues(config, folder)
     wrong = [

@@ -9,7 +9,7 @@ from pathlib import Path
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the names closest to one that is not there, "" if none is close."""
-    names = list(known)
+    names = list(dict.fromkeys(known))
     folded = {other.casefold(): other for other in names}
     same = folded.get(name.casefold())
     close = [same] if same else get_close_matches(name, names, n=3, cutoff=0.5)

@@ -37,10 +37,15 @@ INSIDE = "inside"
 
 
 def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
-    scenario = load_scenario(find_scenario(name))
+    file = find_scenario(name)
+    scenario = load_scenario(file)
     config = load_config(scenario.config)
     buses = {bus.name: index for index, bus in enumerate(config.bus)}
-    return scenario, config, Player(scenario, buses, seed=seed)
+    databases = {index: bus.database for index, bus in enumerate(config.bus)}
+    try:
+        return scenario, config, Player(scenario, buses, seed=seed, databases=databases)
+    except InputError as error:
+        raise error.within(file) from error
 
 
 def _finding_event(finding: Finding) -> dict[str, Any]:

@@ -28,6 +28,7 @@ class Database:
     """
 
     def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:
+        self._files = dict.fromkeys(str(file) for _, file in messages)
         count = Counter(message.name for message, _ in messages)
         self._messages = {m.name: m for m, _ in messages if count[m.name] == 1}
         self._ambiguous = {
@@ -54,7 +55,8 @@ class Database:
             raise InputError(f"several messages have this name, in {files}", value=name)
         if found is None:
             known = list(self._messages)
-            raise InputError(f"no message {name!r} in the database{nearest(name, known)}")
+            where = ", ".join(self._files) or "a database: this bus has none"
+            raise InputError(f"no message {name!r} in {where}{nearest(name, known)}")
         return found
 
     def signal(self, message: str, name: str) -> Signal:
