@@ -58,8 +58,8 @@ def replay(
             allow_cut=allow_cut,
         )
         summary = gateway.summary(seconds)
-        if found.left_out < found.frames and not summary["decoded"] and _has_databases(config):
-            found.notes.append("none of its frames is in the databases of the configuration")
+        if found.left_out < found.frames and not summary["decoded"] and _watches(config):
+            found.notes.append("none of its frames is one that a monitor or check here wants")
         printer(found.event())
         printer(summary)
     finally:
@@ -69,8 +69,8 @@ def replay(
     return 1 if fail_on_dtc and printer.failures else 0
 
 
-def _has_databases(config: Config) -> bool:
-    return any(bus.database for bus in config.bus)
+def _watches(config: Config) -> bool:
+    return bool(config.monitor) or any(bus.check for bus in config.bus)
 
 
 def _feed(

@@ -147,9 +147,9 @@ def test_one_bus_takes_all_channels_and_says_so(replay, tmp_path):
     assert chosen.event("log")["channels"]["can3"] == {"bus": None, "frames": 60}
 
 
-def test_a_log_of_nothing_that_the_databases_know(replay, tmp_path):
+def test_a_log_of_nothing_that_is_watched(replay, tmp_path):
     (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
-    assert "none of its frames is in the databases" in replay("a.log").out
+    assert "none of its frames is one that a monitor or check here wants" in replay("a.log").out
 
 
 def test_many_frames_of_another_channel_do_not_end_the_log(tmp_path):
