@@ -14,7 +14,7 @@ from gateway.monitors.registry import MONITORS
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     """Check a configuration; returns the exit code."""
     if schema_wanted:
-        print_json(schema())
+        print_json(schema(), indent=2)
         return 0
     path = find_config(config_path)
     try:

@@ -13,6 +13,7 @@ from typing import Any
 import structlog
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from gateway.errors import InputError
 from gateway.faults.status import Status
@@ -45,10 +46,30 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+class _Folding(Console):
+    """Folds what is too long for its column of a table, and never cuts it; titles are as wide as the screen."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print; see rich."""
+        for item in objects:
+            if isinstance(item, Table):
+                for column in item.columns:
+                    column.overflow = "fold"
+                if item.title:
+                    super().print(item.title, style="italic", soft_wrap=True)
+                    item.title = None
+        super().print(*objects, **options)
+
+
 def wide_console() -> Console:
     """Return a console for wide tables, which stay wide in a file or a pipe."""
-    console = Console()
-    return console if console.is_terminal else Console(width=WIDTH)
+    console = _Folding()
+    return console if console.is_terminal else _Folding(width=WIDTH)
+
+
+def table_of(*headers: str) -> Table:
+    """Return a table without lines, for as many columns as a screen has."""
+    return Table(*headers, box=None, pad_edge=False)
 
 
 def say_if_cold() -> None:
@@ -70,8 +91,8 @@ def strict(value: Any) -> Any:
     return value
 
 
-def print_json(value: Any, *, indent: int | None = 2) -> None:
-    """Print one JSON document."""
+def print_json(value: Any, *, indent: int | None = None) -> None:
+    """Print one JSON document, on one line: what ``--json`` prints is JSON Lines everywhere."""
     print(json.dumps(strict(value), indent=indent), flush=True)
 
 
@@ -99,7 +120,7 @@ class EventPrinter:
         if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
             self.failures += 1
         if self._json:
-            print_json(event, indent=None)
+            print_json(event)
         elif event["event"] == "dtc":
             self._dtc(event)
         elif event["event"] == "bus":
