@@ -165,11 +165,8 @@ def test_many_frames_of_another_channel_do_not_end_the_log(tmp_path):
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".csv", ".mf4"])
 def test_an_empty_log_is_no_good_log(replay, tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
-    if suffix in (".log", ".blf"):
+    if suffix in (".log", ".blf", ".mf4"):
         with open_writer(path):
-            pass
-    elif suffix == ".mf4":
-        with can.Logger(path):
             pass
     else:
         path.write_text("")
@@ -242,6 +239,50 @@ def test_a_blf_that_its_recorder_did_not_finish(replay, tmp_path):
     logger.stop()
     assert ended.code == 2
     assert "its recorder did not finish the file" in ended.err
+    assert replay(path, config="one.toml").code == 0
+
+
+def ends_of_containers(data):
+    """Where the top objects of a BLF file end (16 bytes of header: mark, sizes, type)."""
+    at, ends = 144, []
+    while data[at : at + 4] == b"LOBJ":
+        size = int.from_bytes(data[at + 8 : at + 12], "little")
+        at += size + size % 4
+        ends.append(at)
+    return ends
+
+
+def test_a_blf_cut_between_two_containers_is_shorter_than_it_says(replay, tmp_path):
+    path = written(tmp_path, ".blf")
+    whole = path.read_bytes()
+    ends = ends_of_containers(whole)
+    assert ends[-1] == len(whole)
+    path.write_bytes(whole[: ends[-3]])
+    ended = replay(path, config="one.toml")
+    assert ended.code == 2
+    assert f"{ends[-3]} bytes of {len(whole)}" in ended.err
+
+
+def test_a_blf_cut_first_and_compressed_then(replay, tmp_path):
+    """Its size says nothing; that its last container is short does."""
+    path = written(tmp_path, ".blf")
+    packed = tmp_path / "drive.blf.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes()[:-10]))
+    ended = replay(packed, config="one.toml")
+    assert ended.code == 2
+    assert "cut off after frame" in ended.err
+
+
+def test_an_asc_that_its_recorder_did_not_finish(replay, tmp_path):
+    path = written(tmp_path, ".asc")
+    text = path.read_text()
+    assert "End TriggerBlock" in text
+    path.write_text(text[: text.index("End TriggerBlock")])
+    ended = replay(path, "--json", config="one.toml")
+    assert ended.code == 2
+    assert "its trigger block has no end" in ended.err
+    assert ended.event("summary")["frames"] == 400
+    path.write_text(text.rstrip("\n"))
     assert replay(path, config="one.toml").code == 0
 
 
