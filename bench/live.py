@@ -57,7 +57,7 @@ def write_config(folder: Path) -> Path:
     """Write the configuration of the gateway."""
     dbc = 'VERSION ""\nNS_ :\nBS_:\nBU_: Ecu Gateway\n'
     toml = 'name = "live"\n'
-    toml += '[[bus]]\nname = "b"\nuri = "test:live"\ndatabase = ["live.dbc"]\n'
+    toml += '[[bus]]\nname = "b"\nuri = "virtual:live"\ndatabase = ["live.dbc"]\n'
     faults = ""
     for k in range(MESSAGES):
         dbc += MESSAGE.format(id=BASE + k, k=k)

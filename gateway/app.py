@@ -123,6 +123,7 @@ class Gateway:
         self.controls.go_on()
         self._listeners = old._listeners
         self.event_count = old.event_count
+        self._note_catalogue()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
         names = {name: k for k, name in enumerate(self._parts.cycles)}
@@ -135,6 +136,7 @@ class Gateway:
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
         self.engine.warm()
+        self._note_catalogue()
         self.controls.start_cycle(t_ns)
 
     def stop(self, t_ns: int) -> None:
@@ -250,6 +252,14 @@ class Gateway:
             self.store.save_buses(states)
         except GatewayError as error:
             log.warning("state of the buses not written", error=str(error))
+
+    def _note_catalogue(self) -> None:
+        """Keep what the faults are called where ``gateway faults`` can see it without the configuration."""
+        told = {d.id: (d.description, d.severity, d.remedy) for d in self.catalogue}
+        try:
+            self.store.save_catalogue(told)
+        except GatewayError as error:
+            log.warning("descriptions of the faults not written", error=str(error))
 
     def _on_events(self, events: Events) -> None:
         self.event_count += len(events)

@@ -7,16 +7,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from gateway.bus.ring import RingParams
-from gateway.bus.uri import channel_of
-from gateway.errors import InputError, InputErrors
+from gateway.bus.uri import channel_of, parse_uri
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors import bus_health, communication
@@ -46,6 +46,15 @@ class BusConfig(StrictModel):
     health: bus_health.Params = Field(
         bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
     )
+
+    @field_validator("uri")
+    @classmethod
+    def _uri_can_be_opened(cls, uri: str) -> str:
+        try:
+            parse_uri(uri)
+        except InputError as error:
+            raise ValueError(error.message) from error
+        return uri
 
     @property
     def channel(self) -> str:
@@ -157,28 +166,57 @@ class Config(StrictModel):
         return share_address(uds, obd, same_bus=same_bus)
 
 
-def channels_of(config: Config) -> dict[str, int] | None:
-    """Return which names in a log stand for which bus; None: there is one bus, and all is on it."""
-    if len(config.bus) == 1:
-        return None
-    names = {f"can{k}": k for k in range(len(config.bus))}  # as our logs call buses without a name
-    names |= {str(k): k for k in range(len(config.bus))}
-    for k, bus in enumerate(config.bus):
-        names |= {bus.name: k, bus.channel: k}
-    return names
+def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | None:
+    """Return which names in a log stand for which bus; None: there is one bus, and all is on it.
 
-
-def monitor_of(entry: MonitorConfig) -> tuple[Monitor, MonitorParams]:
-    """Return the type and the parameters of a configured monitor.
+    Args:
+        config: the configuration.
+        maps: further names, ``"channel=bus"`` each. With one bus, only these and its own names are on it then.
 
     Raises:
-        InputError, InputErrors: no such type; wrong parameters. Keys are relative to the entry.
+        InputError: a map that is none, to a bus that is not there, or of a channel that has another.
+    """
+    if len(config.bus) == 1 and not maps:
+        return None
+    names = {}
+    if len(config.bus) > 1:
+        names = {
+            f"can{k}": k for k in range(len(config.bus))
+        }  # as our logs call buses without a name
+        names |= {str(k): k for k in range(len(config.bus))}
+    for k, bus in enumerate(config.bus):
+        names |= {bus.name: k, bus.channel: k}
+    known = [bus.name for bus in config.bus]
+    joined: dict[str, int] = {}
+    for text in maps:
+        channel, equals, name = text.rpartition("=")
+        if not equals or not channel:
+            raise InputError("channel=bus, e.g. vcan7=chassis", key="--map", value=text)
+        if name not in known:
+            hint = nearest(name, known)
+            raise InputError(f"the buses are {', '.join(known)}{hint}", key="--map", value=text)
+        index = known.index(name)
+        if joined.setdefault(channel, index) != index:
+            raise InputError("this channel is joined to another bus", key="--map", value=text)
+    return names | joined
+
+
+def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor, MonitorParams]:
+    """Return the type and the parameters of a configured monitor.
+
+    Args:
+        entry: of the configuration.
+        key: its key path there, for errors.
+
+    Raises:
+        InputError, InputErrors: no such type; wrong parameters.
     """
     monitor = MONITORS.get(entry.type)
     if monitor is None:
-        known = ", ".join(sorted(MONITORS))
-        raise InputError(f"the types are {known}", key="type", value=entry.type)
-    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None)
+        known = sorted(MONITORS)
+        text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
+        raise InputError(text, key=f"{key}.type" if key else "type", value=entry.type)
+    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None, key)
 
 
 def _cross_check(config: Config) -> Iterator[InputError]:
@@ -189,14 +227,11 @@ def _cross_check(config: Config) -> Iterator[InputError]:
                 yield InputError("this name is taken", key=f"{kind}[{k}].name", value=name)
     for k, entry in enumerate(config.monitor):
         try:
-            monitor_of(entry)
+            monitor_of(entry, f"monitor[{k}]")
         except InputErrors as errors:
-            for error in errors.errors:
-                # An error of the monitor as a whole has no key of its own; its value would be everything.
-                key = f"monitor[{k}].{error.key}" if error.key else f"monitor[{k}]"
-                yield InputError(error.message, key=key, value=error.value if error.key else None)
+            yield from errors.errors
         except InputError as error:
-            yield InputError(error.message, key=f"monitor[{k}].{error.key}", value=error.value)
+            yield error
         try:
             config.bus_index(entry.bus)
         except InputError as error:
@@ -304,6 +339,17 @@ def _with_environment() -> type[Config]:
     return Settings
 
 
+def _overridden(data: dict[str, Any], path: Path) -> Config:
+    """Return a configuration with what the environment overrides."""
+    from pydantic_settings import SettingsError  # noqa: PLC0415 - slow to load
+
+    try:
+        return _with_environment()(**data)
+    except SettingsError as error:  # a variable that is no JSON where a table belongs
+        text = f"the environment: {error}: {error.__cause__ or 'not readable'}"
+        raise InputError(text, file=path) from error
+
+
 def load_config(path: Path) -> Config:
     """Read a configuration; relative database paths become relative to its folder.
 
@@ -313,9 +359,9 @@ def load_config(path: Path) -> Config:
     """
     data: dict[str, Any] = read_toml(path)
     try:
-        config = (_with_environment() if _environment_says_something() else Config)(**data)
+        config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:
-        raise input_errors(error, path, data=data) from error
+        raise input_errors(error, path, data=data, model=Config) from error
     folder = path.parent
     config = _with_catalogues(config, folder)
     wrong = [

@@ -55,6 +55,7 @@ def drive(
     on_frames: Callable[[Frames], None] | None = None,
     on_report: Callable[[DtcReport], None] | None = None,
     on_step: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> None:
     """Play a scenario to a gateway and read its DTC frames as a tester would.
 
@@ -65,6 +66,7 @@ def drive(
         on_frames: called with each step's frames as the gateway got them.
         on_report: called with each DTC frame, decoded.
         on_step: called at the end of each step with its time [ns].
+        stop: tells to end early; the operation cycle ends then.
     """
     database = shipped("dbc/gateway.dbc")
     uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
@@ -79,6 +81,8 @@ def drive(
         gateway.start(0)
         until = 0
         for until, frames in player.batches():
+            if stop():
+                break
             arrived = []
             for index, ecu in enumerate(ecus):
                 mine = frames[frames["bus"] == index]

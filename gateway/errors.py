@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the names closest to one that is not there, "" if none is close."""
+    names = list(dict.fromkeys(known))
+    folded = {other.casefold(): other for other in names}
+    same = folded.get(name.casefold())
+    close = [same] if same else get_close_matches(name, names, n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
 class GatewayError(Exception):

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, nearest
 
 M = TypeVar("M", bound=BaseModel)
+
+#: As many keys are listed when none is close to an unknown one.
+MOST_KEYS = 16
 
 
 class StrictModel(BaseModel):
@@ -70,8 +73,95 @@ def _place(location: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
     return tuple(place)
 
 
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models that an annotation names, in tuples, unions, ... too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _models_at(
+    model: type[BaseModel] | None, place: tuple[int | str, ...]
+) -> list[type[BaseModel]]:
+    """Return the models that stand at a place of a model."""
+    found = [] if model is None else [model]
+    for part in place:
+        fields = [of.model_fields[part] for of in found if part in of.model_fields]
+        if fields:  # else a number, the name of a union's member, or of an entry of a dictionary
+            found = [inner for field in fields for inner in _models(field.annotation)]
+    return found
+
+
+def _toml_name(key: str) -> str:
+    return re.sub(r"\[\d+\]", "", key)
+
+
+def _unknown(name: str, models: list[type[BaseModel]]) -> str:
+    known = sorted({field for model in models for field in model.model_fields})
+    close = nearest(name, known)
+    if close or not 0 < len(known) <= MOST_KEYS:
+        return f"unknown key{close}"
+    return f"unknown key; the keys here are {', '.join(known)}"
+
+
+def _missing(key: str, name: str, models: list[type[BaseModel]]) -> str:
+    for model in models:
+        field = model.model_fields.get(name)
+        if field is None:
+            continue
+        text = f": {field.description}" if field.description else ""
+        tables = get_origin(field.annotation) is tuple and _models(field.annotation)
+        return f"this key is missing{text}" + (
+            f"; write a table [[{_toml_name(key)}]] for each" if tables else ""
+        )
+    return "this key is missing"
+
+
+def _expected(detail: Any) -> list[str]:
+    context = detail.get("ctx", {})
+    return re.findall(r"'([^']*)'", str(context.get("expected_tags") or context.get("expected")))
+
+
+def _explained(
+    detail: Any, place: tuple[int | str, ...], key: str, model: type[BaseModel] | None
+) -> tuple[str, str, object]:
+    """Return one of pydantic's errors as (key, message, value)."""
+    kind, value = detail["type"], detail["input"]
+    message = detail["msg"].removeprefix("Value error, ")
+    inside = _models_at(model, place[:-1])
+    name = str(place[-1]) if place else ""
+    if kind == "extra_forbidden":
+        return key, _unknown(name, inside), None
+    if kind == "missing":
+        return key, _missing(key, name, inside), None
+    if kind == "tuple_type":
+        if isinstance(value, dict):
+            toml = _toml_name(key)
+            return key, f"a list of tables: write [[{toml}]], with two brackets", None
+        return key, "a list: write [...]", value
+    if kind in ("model_type", "dict_type") and isinstance(value, list):
+        return key, f"one table: write [{_toml_name(key)}], with one bracket", None
+    if kind == "union_tag_not_found":
+        tag = str(detail["ctx"]["discriminator"]).strip("'")
+        return f"{key}.{tag}", "this key is missing: it tells which kind this is", None
+    if kind in ("union_tag_invalid", "ecu_type") and isinstance(value, dict):
+        tag = str(detail.get("ctx", {}).get("discriminator", "type")).strip("'")
+        known = _expected(detail) or re.findall(r"\w+", message.partition(" are ")[2])
+        given = str(value.get(tag))
+        text = f"there are {', '.join(known)}{nearest(given, known)}"
+        return f"{key}.{tag}", text, value.get(tag)
+    if kind == "literal_error" and isinstance(value, str):
+        message += nearest(value, _expected(detail))
+    return key, message, value
+
+
 def input_errors(
-    error: ValidationError, file: Path | None, prefix: str = "", *, data: Any = None
+    error: ValidationError,
+    file: Path | None,
+    prefix: str = "",
+    *,
+    data: Any = None,
+    model: type[BaseModel] | None = None,
 ) -> InputErrors:
     """Turn pydantic's error into ours, one entry for each key.
 
@@ -80,25 +170,22 @@ def input_errors(
         file: where the data stand.
         prefix: key path of the data in it.
         data: what was validated.
+        model: what it was validated against, for the names that there are.
     """
     found = []
     details = error.errors(include_url=False)
     places = [detail["loc"] for detail in details]
     for detail in details:
-        here = detail["loc"]
+        here = tuple(detail["loc"])
         inner = any(place[: len(here)] == here and place != here for place in places)
         if detail["type"] == "too_short" and inner:
             continue  # its items are there, but wrong
-        key = key_path(_place(tuple(here), data))
-        if prefix:
-            key = f"{prefix}.{key}" if key else prefix
-        message = detail["msg"].removeprefix("Value error, ")
-        value = None if detail["type"] in {"missing", "extra_forbidden"} else detail["input"]
-        if detail["type"] == "extra_forbidden":
-            message = "unknown key"
-        elif detail["type"] == "missing":
-            message = "this key is missing"
-        found.append(InputError(message, file=file, key=key, value=value))
+        place = _place(here, data)
+        own = key_path(place)
+        key = f"{prefix}.{own}" if prefix and own else own or prefix
+        key, message, value = _explained(detail, place, key, model)
+        # An error of the data as a whole has no key of its own; its value would be everything.
+        found.append(InputError(message, file=file, key=key, value=value if place else None))
     return InputErrors(found)
 
 
@@ -111,7 +198,7 @@ def validate(data: dict[str, Any], model: type[M], file: Path | None, prefix: st
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise input_errors(error, file, prefix, data=data) from error
+        raise input_errors(error, file, prefix, data=data, model=model) from error
 
 
 def load(path: Path, model: type[M]) -> M:

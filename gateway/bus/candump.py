@@ -11,6 +11,7 @@ replay. So this format has a reader and a writer of its own.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -30,9 +31,11 @@ from gateway.bus.frames import (
     empty,
     payload,
 )
+from gateway.bus.log_source import CutOffError
 from gateway.errors import InputError
 
 _BAD_LINE = 'a line is "(seconds) interface ID#DATA"'
+_CUT = "cut off in this line"
 
 
 def _stamp(text: bytes) -> int:
@@ -76,20 +79,26 @@ def _body(text: bytes) -> tuple[int, int, bytes]:
 
 
 def parse(
-    lines: list[bytes], first_line: int, path: Path, channels: Mapping[str, int] | None
+    lines: list[bytes],
+    first_line: int,
+    path: Path,
+    channels: Mapping[str, int] | None,
+    seen: Counter[str],
 ) -> tuple[Frames, InputError | None]:
     """Read lines into a batch.
 
     Args:
-        lines: without their ends; empty ones are passed over.
+        lines: with their ends, which only the last of a file may lack; empty ones are passed over.
         first_line: number of the first.
         path: for errors.
         channels: interface -> bus index; None puts all on bus 0. Frames of others are left out.
+        seen: counts the frames of each interface, left out or not.
 
     Returns:
         the frames up to the first bad line, and the error there.
     """
     stamps, identifiers, flags, lengths, buses, contents = [], [], [], [], [], []
+    interfaces: list[bytes] = []
     wrong: InputError | None = None
     for number, line in enumerate(lines, start=first_line):
         words = line.split()
@@ -103,8 +112,12 @@ def parse(
             can_id, flag, content = _body(body)
         except (ValueError, IndexError):
             shown = line[:60].decode("ascii", "replace")
-            wrong = InputError(_BAD_LINE, file=path, line=number, value=shown)
+            if line.endswith(b"\n"):
+                wrong = InputError(_BAD_LINE, file=path, line=number, value=shown)
+            else:
+                wrong = CutOffError(_CUT, file=path, line=number, value=shown)
             break
+        interfaces.append(interface)
         bus = 0
         if channels is not None:
             found = channels.get(interface.decode("ascii", "replace"))
@@ -117,6 +130,7 @@ def parse(
         lengths.append(len(content))
         buses.append(bus)
         contents.append(content.ljust(64, b"\0"))
+    seen.update({n.decode("ascii", "replace"): k for n, k in Counter(interfaces).items()})
     frames = empty(len(stamps))
     frames["t_ns"] = stamps
     frames["can_id"] = identifiers
@@ -126,6 +140,21 @@ def parse(
     if contents:
         frames["data"] = np.frombuffer(b"".join(contents), np.uint8).reshape(-1, 64)
     return frames, wrong
+
+
+def cut_short(frames: Frames, before: Frames) -> bool:
+    """Tell whether a log's last frame is shorter than the one before it of the same identifier.
+
+    Args:
+        frames: the last batch, not empty; its last line has no end.
+        before: the batch before.
+    """
+    last = frames[-1]
+    for batch in (frames[:-1], before):
+        same = batch[(batch["can_id"] == last["can_id"]) & (batch["bus"] == last["bus"])]
+        if len(same):
+            return bool(last["length"] < same[-1]["length"])
+    return False
 
 
 def format_frame(frame: np.void, interface: str) -> str:

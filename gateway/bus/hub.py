@@ -6,11 +6,14 @@ controller would. A client that does not read loses its oldest frames; it never 
 
 from __future__ import annotations
 
+import errno
+import os
 import selectors
 import socket
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from gateway.bus.socketcand import (
@@ -22,6 +25,9 @@ from gateway.bus.socketcand import (
     split,
 )
 from gateway.errors import BusError
+from gateway.log import get_logger
+
+log = get_logger(__name__)
 
 #: Frames that wait for a slow client.
 QUEUE = 20_000
@@ -29,14 +35,23 @@ QUEUE = 20_000
 HOLD_S = 0.05
 
 
+def _spare() -> int | None:
+    """Return a descriptor to be given up when there is no other; None: not even this one."""
+    try:
+        return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+
+
 @dataclass
 class HubStatistics:
     """Counters of a hub."""
 
     frames: int = 0
-    dropped: int = 0  # for slow clients
+    dropped: int = 0  # frames and answers for slow clients
     inexpressible: int = 0  # FD and the like, for plain clients
     rejected: int = 0  # input that was no message
+    refused: int = 0  # connections, for lack of descriptors
 
 
 @dataclass(eq=False)
@@ -73,6 +88,7 @@ class Hub:
     ) -> None:
         self.statistics = HubStatistics()
         self._clock_ns = clock_ns
+        self._spare = _spare()
         self._selector = selectors.DefaultSelector()
         self._clients: list[_Client] = []
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -121,10 +137,20 @@ class Hub:
             self._drop(client)
         self._selector.unregister(self._server)
         self._server.close()
+        if self._spare is not None:
+            os.close(self._spare)
+            self._spare = None
         self._selector.close()
 
     def _accept(self) -> None:
-        connection, _ = self._server.accept()
+        try:
+            connection, _ = self._server.accept()
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                self._turn_away()
+            return  # else whoever wanted in is gone already
+        if self._spare is None:
+            self._spare = _spare()
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # Bounded, so that what waits for a slow client waits here, where it is counted.
@@ -134,12 +160,25 @@ class Hub:
         self._selector.register(connection, selectors.EVENT_READ, client)
         self._answer(client, "hi")
 
+    def _turn_away(self) -> None:
+        """End a connection that there is no descriptor for: left waiting it would keep the loop busy for ever."""
+        if self._spare is not None:
+            os.close(self._spare)
+            self._spare = None
+        with suppress(OSError):
+            self._server.accept()[0].close()
+        self._spare = _spare()
+        if not self.statistics.refused:
+            log.warning("no descriptors left: connections are refused", clients=len(self._clients))
+        self.statistics.refused += 1
+
     def _drop(self, client: _Client) -> None:
         self._clients.remove(client)
         self._selector.unregister(client.socket)
         client.socket.close()
 
     def _answer(self, client: _Client, text: str) -> None:
+        self._make_room(client)
         client.waiting.append(f"< {text} >".encode())
         self._write(client)
 
@@ -217,10 +256,14 @@ class Hub:
                     self.statistics.inexpressible += 1
                     continue
                 line = plain
-            if len(client.waiting) >= QUEUE:
-                client.waiting.popleft()
-                self.statistics.dropped += 1
+            self._make_room(client)
             client.waiting.append(line)
+
+    def _make_room(self, client: _Client) -> None:
+        """Give up the oldest of what waits for a client that does not read, be it frames or answers."""
+        if len(client.waiting) >= QUEUE:
+            client.waiting.popleft()
+            self.statistics.dropped += 1
 
     def _write(self, client: _Client) -> None:
         if client.held_until:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Literal
 from pydantic import Field
 
 from gateway.bus.frames import Frames
+from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
 from gateway.errors import InputError
 from gateway.log import get_logger
@@ -69,20 +71,33 @@ def _number(path: Path) -> int:
 class SegmentReader:
     """Reads the segments of a folder one after the other; an iterable of batches, once.
 
-    A segment that ends in a damaged place (power loss) is read up to there.
+    A segment that ends in a damaged place (power loss) is read up to there; the newest may be unfinished.
 
     Attributes:
         bytes_total: size of all segments [byte].
+        problems: what is wrong with which segment; not that the newest one is unfinished.
     """
 
     def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
+        self.path = folder
         self._readers = [read_log(path, channels=channels) for path in segments(folder)]
         self.bytes_total = sum(reader.bytes_total for reader in self._readers)
+        self.problems: list[InputError] = []
 
     @property
     def bytes_done(self) -> int:
         """How far reading is [byte]."""
         return sum(reader.bytes_done for reader in self._readers)
+
+    @property
+    def seen(self) -> Counter[str]:
+        """Frames of each interface in the segments so far, left out or not."""
+        return sum((reader.seen for reader in self._readers), Counter[str]())
+
+    @property
+    def passed_over(self) -> list[str]:
+        """What was no frame that can be read, one text each."""
+        return [text for reader in self._readers for text in reader.passed_over]
 
     def __iter__(self) -> Iterator[Frames]:
         for reader in self._readers:
@@ -91,11 +106,16 @@ class SegmentReader:
             except InputError as error:
                 log.warning("the rest of a segment is left out", error=str(error))
                 reader.bytes_done = reader.bytes_total
+                unfinished = reader is self._readers[-1] and isinstance(error, CutOffError)
+                if not unfinished:
+                    self.problems.append(error)
 
 
-def read_recording(
-    path: Path, channels: Mapping[str, int] | None = None
-) -> LogReader | SegmentReader:
+#: Either of them.
+Recorded = LogReader | SegmentReader
+
+
+def read_recording(path: Path, channels: Mapping[str, int] | None = None) -> Recorded:
     """Open a log, or a folder of segments.
 
     Args:

@@ -93,6 +93,7 @@ def _replay(
     failed: set[str],
     *,
     file: Path | None,
+    maps: Sequence[str],
     progress: Progress,
 ) -> tuple[float, dict[str, list[Any]]]:
     """Replay logs; returns their seconds, and each monitor's state at the end of each."""
@@ -103,7 +104,7 @@ def _replay(
         watch(gateway, failed)
         begun = last = 0
         try:
-            for frames in batches(config, path, progress):
+            for frames in batches(config, path, progress, maps):
                 if not begun:
                     begun = int(frames[0]["t_ns"])
                     gateway.start(begun)
@@ -166,6 +167,7 @@ def learn(
     margin: float = MARGIN,
     floor: float = FLOOR,
     file: Path | None = None,
+    maps: Sequence[str] = (),
     progress: Progress = lambda _: None,
 ) -> Found:
     """Find nu and thresholds of all CUSUM tests.
@@ -176,6 +178,7 @@ def learn(
         margin: Phi of (46), largest healthy T over the threshold, in ]0, 1].
         floor: least largest T, in units of nu.
         file: of the configuration, for errors.
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
         progress: called with the number of frames of each batch; each log is read twice.
 
     Raises:
@@ -185,7 +188,7 @@ def learn(
     if not chosen:
         raise refuse("CUSUM tests", file)
     failed: set[str] = set()
-    seconds, states = _replay(config, logs, chosen, failed, file=file, progress=progress)
+    seconds, states = _replay(config, logs, chosen, failed, file=file, maps=maps, progress=progress)
     typical = {}
     for each in chosen:
         if not any(each.calibration.sums(s)["samples"].any() for s in states[each.name]):
@@ -200,7 +203,7 @@ def learn(
         changes = {"nu": typical[each.name], "thresholds": never}
         entries[each.place] = entries[each.place].model_copy(update=changes)
     opened = config.model_copy(update={"monitor": tuple(entries)})
-    _, states = _replay(opened, logs, chosen, set(), file=file, progress=progress)
+    _, states = _replay(opened, logs, chosen, set(), file=file, maps=maps, progress=progress)
     rows: list[Quantity] = []
     for each in chosen:
         rows += _rows(each, states[each.name], typical[each.name], margin, floor)

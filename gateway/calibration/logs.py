@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -14,8 +14,9 @@ from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
 from gateway.config import Config, channels_of, monitor_of
-from gateway.errors import InputError
+from gateway.errors import InputError, InputErrors
 from gateway.monitors.shape import MonitorParams
+from gateway.replay import contents
 
 Progress = Callable[[int], None]
 Kind = TypeVar("Kind")
@@ -63,12 +64,25 @@ def digest(logs: Iterable[Path]) -> str:
     return total.hexdigest()[:12]
 
 
-def batches(config: Config, path: Path, progress: Progress) -> Iterator[Frames]:
-    """Yield a log's frames, batch by batch, without empty ones."""
-    for frames in read_recording(path, channels_of(config)):
+def batches(
+    config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()
+) -> Iterator[Frames]:
+    """Yield a log's frames, batch by batch, without empty ones.
+
+    Raises:
+        InputError, InputErrors: the log is damaged, cut off, or holds no frame of a configured bus: nothing is to be
+            learnt from such a one.
+    """
+    channels = channels_of(config, maps)
+    reader = read_recording(path, channels)
+    for frames in reader:
         if len(frames):
             yield frames
             progress(len(frames))
+    buses = {bus.name: bus.channel for bus in config.bus}
+    found = contents(reader, buses, channels)
+    if found.wrong:
+        raise InputErrors(found.wrong)
 
 
 def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, bool]]:

@@ -111,6 +111,7 @@ def levels(
     logs: Sequence[Path],
     *,
     file: Path | None = None,
+    maps: Sequence[str] = (),
     progress: Progress = lambda _: None,
 ) -> Levels:
     """Replay logs, each with a gateway of its own, and keep the largest levels of each second.
@@ -119,6 +120,7 @@ def levels(
         config: the configuration.
         logs: recordings without a fault.
         file: of the configuration, for errors.
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
         progress: called with the number of frames of each batch.
 
     Raises:
@@ -140,7 +142,7 @@ def levels(
         begun = 0
         end_ns = 0
         try:
-            for frames in batches(config, path, progress):
+            for frames in batches(config, path, progress, maps):
                 if not begun:
                     begun = int(frames[0]["t_ns"])
                     end_ns = begun + WARM_UP_NS

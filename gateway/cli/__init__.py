@@ -1,12 +1,14 @@
 """The ``gateway`` command: one function per sub-command, no logic.
 
 Each function imports its work only when called, so that ``--help`` answers at once. Exit codes:
-0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input.
+0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input, 70 an error of the
+gateway itself.
 
 Annotations are values here, no texts: typer asks for all of them at each start, and would have each text compiled.
 """
 
 import gc
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -14,32 +16,55 @@ from typing import Annotated
 import typer
 
 from gateway import __version__, log
+from gateway.cli.failure import DEBUG, bug, install_hooks, refused
 from gateway.errors import GatewayError
+
+#: Exit code of an error of the gateway itself (EX_SOFTWARE of sysexits.h).
+BUG = 70
 
 app = typer.Typer(
     name="gateway",
+    rich_markup_mode=None,  # it takes units in brackets, [s], for markup, and swallows them
     help="CAN-bus ECU diagnostic gateway: fault detection, fault memory, DTCs back on the bus.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True)
-convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True)
+faults_app = typer.Typer(
+    help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None
+)
+convert_app = typer.Typer(
+    help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None
+)
 evaluate_app = typer.Typer(
-    help="How good the methods are: the papers' figures and tables, from our own data.",
+    rich_markup_mode=None,
+    help="How good the methods are: figures and tables of our own data.",
     no_args_is_help=True,
 )
 app.add_typer(faults_app, name="faults")
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(convert_app, name="convert")
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON (Lines) instead of text.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")
+]
+JsonEvents = Annotated[
+    bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")
+]
 FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with 1 if a DTC was set.")]
 ConfigArgument = Annotated[
     Path | None, typer.Argument(help="Configuration; default: gateway.toml here, else the shipped.")
 ]
 MemoryOption = Annotated[
     Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")
+]
+Maps = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="CHANNEL=BUS",
+        help="Take a channel of the log as a bus of the configuration; may be repeated.",
+    ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[
@@ -58,9 +83,17 @@ def _main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    debug: Annotated[
+        bool,
+        typer.Option(
+            "--debug", help="Show the traceback of an error of the gateway; or GATEWAY_DEBUG=1."
+        ),
+    ] = False,
 ) -> None:
     from gateway.cli.progress import tell_of_kernels
 
+    if debug:
+        os.environ[DEBUG] = "1"  # also for processes that it starts
     log.to_stderr()
     tell_of_kernels()
 
@@ -72,9 +105,9 @@ def demo(
         float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")
     ] = 2.0,
     seed: Seed = None,
-    json: Json = False,
+    json: JsonEvents = False,
 ) -> None:
-    """Show the whole chain in one process: virtual ECU, bus, monitors, fault memory, DTC frames."""
+    """Show the whole chain in one process, virtual ECU to DTC frame."""
     from gateway.cli.simulate import demo as work
 
     raise typer.Exit(work(scenario, speed=speed, seed=seed, json=json))
@@ -93,7 +126,7 @@ def run(
     duration: Annotated[
         float | None, typer.Option(min=0, help="End after so many seconds.")
     ] = None,
-    json: Json = False,
+    json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
     """Monitor live buses until SIGINT or SIGTERM."""
@@ -130,9 +163,9 @@ def simulate(
     ] = 60.0,
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
-    json: Json = False,
+    json: JsonEvents = False,
 ) -> None:
-    """Drive a bus with virtual ECUs and injected faults, in real time."""
+    """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
     raise typer.Exit(
@@ -161,7 +194,7 @@ def structure(
         ),
     ] = None,
 ) -> None:
-    """Structural analysis of a model: which residual generators it has, and what they tell."""
+    """Find which residual generators a model has, and what they tell."""
     from gateway.cli.structure import structure as work
 
     raise typer.Exit(
@@ -183,7 +216,10 @@ def evaluate_crank(
         Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")
     ] = None,
 ) -> None:
-    """Missed and added pulses of a crankshaft sensor: our two methods beside open controllers'."""
+    """Crankshaft: missed and added pulses.
+
+    Our two methods beside those of open engine controllers.
+    """
     from gateway.cli.evaluate.crank import crank as work
 
     raise typer.Exit(work(runs=seeds, pulses=pulses, seed=seed, json=json, plot=plot))
@@ -201,7 +237,10 @@ def evaluate_voters(
         Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")
     ] = None,
 ) -> None:
-    """Faulty pedal sensors: our voter beside average, median, predictive and Kalman hybrid."""
+    """Pedal: voters with faulty sensors.
+
+    Ours beside average, median, predictive and Kalman hybrid.
+    """
     from gateway.cli.evaluate.voters import voters as work
 
     raise typer.Exit(work(runs=seeds, seed=seed, json=json, plot=plot))
@@ -223,7 +262,10 @@ def evaluate_steering(
         Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")
     ] = None,
 ) -> None:
-    """Steering motor angle: estimators, faults found and named, operations of the paper's Table 1."""
+    """Steering: the motor's angle, and faults of its sensors.
+
+    Estimators, faults found and named, operations of the paper's Table 1.
+    """
     from gateway.cli.evaluate.steering import steering as work
 
     raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))
@@ -240,7 +282,10 @@ def evaluate_hybrid(
         Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")
     ] = None,
 ) -> None:
-    """Hybrid powertrain: which system isolates which fault, on trucks as modelled and others."""
+    """Hybrid powertrain: which system isolates which fault.
+
+    On trucks as modelled, and on others.
+    """
     from gateway.cli.evaluate.hybrid import hybrid as work
 
     raise typer.Exit(work(seeds=seeds, seed=seed, json=json, plot=plot))
@@ -259,7 +304,10 @@ def evaluate_pi_bank(
         Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")
     ] = None,
 ) -> None:
-    """Bank of PI observers: the paper's figures, random faults of actuators and sensors, false alarms."""
+    """Bank of PI observers: actuators and sensors of a linear plant.
+
+    The paper's figures, random faults, false alarms.
+    """
     from gateway.cli.evaluate.pi_bank import pi_bank as work
 
     raise typer.Exit(work(cases=cases, hours=hours, seed=seed, json=json, plot=plot))
@@ -281,13 +329,27 @@ def calibrate(
     into: Annotated[
         bool, typer.Option("--write", help="Put the thresholds into the configuration.")
     ] = False,
+    maps: Maps = None,
     json: Json = False,
 ) -> None:
-    """Find thresholds of stopping rules and CUSUM tests from healthy logs, and say how far these carry."""
+    """Find thresholds from healthy logs, and say how far these carry.
+
+    Those of stopping rules and of CUSUM tests.
+    """
     from gateway.cli.calibrate import calibrate_logs as work
 
-    found = work(config, logs, mtfa=mtfa, margin=margin, floor=floor, into=into, json=json)
-    raise typer.Exit(found)
+    raise typer.Exit(
+        work(
+            config,
+            logs,
+            mtfa=mtfa,
+            margin=margin,
+            floor=floor,
+            into=into,
+            maps=maps or (),
+            json=json,
+        )
+    )
 
 
 @app.command()
@@ -296,11 +358,15 @@ def bus(
     duration: Annotated[
         float | None, typer.Option(min=0, help="End after so many seconds.")
     ] = None,
+    json: JsonEvents = False,
 ) -> None:
-    """Run a CAN bus between processes (socketcand protocol), where the kernel has none."""
+    """Run a CAN bus between processes, where the kernel has none.
+
+    It speaks the socketcand protocol, on this machine only; it does not ask local users who they are.
+    """
     from gateway.cli.bus import bus as work
 
-    raise typer.Exit(work(address, duration=duration))
+    raise typer.Exit(work(address, duration=duration, json=json))
 
 
 @app.command()
@@ -318,9 +384,12 @@ def record(
     duration: Annotated[
         float | None, typer.Option(min=0, help="End after so many seconds.")
     ] = None,
-    json: Json = False,
+    json: JsonEvents = False,
 ) -> None:
-    """Record buses without monitoring them; a bus that goes away is waited for."""
+    """Record buses without monitoring them.
+
+    A bus that goes away is waited for.
+    """
     from gateway.cli.record import record as work
 
     raise typer.Exit(
@@ -341,7 +410,10 @@ def record(
 def replay(
     log: Annotated[
         Path,
-        typer.Argument(help="candump .log, .asc, .blf, .mf4, .trc, .csv, or a folder of segments."),
+        typer.Argument(
+            help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst;"
+            " or a folder of segments."
+        ),
     ],
     config: Annotated[
         Path | None,
@@ -349,14 +421,39 @@ def replay(
             "--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."
         ),
     ] = None,
+    maps: Maps = None,
     memory: MemoryOption = None,
-    json: Json = False,
+    allow_empty: Annotated[
+        bool,
+        typer.Option(
+            "--allow-empty", help="A log without a frame of a configured bus is no error."
+        ),
+    ] = False,
+    allow_cut: Annotated[
+        bool, typer.Option("--allow-cut", help="A log that is cut off at its end is no error.")
+    ] = False,
+    json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
-    """Run a recorded log through the monitors. Without --memory no fault memory is touched."""
+    """Run a recorded log through the monitors.
+
+    Without --memory no fault memory is touched. Exit code 2 if the log is damaged, cut off, or holds no frame of a
+    configured bus; what it holds is replayed and shown first.
+    """
     from gateway.cli.replay import replay as work
 
-    raise typer.Exit(work(log, config, memory=memory, json=json, fail_on_dtc=fail_on_dtc))
+    raise typer.Exit(
+        work(
+            log,
+            config,
+            memory=memory,
+            maps=maps or (),
+            allow_empty=allow_empty,
+            allow_cut=allow_cut,
+            json=json,
+            fail_on_dtc=fail_on_dtc,
+        )
+    )
 
 
 @app.command()
@@ -367,7 +464,7 @@ def check(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Check a configuration, and say all that is wrong with it at once."""
+    """Check a configuration; say all that is wrong at once."""
     from gateway.cli.check import check as work
 
     raise typer.Exit(work(config, schema_wanted=schema, json=json))
@@ -375,7 +472,7 @@ def check(
 
 @app.command()
 def warmup(json: Json = False) -> None:
-    """Compile all kernels into the cache, so that a start takes no time."""
+    """Compile all kernels into the cache, for a quick start."""
     from gateway.cli.warmup import warmup as work
 
     raise typer.Exit(work(json=json))
@@ -390,7 +487,7 @@ def doctor(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Say what this machine offers, and how the gateway on it does: buses, lost frames."""
+    """Say what this machine offers, and how the gateway on it does."""
     from gateway.cli.doctor import doctor as work
 
     raise typer.Exit(work(config, memory=memory, running=running, json=json))
@@ -450,7 +547,7 @@ def faults_recordings(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the logs.")] = Path(),
     json: Json = False,
 ) -> None:
-    """Write the frames recorded around a DTC's failures as candump logs."""
+    """Write the frames around a DTC's failures as candump logs."""
     from gateway.cli.faults import recordings as work
 
     raise typer.Exit(work(dtc, config, memory=memory, folder=folder, json=json))
@@ -461,7 +558,10 @@ def faults_export(
     config: ConfigArgument = None,
     out: Annotated[Path | None, typer.Option(help="File; default: standard output.")] = None,
 ) -> None:
-    """Write the catalogue as JSON: faults, data identifiers, extended data records."""
+    """Write the catalogue as JSON.
+
+    Faults, data identifiers, extended data records; indented, for people and files.
+    """
     from gateway.cli.export import export as work
 
     raise typer.Exit(work(config, out=out))
@@ -480,22 +580,26 @@ def convert_teeth(
     frame: Annotated[str, typer.Option(help="classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
     json: Json = False,
 ) -> None:
-    """Turn a crank sensor's capture into the CAN frames of dbc/engine.dbc."""
+    """Turn a crank sensor's capture into frames of dbc/engine.dbc."""
     from gateway.cli.convert import convert_teeth as work
 
     raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
 
 
 def main() -> None:
-    """Run the command line; input errors are printed without a traceback."""
+    """Run the command line; no traceback reaches a user who did not ask for it."""
     # Nearly all that a start allocates stays; to look through it after each 700 objects takes a fifteenth of a start.
     gc.set_threshold(20_000)
+    install_hooks()
     try:
         app()
     except GatewayError as error:
-        for line in str(error).splitlines():
-            typer.secho(f"error: {line}", fg=typer.colors.RED, err=True)
-        sys.exit(2)
+        refused(str(error))
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)
+    except OSError as error:  # a full disk, a folder that may not be written, ...
+        refused(f"{error.filename}: {error.strerror}" if error.filename else str(error), error)
+    except Exception as error:
+        bug(error)
+        sys.exit(BUG)

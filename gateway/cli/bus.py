@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from gateway.bus.hub import Hub
 from gateway.bus.uri import loopback_address
-from gateway.cli.present import say
+from gateway.cli.present import print_json, say
 from gateway.cli.run import Ending
 
 
-def bus(address: str, *, duration: float | None) -> int:
+def bus(address: str, *, duration: float | None, json: bool = False) -> int:
     """Serve until told to stop; returns the exit code."""
     host, port = loopback_address(address)
     ending = Ending().after(duration)
     hub = Hub(host, port)
     try:
         host, port = hub.address
-        say(f"bus: serving loopback:{host}:{port} (socketcand protocol)")
+        uri = f"loopback:{host}:{port}"
+        say(f"bus: serving {uri} (socketcand protocol)")
+        if json:
+            print_json({"event": "bus", "uri": uri, "state": "open"})
         hub.serve_forever(ending)
     finally:
         hub.close()
     facts = "  ".join(f"{name} {count}" for name, count in vars(hub.statistics).items())
     say(f"bus: {facts}")
+    if json:
+        print_json({"event": "summary", "uri": uri, **vars(hub.statistics)})
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,7 @@ def calibrate_logs(
     margin: float,
     floor: float,
     into: bool,
+    maps: Sequence[str] = (),
     json: bool,
 ) -> int:
     """Propose thresholds, and write them if wanted; returns the exit code."""
@@ -123,10 +125,16 @@ def calibrate_logs(
             bar.advance(task, count)
 
         if rules:
-            seen = stopping.levels(config, logs, file=config_path, progress=progress)
+            seen = stopping.levels(config, logs, file=config_path, maps=maps, progress=progress)
         if tests:
             found = cusum.learn(
-                config, logs, margin=margin, floor=floor, file=config_path, progress=progress
+                config,
+                logs,
+                margin=margin,
+                floor=floor,
+                file=config_path,
+                maps=maps,
+                progress=progress,
             )
     proposals = stopping.calibrate(config, seen, mtfa) if seen else []
     seconds = max(part.seconds for part in (seen, found) if part is not None)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from gateway.app import Gateway
+from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
-from gateway.config import load_config, monitor_of, schema
+from gateway.config import Config, load_config, monitor_of, schema
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.registry import MONITORS
 
@@ -14,7 +15,7 @@ from gateway.monitors.registry import MONITORS
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     """Check a configuration; returns the exit code."""
     if schema_wanted:
-        print_json(schema())
+        print_json(schema(), indent=2)
         return 0
     path = find_config(config_path)
     try:
@@ -28,7 +29,13 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             {
                 "ok": False,
                 "errors": [
-                    {"file": e.file, "line": e.line, "key": e.key, "message": e.message}
+                    {
+                        "file": e.file,
+                        "line": e.line,
+                        "key": e.key,
+                        "value": None if e.value is None else str(e.value),
+                        "message": e.message,
+                    }
                     for e in errors
                 ],
             }
@@ -44,6 +51,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         if (of := MONITORS[entry.type].warnings) is not None
         for text in of(monitor_of(entry)[1])
     ]
+    warnings += _of_this_machine(config)
     if json:
         print_json({"ok": True, "faults": faults, "warnings": warnings})
     else:
@@ -53,3 +61,21 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def _of_this_machine(config: Config) -> list[str]:
+    """Return what would end or surprise a gateway here, though the configuration is right."""
+    said = []
+    lacking = no_socketcan()
+    for k, bus in enumerate(config.bus):
+        if lacking and bus.uri.startswith("socketcan:"):
+            said.append(f"bus[{k}].uri = {bus.uri!r}: gateway run ends here: {lacking}")
+    folders = [("memory.path", config.memory.path.parent)]
+    if config.record is not None:
+        folders.append(("record.folder", config.record.folder))
+    said += [
+        f"{key}: the folder {folder.resolve()} is not there; gateway run makes it"
+        for key, folder in folders
+        if not folder.exists()
+    ]
+    return said

@@ -25,12 +25,13 @@ def _extras() -> dict[str, str | None]:
     }
 
 
-def _socketcan() -> tuple[bool, str]:
+def no_socketcan() -> str:
+    """Return why there is no SocketCAN here, "" if there is."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except (AttributeError, OSError) as error:
-        return False, f"no SocketCAN in this kernel ({error}): use loopback: or virtual: buses"
-    return True, "SocketCAN is there"
+        return f"no SocketCAN in this kernel ({error}): use loopback: or virtual: buses"
+    return ""
 
 
 def _interfaces() -> list[str]:
@@ -119,7 +120,8 @@ def doctor(
         and all(bus["state"] == "open" for bus in daemon["buses"])
     )
     code = 1 if running and not healthy else 0
-    can, said = _socketcan()
+    lacking = no_socketcan()
+    can = not lacking
     kernels = _kernels()
     facts = {
         "gateway": __version__,
@@ -137,7 +139,7 @@ def doctor(
         print_json(facts)
         return code
     print(f"gateway {__version__}, Python {facts['python']}, kernel {facts['kernel']}")
-    print(said)
+    print(lacking or "SocketCAN is there")
     if can:
         shown = ", ".join(_interfaces()) or "none; make one: ip link add dev vcan0 type vcan"
         print(f"CAN interfaces: {shown}")

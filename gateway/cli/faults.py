@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gateway.cli.present import find_config, print_json, status_text, wide_console
+from gateway.cli.present import find_config, print_json, status_text, table_of, wide_console
 from gateway.config import load_config
 from gateway.faults import service
+from gateway.faults.remedy import WHEN
+
+#: Columns from which a list has the descriptions, too.
+WIDE = 120
 
 
 def _path(config: Path | None, memory: Path | None) -> Path:
@@ -24,6 +27,11 @@ def _time(t_ns: int | None) -> str:
     return datetime.fromtimestamp(t_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
 
 
+def _second(t_ns: int | None) -> str:
+    """Return a stamp without fractions of a second; ``faults show`` has them."""
+    return _time(t_ns)[:19] if t_ns is not None and t_ns >= 10**17 else _time(t_ns)
+
+
 def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List the entries; returns the exit code."""
     path = _path(config, memory)
@@ -31,25 +39,25 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(entries)
         return 0
-    from rich.console import Console  # noqa: PLC0415 - slow to load
-    from rich.table import Table  # noqa: PLC0415
-
-    table = Table("DTC", "fault", "status", "occurrence", "first", "last", "frames", box=None)
+    table = table_of("DTC", "fault", "status", "count", "frames", "first, last")
+    console = wide_console()
+    told = console.width >= WIDE
+    for number in (3, 4):
+        table.columns[number].justify = "right"
     for entry in entries:
         table.add_row(
             entry["dtc"],
-            entry["fault"],
-            f"0x{entry['status']:02X} {'confirmed' if entry['confirmed'] else ''}",
+            entry["fault"] + (f"\n{entry['description']}" if told and entry["description"] else ""),
+            f"0x{entry['status']:02X}{' confirmed' if entry['confirmed'] else ''}",
             str(entry["occurrence"]),
-            _time(entry["first_ns"]),
-            _time(entry["last_ns"]),
             str(len(entry["freeze_frames"])),
+            f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
         )
-    # Off a terminal nothing is cut to 80 columns.
-    console = Console() if sys.stdout.isatty() else Console(width=160)
+    for number in (0, 5):
+        table.columns[number].no_wrap = True
     console.print(table if entries else "no DTCs")
     if service.overflowed(path):
-        console.print("the memory was full: entries of less important faults gave way")
+        print("the memory was full: entries of less important faults gave way")
     return 0
 
 
@@ -60,6 +68,10 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
         print_json(entry)
         return 0
     print(f"{entry['dtc']}  {entry['fault']}")
+    if entry["description"] is not None:
+        print(f"what        {entry['description']}")
+        print(f"severity    {entry['severity']}: {WHEN[entry['severity']]}")
+        print(f"what to do  {entry['remedy']}")
     print(f"status      0x{entry['status']:02X}: {status_text(entry['status'])}")
     print(f"occurrence  {entry['occurrence']}")
     print(f"first, last {_time(entry['first_ns'])}, {_time(entry['last_ns'])}")
@@ -90,13 +102,12 @@ def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(found)
         return 0
-    from rich.table import Table  # noqa: PLC0415 - slow to load
-
-    table = Table("DTC", "fault", "near misses", "greatest detection counter", box=None)
+    table = table_of("DTC", "fault", "near misses", "greatest detection counter")
     for entry in found:
         table.add_row(
             entry["dtc"], entry["fault"], str(entry["near_misses"]), str(entry["peak_fdc"])
         )
+    table.columns[0].no_wrap = True
     wide_console().print(table if found else "nothing came near a failure")
     return 0
 

@@ -15,6 +15,7 @@ from gateway.resources import shipped
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 #: Columns of a table that does not go to a terminal.
 WIDTH = 180
@@ -29,8 +30,18 @@ def wide_console() -> Console:
     """Return a console for wide tables, which stay wide in a file or a pipe."""
     from rich.console import Console  # noqa: PLC0415 - slow to load
 
-    console = Console()
-    return console if console.is_terminal else Console(width=WIDTH)
+    from gateway.cli.folding import FoldingConsole  # noqa: PLC0415
+
+    if Console().is_terminal:
+        return FoldingConsole()
+    return FoldingConsole(width=WIDTH)
+
+
+def table_of(*headers: str) -> Table:
+    """Return a table without lines, for as many columns as a screen has."""
+    from rich.table import Table  # noqa: PLC0415 - slow to load
+
+    return Table(*headers, box=None, pad_edge=False)
 
 
 def strict(value: Any) -> Any:
@@ -44,8 +55,8 @@ def strict(value: Any) -> Any:
     return value
 
 
-def print_json(value: Any, *, indent: int | None = 2) -> None:
-    """Print one JSON document."""
+def print_json(value: Any, *, indent: int | None = None) -> None:
+    """Print one JSON document, on one line: what ``--json`` prints is JSON Lines everywhere."""
     print(json.dumps(strict(value), indent=indent), flush=True)
 
 
@@ -75,13 +86,16 @@ class EventPrinter:
         if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
             self.failures += 1
         if self._json:
-            print_json(event, indent=None)
+            print_json(event)
         elif event["event"] == "dtc":
             self._dtc(event)
         elif event["event"] == "bus":
             self._bus(event)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
+        elif event["event"] == "log":
+            for note in event["notes"]:
+                self._console.print(f"log: {note}", markup=False)
         elif event["event"] == "summary":
             self._summary(event)
 

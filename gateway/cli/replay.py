@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -11,44 +11,98 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
-from gateway.bus.ring import read_recording
+from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config
-from gateway.config import channels_of, load_config
+from gateway.config import Config, channels_of, load_config
+from gateway.errors import InputError, InputErrors
+from gateway.replay import contents
 from gateway.replay import replay as feed
 
 
 def replay(
-    log: Path, config_path: Path | None, *, memory: Path | None, json: bool, fail_on_dtc: bool
+    log: Path,
+    config_path: Path | None,
+    *,
+    memory: Path | None,
+    maps: Sequence[str] = (),
+    allow_empty: bool = False,
+    allow_cut: bool = False,
+    json: bool,
+    fail_on_dtc: bool,
 ) -> int:
-    """Replay a log; returns the exit code."""
+    """Replay a log; returns the exit code.
+
+    Raises:
+        InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
+            replayed and told before.
+    """
     path = find_config(config_path)
     config = load_config(path)
+    channels = channels_of(config, maps)
     printer = EventPrinter(as_json=json)
+    reader = read_recording(log, channels)
     gateway = Gateway(config, memory, file=path)
     gateway.listen(printer)
-    reader = read_recording(log, channels_of(config))
-    columns = (TextColumn(log.name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
     try:
-        with Progress(
-            *columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True
-        ) as progress:
-            task = progress.add_task(log.name, total=reader.bytes_total, frames=0)
-            seen = 0
+        begun = time.monotonic()
+        damage = _feed(gateway, reader, printer, log.name)
+        seconds = time.monotonic() - begun
+        found = contents(
+            reader,
+            {bus.name: bus.channel for bus in config.bus},
+            channels,
+            asked=[text.rpartition("=")[0] for text in maps],
+            damage=damage,
+            allow_empty=allow_empty,
+            allow_cut=allow_cut,
+        )
+        summary = gateway.summary(seconds)
+        if found.left_out < found.frames and not summary["decoded"] and _watches(config):
+            found.notes.append("none of its frames is one that a monitor or check here wants")
+        printer(found.event())
+        printer(summary)
+    finally:
+        gateway.close()
+    if found.wrong:
+        raise InputErrors(found.wrong)
+    return 1 if fail_on_dtc and printer.failures else 0
 
-            def show(frames: Frames) -> None:
-                nonlocal seen
-                seen += len(frames)
-                progress.update(task, completed=reader.bytes_done, frames=seen)
 
-            def stamped() -> Iterator[Frames]:
+def _watches(config: Config) -> bool:
+    return bool(config.monitor) or any(bus.check for bus in config.bus)
+
+
+def _feed(
+    gateway: Gateway, reader: Recorded, printer: EventPrinter, name: str
+) -> InputError | None:
+    """Feed a log, showing how far it is; returns what ended it early."""
+    columns = (TextColumn(name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
+    console = Console(stderr=True)
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task(name, total=reader.bytes_total, frames=0)
+        seen = 0
+        damage: InputError | None = None
+
+        def show(frames: Frames) -> None:
+            nonlocal seen
+            seen += len(frames)
+            progress.update(task, completed=reader.bytes_done, frames=seen)
+
+        def stamped() -> Iterator[Frames]:
+            nonlocal damage
+            try:
                 for frames in reader:
                     if not seen and not printer.start_ns and len(frames):
                         printer.start_ns = int(frames[0]["t_ns"])
                     yield frames
+            except InputError as error:
+                damage = error
 
-            begun = time.monotonic()
-            feed(gateway, stamped(), progress=show)
-        printer(gateway.summary(time.monotonic() - begun))
-    finally:
-        gateway.close()
-    return 1 if fail_on_dtc and printer.failures else 0
+        feed(gateway, stamped(), progress=show)
+    return damage

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
+import socket
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,16 +20,48 @@ from gateway.live.notify import Notifier
 
 
 class Ending:
-    """Tells when to end: SIGINT or SIGTERM came, or a time is over. Install one in a process."""
+    """Tells when to end: SIGINT or SIGTERM came, or a time is over. Install one in a process.
 
-    def __init__(self) -> None:
-        self._signalled = False
+    Until :meth:`ready` a signal ends the process at once, with nothing begun that had to be kept: kernels are compiled
+    then, in calls into C that may take long, and in which no handler of Python runs.
+
+    Args:
+        starting: exit code of such an end; None: there is nothing to wait for, it is ready.
+    """
+
+    def __init__(self, starting: int | None = None) -> None:
+        self._signalled = 0
         self._limit = math.inf
+        self._starting = starting
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
+        if starting is not None:
+            # The handler in C writes the signal's number there, whatever the main thread does.
+            self._heard, wakeup = socket.socketpair()
+            self._wakeup = wakeup
+            wakeup.setblocking(False)
+            signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
+            threading.Thread(target=self._watch, name="signals", daemon=True).start()
 
-    def _on_signal(self, *_: object) -> None:
-        self._signalled = True
+    def _watch(self) -> None:
+        while number := self._heard.recv(1):
+            if self._starting is not None and number[0] in (signal.SIGINT, signal.SIGTERM):
+                os._exit(self._starting or 0)
+
+    def ready(self) -> None:
+        """From now on a signal is an end in good order."""
+        if self._starting is not None:
+            self._starting = None
+            signal.set_wakeup_fd(-1)
+            self._wakeup.close()
+
+    def _on_signal(self, number: int, _: object) -> None:
+        self._signalled = number
+
+    @property
+    def code(self) -> int:
+        """Exit code of a work that a signal has ended early, as shells have it; 0: none has."""
+        return 128 + self._signalled if self._signalled else 0
 
     def after(self, seconds: float | None) -> Self:
         """End so many seconds from now; None: only at a signal."""
@@ -35,7 +70,7 @@ class Ending:
 
     def __call__(self) -> bool:
         """Tell whether to end."""
-        return self._signalled or time.monotonic() >= self._limit
+        return bool(self._signalled) or time.monotonic() >= self._limit
 
 
 def run(
@@ -49,7 +84,7 @@ def run(
     fail_on_dtc: bool,
 ) -> int:
     """Monitor until told to stop; returns the exit code."""
-    ending = Ending()
+    ending = Ending(starting=0)
     path = find_config(config_path)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     with ExitStack() as stack:
@@ -57,7 +92,15 @@ def run(
         if record is not None:
             channels = {k: entry.channel for k, entry in enumerate(load_config(path).bus)}
             taps.append(stack.enter_context(open_writer(record, interfaces=channels)))
-        daemon = Daemon(path, bus=bus, memory=memory, tell=printer, taps=taps, notifier=Notifier())
+        daemon = Daemon(
+            path,
+            bus=bus,
+            memory=memory,
+            tell=printer,
+            taps=taps,
+            notifier=Notifier(),
+            on_built=ending.ready,
+        )
         stack.callback(daemon.close)
         signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())

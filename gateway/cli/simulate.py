@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -36,10 +37,15 @@ INSIDE = "inside"
 
 
 def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
-    scenario = load_scenario(find_scenario(name))
+    file = find_scenario(name)
+    scenario = load_scenario(file)
     config = load_config(scenario.config)
     buses = {bus.name: index for index, bus in enumerate(config.bus)}
-    return scenario, config, Player(scenario, buses, seed=seed)
+    databases = {index: bus.database for index, bus in enumerate(config.bus)}
+    try:
+        return scenario, config, Player(scenario, buses, seed=seed, databases=databases)
+    except InputError as error:
+        raise error.within(file) from error
 
 
 def _finding_event(finding: Finding) -> dict[str, Any]:
@@ -114,7 +120,7 @@ def _verdict(judge: Judge, *, json: bool, check: bool) -> int:
     findings = judge.findings()
     for finding in findings:
         if json:
-            print_json(_finding_event(finding), indent=None)
+            print_json(_finding_event(finding))
         else:
             print(("as expected: " if finding.good else "NOT as expected: ") + finding.text)
     return 1 if check and not all(finding.good for finding in findings) else 0
@@ -131,7 +137,7 @@ def simulate(
     json: bool,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
-    stop = Ending()
+    stop = Ending(starting=128 + signal.SIGTERM)
     scenario, config, player = _open(scenario_name, seed)
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
     with ExitStack() as stack:
@@ -139,6 +145,7 @@ def simulate(
         judge = Judge(scenario)
         if bus == INSIDE:
             gateway = Gateway(config, file=scenario.config)
+            stop.ready()
             stack.callback(gateway.close)
             printer = EventPrinter(as_json=json)
             gateway.listen(printer)
@@ -148,9 +155,13 @@ def simulate(
                 player,
                 judge=judge,
                 on_frames=None if writer is None else writer.write,
+                stop=stop,
             )
             printer(gateway.summary(time.monotonic() - begun))
+            if stop():
+                return _stopped(scenario, stop)
             return _verdict(judge, json=json, check=check)
+        stop.ready()
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]
         if len(uris) != len(config.bus):
             raise InputError(
@@ -159,9 +170,17 @@ def simulate(
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         tester = _Tester(buses, judge)
         if check:
-            tester.wait_for_gateway(wait)
+            tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop)
+    if stop():
+        return _stopped(scenario, stop) if check else 0
     return _verdict(judge, json=json, check=check) if check else 0
+
+
+def _stopped(scenario: Scenario, stop: Ending) -> int:
+    """Say that nothing is judged, since a signal came before the end; returns the exit code."""
+    say(f"{scenario.name}: stopped by a signal before its end: nothing is judged")
+    return stop.code
 
 
 class _Tester:
@@ -199,7 +218,7 @@ class _Tester:
             self._judge.report(now, str(report.dtc), report.status, report.occurrence)
         return 1
 
-    def wait_for_gateway(self, wait_s: float) -> None:
+    def wait_for_gateway(self, wait_s: float, stop: Ending) -> None:
         """Wait until a gateway's DTC frames are there, and take its list as the state to compare with.
 
         Raises:
@@ -208,6 +227,8 @@ class _Tester:
         say("waiting for a gateway's DTC frame ...")
         limit = time.monotonic() + wait_s
         while not self.listen(0.1):
+            if stop():
+                return
             if time.monotonic() > limit:
                 raise GatewayError(
                     f"no DTC frame (GW_DTC) within {wait_s} s: is gateway run on this bus?"
@@ -221,7 +242,7 @@ def _play(
     buses: list[Bus],
     tester: _Tester,
     writer: LogWriter | None,
-    stop: Any,
+    stop: Ending,
 ) -> None:
     """Send the scenario in real time, listening meanwhile; then listen half a second more."""
     tester.begun = begun = time.monotonic()

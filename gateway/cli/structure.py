@@ -207,7 +207,8 @@ def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) ->
     )
     console.print(escape(test.sequence))
     if refused:
-        console.print(f"[yellow]{escape(refused)}[/]")
+        shown = "; the code below takes the slope of a low-pass filter instead" if source else ""
+        console.print(f"[yellow]refused: {escape(refused)}{shown}[/]", soft_wrap=True)
     if source is not None:
         console.print(source, markup=False, highlight=False, soft_wrap=True)
 

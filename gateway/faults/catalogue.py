@@ -8,6 +8,7 @@ from typing import Any
 
 from gateway.errors import InputError, InputErrors
 from gateway.faults.dtc import NO_DTC, Dtc, is_group
+from gateway.faults.remedy import remedy_of
 from gateway.faults.settings import CLASSES, POWER, SEVERITIES, FaultOverride
 from gateway.faults.status import Rules
 from gateway.monitors.shape import Debounce, Fault
@@ -42,6 +43,7 @@ class FaultDefinition:
         aging_cycle: name of the cycle that ages it.
         aging_cycles: how many of them delete it.
         caused_by: ids of the faults that may cause it.
+        remedy: what to do about it, for people.
     """
 
     id: str
@@ -68,6 +70,7 @@ class FaultDefinition:
     aging_cycle: str = POWER
     aging_cycles: int = 40
     caused_by: tuple[str, ...] = ()
+    remedy: str = ""
 
     @property
     def rules(self) -> Rules:
@@ -90,10 +93,12 @@ def define(fault_id: str, fault: Fault, override: FaultOverride | None = None) -
     """Return a fault's definition: its monitor's, with what the configuration sets."""
     settings = override or FaultOverride()
     permanent = settings.permanent
+    dtc = Dtc.parse(settings.dtc or fault.dtc)
     return FaultDefinition(
         id=fault_id,
-        dtc=Dtc.parse(settings.dtc or fault.dtc),
+        dtc=dtc,
         description=settings.description or fault.description,
+        remedy=settings.remedy or fault.remedy or remedy_of(dtc.value),
         evidence=fault.evidence,
         debounce=debounce_of(fault, override),
         confirm_cycles=settings.confirm_cycles,

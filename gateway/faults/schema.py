@@ -69,5 +69,12 @@ CREATE TABLE bus (
 );
 """
 
+# What the faults are called, how severe they are, what to do: for readers without the configuration.
+_FOURTH = """
+CREATE TABLE catalogue (
+    fault TEXT PRIMARY KEY, description TEXT NOT NULL, severity INTEGER NOT NULL, remedy TEXT NOT NULL
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH)

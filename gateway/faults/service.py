@@ -13,6 +13,7 @@ from gateway.faults.entries import Entry, entry_of
 from gateway.faults.lock import InUseError, is_kept
 from gateway.faults.memory import OVERFLOW, FaultMemory
 from gateway.faults.records import Recording
+from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
 
@@ -49,6 +50,15 @@ def _reader(path: Path) -> Store:
         return Store(path, write=False)
 
 
+def _told(facts: tuple[str, int, str] | None) -> dict[str, Any]:
+    """Return what a fault is called; null where the gateway that wrote the memory did not say."""
+    if facts is None:
+        return {"description": None, "severity": None, "class": None, "remedy": None}
+    description, severity, remedy = facts
+    name, kind = severity_names(severity)
+    return {"description": description, "severity": name, "class": kind, "remedy": remedy}
+
+
 def list_entries(path: Path) -> list[dict[str, Any]]:
     """Return every entry of a fault memory.
 
@@ -59,9 +69,11 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
     try:
         permanent = {entry.fault for entry in store.permanent()}
         recorded = [recording.fault for recording in store.recordings()]
+        told = store.catalogue()
         return [
             {
                 **as_dict(entry_of(record)),
+                **_told(told.get(record.id)),
                 "permanent": record.id in permanent,
                 "recordings": recorded.count(record.id),
             }

@@ -113,6 +113,9 @@ class FaultOverride(StrictModel):
 
     dtc: DtcText | None = Field(None, description='e.g. "P0336-29"')
     description: str | None = Field(None, description="one line for people")
+    remedy: str | None = Field(
+        None, description="what to do about it, for people; default: by its failure type"
+    )
     spn: int | None = Field(None, ge=0, le=0x7FFFF, description="J1939 suspect parameter number")
     fmi: int | None = Field(None, ge=0, le=31, description="J1939 failure mode identifier")
     severity: Literal["none", "maintenance", "next_halt", "immediately"] = Field(

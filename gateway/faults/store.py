@@ -320,6 +320,29 @@ class Store:
             for name, uri, state, t_ns, counters in rows
         ]
 
+    def save_catalogue(self, told: Mapping[str, tuple[str, int, str]]) -> None:
+        """Keep what faults are called, for readers without the configuration; others that are there stay.
+
+        Args:
+            told: fault -> description, severity (byte of ISO 14229-1, Annex D.3), what to do.
+
+        Raises:
+            GatewayError: it could not be written.
+        """
+        with self.transaction():
+            self._db.executemany(
+                "INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?)",
+                [(fault, *facts) for fault, facts in told.items()],
+            )
+
+    def catalogue(self) -> dict[str, tuple[str, int, str]]:
+        """Return what faults are called: fault -> description, severity, what to do."""
+        with self._reading():
+            rows = list(
+                self._db.execute("SELECT fault, description, severity, remedy FROM catalogue")
+            )
+        return {fault: (text, severity, remedy) for fault, text, severity, remedy in rows}
+
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""
         return list(

@@ -33,6 +33,7 @@ class Daemon:
         taps: take every frame besides the configured recording.
         notifier: the service manager.
         clock_ns: the clock that stamps the frames [ns].
+        on_built: called when everything is compiled, and nothing has been opened or written yet.
 
     Attributes:
         gateway: that runs now.
@@ -52,6 +53,7 @@ class Daemon:
         taps: Sequence[Tap] = (),
         notifier: Notifier | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
+        on_built: Callable[[], None] = lambda: None,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._tell, self._given_taps = tell, list(taps)
@@ -60,7 +62,9 @@ class Daemon:
         config = self._load()
         self._ring: Ring | None = None
         self.reloader = Reloader(self._prepare)
-        gateway = Gateway(config, memory or config.memory.path, file=path)
+        parts = prepare(config, path)
+        on_built()
+        gateway = Gateway(config, memory or config.memory.path, file=path, parts=parts)
         gateway.listen(tell)
         self.gateway = gateway
         links: list[Link] = []

@@ -52,6 +52,7 @@ FAULTS = (
         "controller bus-off",
         ("transmit errors", "receive errors"),
         _AT_ONCE,
+        remedy="check wires, termination (60 Ohm between CAN_H and CAN_L) and bit rate of the bus",
     ),
     Fault(
         "bus_passive",
@@ -59,6 +60,7 @@ FAULTS = (
         "controller error passive",
         ("transmit errors", "receive errors"),
         _AT_ONCE,
+        remedy="check that another node is on the bus, its wires, termination and bit rate",
     ),
     Fault(
         "bus_errors",
@@ -66,14 +68,23 @@ FAULTS = (
         "more protocol errors in the window than allowed",
         ("error classes", "protocol error", "location"),
         _AT_ONCE,
+        remedy="check wires, termination and bit rate of the bus; the evidence says which errors",
     ),
-    Fault("bus_lost", "U0001-31", "interface missing or down", (), _AT_ONCE),
+    Fault(
+        "bus_lost",
+        "U0001-31",
+        "interface missing or down",
+        (),
+        _AT_ONCE,
+        remedy="set the interface up (ip link set can0 up), plug the adapter in; gateway doctor shows both",
+    ),
     Fault(
         "bus_overflow",
         "U0001-04",
         "frames lost in a queue before they were read",
         ("lost since the start",),
         _AT_ONCE,
+        remedy="give it a larger buffer (?rcvbuf= in its URI, net.core.rmem_max), or less to do",
     ),
 )
 

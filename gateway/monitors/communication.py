@@ -36,6 +36,7 @@ FAULTS = (
         "message missing for longer than its timeout",
         ("silent [ms]",),
         Debounce(failed_after=1, passed_after=5),
+        remedy="check the sender: powered, awake, its wires to this bus; and that it does send this message",
     ),
     Fault(
         "counter",
@@ -43,6 +44,7 @@ FAULTS = (
         "alive counter jumped (frames lost) or stands still (frame repeated)",
         ("step", "last", "received"),
         Debounce(failed_after=3, passed_after=50),
+        remedy="check the bus for lost frames (gateway doctor, load), the sender for a standstill",
     ),
     Fault(
         "crc",
@@ -50,6 +52,7 @@ FAULTS = (
         "CRC does not match the payload",
         ("received", "computed"),
         Debounce(failed_after=2, passed_after=50),
+        remedy="check the wires of the bus for disturbances; if every frame fails, the rule in [[bus.check]]",
     ),
     Fault(
         "length",
@@ -57,6 +60,7 @@ FAULTS = (
         "frame shorter than its message",
         ("length [byte]",),
         Debounce(failed_after=2, passed_after=50),
+        remedy="check the sender's software against the database",
     ),
 )
 

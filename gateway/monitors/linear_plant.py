@@ -68,8 +68,14 @@ class PlantParams(MonitorParams):
         1e-4,
         description="disturbance of the states, of each or of all, per root of a second",
     )
-    input: tuple[Input, ...] = Field(min_length=1, max_length=MOST_INPUTS)
-    output: tuple[Output, ...] = Field(min_length=1, max_length=MOST_OUTPUTS)
+    input: tuple[Input, ...] = Field(
+        min_length=1,
+        max_length=MOST_INPUTS,
+        description="the plant's commands, one a column of b; one at least, its actuators are what is watched",
+    )
+    output: tuple[Output, ...] = Field(
+        min_length=1, max_length=MOST_OUTPUTS, description="the plant's sensors, one a row of c"
+    )
     trigger: str | None = Field(
         None,
         description="message that completes a sample; default: that of the last output. The commands that hold "

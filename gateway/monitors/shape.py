@@ -122,6 +122,7 @@ class Fault:
         description: one line for people.
         evidence: names (with units) of the values in ``result.evidence``.
         debounce: default debounce.
+        remedy: what to do about it, for people; "": as for any fault of its failure type.
     """
 
     name: str
@@ -129,6 +130,7 @@ class Fault:
     description: str
     evidence: tuple[str, ...] = ()
     debounce: Debounce = field(default_factory=Debounce)
+    remedy: str = ""
 
 
 @dataclass(frozen=True)

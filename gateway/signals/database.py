@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 import cantools
@@ -13,15 +12,10 @@ from cantools.database.can import Database as CanDatabase
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 
 _LINE = re.compile(r"line (\d+)")
 _SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
-
-
-def _suggest(name: str, known: Sequence[str]) -> str:
-    close = get_close_matches(name, known, n=3, cutoff=0.5)
-    return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
 class Database:
@@ -34,6 +28,7 @@ class Database:
     """
 
     def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:
+        self._files = dict.fromkeys(str(file) for _, file in messages)
         count = Counter(message.name for message, _ in messages)
         self._messages = {m.name: m for m, _ in messages if count[m.name] == 1}
         self._ambiguous = {
@@ -60,7 +55,8 @@ class Database:
             raise InputError(f"several messages have this name, in {files}", value=name)
         if found is None:
             known = list(self._messages)
-            raise InputError(f"no message {name!r} in the database{_suggest(name, known)}")
+            where = ", ".join(self._files) or "a database: this bus has none"
+            raise InputError(f"no message {name!r} in {where}{nearest(name, known)}")
         return found
 
     def signal(self, message: str, name: str) -> Signal:
@@ -74,7 +70,7 @@ class Database:
             if signal.name == name:
                 return signal
         known = [signal.name for signal in found.signals]
-        raise InputError(f"no signal {name!r} in message {message!r}{_suggest(name, known)}")
+        raise InputError(f"no signal {name!r} in message {message!r}{nearest(name, known)}")
 
 
 def load_database(paths: Sequence[Path]) -> Database:

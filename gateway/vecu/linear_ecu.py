@@ -2,23 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames, empty, put
+from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
 from gateway.errors import InputError
 from gateway.resources import shipped
-from gateway.signals.database import load_database
+from gateway.signals.database import Database, load_database
 from gateway.vecu.linear_params import LinearFault, LinearParams
 from gateway.vecu.linear_plant import simulate
 from gateway.vecu.protection import protect
 from gateway.vecu.pulse_faults import Truth
 
 #: Signals that are not the plant's.
-_OWN = ("Crc", "FrameCnt")
+_COUNTER = "FrameCnt"
+_OWN = ("Crc", _COUNTER)
+#: Database of the shipped plants.
+DATABASE = "dbc/plant.dbc"
 #: The sensors' frame follows that of the commands [ns].
 _AFTER = 300_000
+
+
+def _database(params: LinearParams, databases: Sequence[Path]) -> Database:
+    """Load the database that it names, else those of its bus, else the shipped one."""
+    if params.database is not None:
+        given = params.database
+        return load_database([given if given.exists() else shipped(str(given))])
+    return load_database(databases or [shipped(DATABASE)])
+
+
+def _signals(message: Message, count: int) -> list[Signal]:
+    """Return the signals that carry the plant, in their order in the message.
+
+    Raises:
+        InputError: not so many, or not all of them in every frame.
+    """
+    if message.is_multiplexed():
+        raise InputError(
+            "a multiplexed message cannot carry a plant: its signals must come together"
+        )
+    found = [signal for signal in message.signals if signal.name not in _OWN]
+    found.sort(key=lambda signal: signal.start)
+    if len(found) != count:
+        names = ", ".join(signal.name for signal in found)
+        raise InputError(
+            f"this message has {len(found)} signals besides {' and '.join(_OWN)} ({names}), the plant has {count}"
+        )
+    return found
+
+
+def _encoded(
+    message: Message, signals: Sequence[Signal], row: NDArray[np.float64], k: int
+) -> bytes:
+    """Return the payload of sample k; alive counter and CRC go in where the message has them."""
+    values: dict[str, float] = {}
+    for signal, value in zip(signals, row, strict=True):
+        low = -np.inf if signal.minimum is None else signal.minimum
+        high = np.inf if signal.maximum is None else signal.maximum
+        values[signal.name] = float(np.clip(value, low, high))
+    for signal in message.signals:
+        if signal.name == _COUNTER:
+            values[_COUNTER] = k % 2**signal.length
+    return protect(message, values)
 
 
 def linear_frames(
@@ -28,6 +78,7 @@ def linear_frames(
     *,
     bus: int,
     rng: np.random.Generator,
+    databases: Sequence[Path] = (),
 ) -> tuple[Frames, list[Truth]]:
     """Return all frames of a run, stamped from time 0, and what was injected.
 
@@ -37,13 +88,13 @@ def linear_frames(
         duration_s: length of the run [s].
         bus: index of its bus.
         rng: source of all randomness.
+        databases: of its bus, for parameters that name none.
 
     Raises:
         InputError: the database has no such message, or it has not one signal for each output or input.
     """
     faults = tuple(faults)
-    path = params.database if params.database.exists() else shipped(str(params.database))
-    database = load_database([path])
+    database = _database(params, databases)
     outputs, commands = simulate(params, faults, duration_s, rng)
     period = params.sample_ms * 1e6
     frames = empty(2 * len(outputs))
@@ -52,23 +103,17 @@ def linear_frames(
         (0, "commands", params.commands, commands),
         (1, "sensors", params.sensors, outputs),
     ):
-        message = database.message(name)
-        signals = [signal for signal in message.signals if signal.name not in _OWN]
-        signals.sort(key=lambda signal: signal.start)
-        if len(signals) != columns.shape[1]:
-            raise InputError(
-                f"{name} has {len(signals)} signals, the plant {columns.shape[1]} {key}",
-                key=key,
-                value=name,
-            )
-        for k, row in enumerate(columns):
-            values: dict[str, float] = {
-                signal.name: float(np.clip(value, signal.minimum, signal.maximum))
-                for signal, value in zip(signals, row, strict=True)
-            }
-            stamp = round(k * period) + first * _AFTER + round(late[2 * k + first])
-            data = protect(message, {"FrameCnt": k % 16, **values})
-            put(frames, 2 * k + first, stamp, message.frame_id, data, bus=bus)
+        try:
+            message = database.message(name)
+            signals = _signals(message, columns.shape[1])
+            can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+            for k, row in enumerate(columns):
+                data = _encoded(message, signals, row, k)
+                stamp = round(k * period) + first * _AFTER + round(late[2 * k + first])
+                flags = FD if message.is_fd else 0
+                put(frames, 2 * k + first, stamp, can_id, data, bus=bus, flags=flags)
+        except InputError as error:
+            raise InputError(error.message, key=key, value=name) from error
     truth = []
     for fault in faults:
         end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)

@@ -27,8 +27,10 @@ class LinearParams(StrictModel):
     type: Literal["linear"]
     name: str = "plant"
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
-    database: Path = Field(
-        Path("dbc/plant.dbc"), description="of its messages; one of the shipped, or a path"
+    database: Path | None = Field(
+        None,
+        description="of its messages: relative to the scenario, or one of the shipped;"
+        " default: what its bus has in the configuration",
     )
     sensors: str = Field(description="message with the outputs, in their order")
     commands: str = Field(description="message with the inputs, in their order")

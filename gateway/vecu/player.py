@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
+from gateway.signals.database import load_database
 from gateway.vecu.engine_ecu import engine_frames
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.linear_ecu import linear_frames
@@ -31,6 +33,7 @@ class Player:
         scenario: what happens.
         buses: name -> index of the buses.
         seed: instead of the scenario's.
+        databases: bus index -> database files of the configuration, for ECUs and wire faults that name messages.
 
     Attributes:
         frames: shape (n,) of FRAME, stamped from 0.
@@ -40,11 +43,16 @@ class Player:
             with each other go by the time at which these arrive: its steps are short.
 
     Raises:
-        InputError: an ECU names a bus that is not there.
+        InputError: an ECU names a bus that is not there, or messages that cannot carry what it sends.
     """
 
     def __init__(
-        self, scenario: Scenario, buses: Mapping[str, int], *, seed: int | None = None
+        self,
+        scenario: Scenario,
+        buses: Mapping[str, int],
+        *,
+        seed: int | None = None,
+        databases: Mapping[int, Sequence[Path]] | None = None,
     ) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
@@ -71,7 +79,9 @@ class Player:
                 frames, truth = pedal_frames(ecu, sensor, scenario.duration_s, bus=bus, rng=rng)
             elif isinstance(ecu, LinearParams):
                 added = [fault for fault in mine if isinstance(fault, LinearFault)]
-                frames, truth = linear_frames(ecu, added, scenario.duration_s, bus=bus, rng=rng)
+                frames, truth = self._linear(
+                    k, ecu, added, bus, rng, (databases or {}).get(bus, ())
+                )
             elif isinstance(ecu, TruckParams):
                 broken = [fault for fault in mine if isinstance(fault, TruckFault)]
                 frames, truth = truck_frames(ecu, broken, scenario.duration_s, bus=bus, rng=rng)
@@ -83,8 +93,29 @@ class Player:
         frames = np.concatenate(runs)
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
         rng = np.random.default_rng([self.seed, 1 << 20])
-        self.frames, done = apply_wire_faults(frames, scenario.wire, rng)
+        named = any(fault.message != "*" for fault in scenario.wire)
+        known = {bus: load_database(files) for bus, files in (databases or {}).items() if named}
+        self.frames, done = apply_wire_faults(frames, scenario.wire, rng, known)
         self.truth += done
+
+    def _linear(
+        self,
+        place: int,
+        ecu: LinearParams,
+        faults: list[LinearFault],
+        bus: int,
+        rng: np.random.Generator,
+        databases: Sequence[Path],
+    ) -> tuple[Frames, list[Truth]]:
+        try:
+            return linear_frames(
+                ecu, faults, self.scenario.duration_s, bus=bus, rng=rng, databases=databases
+            )
+        except InputError as error:
+            if error.key is None:
+                raise
+            key = f"ecu[{place}].{error.key}"
+            raise InputError(error.message, file=error.file, key=key, value=error.value) from error
 
     def batches(
         self, step_ns: int = 10_000_000, *, start_ns: int = 0

@@ -7,7 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from gateway.errors import InputError, nearest
 from gateway.faults.settings import DtcText
+from gateway.resources import shipped
 from gateway.tomlfile import StrictModel, load
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.linear_params import LinearFault, LinearParams
@@ -52,23 +54,17 @@ class WireFault(StrictModel):
     """A fault between an ECU and the gateway."""
 
     kind: Literal["lost", "corrupted", "late", "duplicated", "short", "silent"]
-    message: str = Field("*", description="identifier in hex (0x700), or * for all")
+    message: str = Field(
+        "*",
+        description="name of a message of the configuration, identifier in hex (0x700), or * for all",
+    )
     from_s: float = Field(0.0, ge=0, description="[s]")
     to_s: float | None = Field(None, description="[s]; default: the end")
     probability: float = Field(1.0, gt=0, le=1, description="that a frame is concerned")
     delay_ms: float = Field(30.0, gt=0, description="of a late frame [ms]")
 
-    @property
-    def can_id(self) -> int | None:
-        """The identifier concerned, None for all."""
-        return None if self.message == "*" else int(self.message, 16)
-
     @model_validator(mode="after")
-    def _message_is_an_identifier(self) -> WireFault:
-        try:
-            _ = self.can_id
-        except ValueError:
-            raise ValueError('message is an identifier in hex ("0x700") or "*"') from None
+    def _times(self) -> WireFault:
         if self.to_s is not None and self.to_s <= self.from_s:
             raise ValueError("to_s must lie after from_s")
         return self
@@ -124,10 +120,34 @@ class Scenario(StrictModel):
 
 
 def load_scenario(path: Path) -> Scenario:
-    """Read a scenario; its configuration's path becomes relative to the scenario's folder.
+    """Read a scenario; paths in it become relative to its folder.
 
     Raises:
         InputError, InputErrors: the file cannot be read, or a key is wrong.
     """
     scenario = load(path, Scenario)
-    return scenario.model_copy(update={"config": path.parent / scenario.config})
+    ecus = tuple(
+        ecu.model_copy(update={"database": _found(path, k, ecu.database)})
+        if isinstance(ecu, LinearParams) and ecu.database is not None
+        else ecu
+        for k, ecu in enumerate(scenario.ecu)
+    )
+    return scenario.model_copy(update={"config": path.parent / scenario.config, "ecu": ecus})
+
+
+def _found(scenario: Path, place: int, database: Path) -> Path:
+    """Return the path of an ECU's database: beside the scenario, else among the shipped."""
+    beside = scenario.parent / database
+    if beside.exists():
+        return beside
+    try:
+        return shipped(str(database))
+    except InputError:
+        known = sorted(f"dbc/{path.name}" for path in shipped("dbc").glob("*.dbc"))
+        raise InputError(
+            f"no such file beside the scenario, and the gateway comes with {', '.join(known)} only"
+            f"{nearest(str(database), known)}",
+            file=scenario,
+            key=f"ecu[{place}].database",
+            value=str(database),
+        ) from None

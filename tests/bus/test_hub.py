@@ -2,10 +2,13 @@
 
 import multiprocessing
 import random
+import resource
 import select
 import socket
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import can
 import numpy as np
@@ -240,3 +243,77 @@ def test_no_hub_is_a_clear_error():
 def test_a_taken_address_is_a_clear_error(hub):
     with pytest.raises(BusError, match="in use"):
         Hub(*hub.address)
+
+
+@pytest.fixture
+def few_descriptors():
+    """So few that a hub meets its limit with a handful of clients."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    used = len(list(Path("/proc/self/fd").iterdir()))
+    yield lambda more: resource.setrlimit(resource.RLIMIT_NOFILE, (used + more, before[1]))
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_a_hub_without_descriptors_refuses_and_goes_on(few_descriptors):
+    """Whoever comes too many is sent away; the others are served, and room that comes is used."""
+    hub = Hub("127.0.0.1", 0)
+    clients = [socket.socket() for _ in range(12)]  # before the limit: they are this process's, too
+    few_descriptors(12 + 6)
+    try:
+        for client in clients:
+            client.connect(hub.address)
+        for _ in range(60):
+            hub.serve_once(0.01)
+        assert hub.statistics.refused > 0
+        refused = hub.statistics.refused
+        for _ in range(20):
+            hub.serve_once(0.0)
+        assert hub.statistics.refused == refused, "nobody waits, so that the loop is not kept busy"
+        served = [client for client in clients if answered(client, hub)]
+        assert 0 < len(served) == 12 - refused
+        for client in served:
+            client.close()
+        for _ in range(20):
+            hub.serve_once(0.01)
+        clients.append(socket.create_connection(hub.address))
+        assert answered(clients[-1], hub)
+    finally:
+        for client in clients:
+            client.close()
+        hub.close()
+
+
+def answered(client, hub):
+    """Whether a client gets the answer to an echo."""
+    client.settimeout(0.5)
+    try:
+        client.sendall(b"< echo >")
+        text = b""
+        for _ in range(50):
+            hub.serve_once(0.01)
+            with suppress(TimeoutError):
+                client.settimeout(0.01)
+                got = client.recv(100)
+                if not got:
+                    return False
+                text += got
+            if b"echo" in text:
+                return True
+    except OSError:
+        return False
+    return False
+
+
+def test_answers_that_nobody_reads_are_bounded():
+    """A client that asks and never reads loses its oldest answers, and costs no more memory than frames do."""
+    hub = Hub("127.0.0.1", 0)
+    with socket.create_connection(hub.address) as client:
+        client.setblocking(False)
+        asked = 0
+        while asked < 40 * QUEUE and hub.statistics.dropped < 1000:
+            with suppress(BlockingIOError):
+                asked += client.send(b"< echo >" * 5000) // 8
+            hub.serve_once(0.0)
+            assert all(len(one.waiting) <= QUEUE for one in hub._clients)
+        assert hub.statistics.dropped >= 1000
+    hub.close()

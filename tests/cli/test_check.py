@@ -1,9 +1,12 @@
 """What ``gateway check`` says of a configuration that is not wrong."""
 
+import importlib
 import json
 
 from gateway.cli.check import check
 from gateway.resources import shipped
+
+check_module = importlib.import_module("gateway.cli.check")
 
 
 def steering(folder, extra=""):
@@ -22,3 +25,26 @@ def test_long_periods_are_warned_of(tmp_path, capsys):
     assert said.startswith("steering: period_ms = 5.0: the currents' time constant is 1.67 ms")
     assert check(slow, schema_wanted=False, json=False) == 0
     assert "warning: steering: period_ms" in capsys.readouterr().out
+
+
+def test_what_this_machine_lacks_is_warned_of(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(check_module, "no_socketcan", lambda: "no SocketCAN in this kernel")
+    config = tmp_path / "c.toml"
+    config.write_text(
+        '[[bus]]\nname = "b"\nuri = "socketcan:can0"\n[memory]\npath = "none/f.sqlite"\n'
+    )
+    assert check(config, schema_wanted=False, json=True) == 0
+    said = json.loads(capsys.readouterr().out)["warnings"]
+    assert said == [
+        "bus[0].uri = 'socketcan:can0': gateway run ends here: no SocketCAN in this kernel",
+        f"memory.path: the folder {tmp_path}/none is not there; gateway run makes it",
+    ]
+
+
+def test_errors_in_json_have_file_key_and_value(tmp_path, capsys):
+    config = tmp_path / "c.toml"
+    config.write_text('[[bus]]\nname = "b"\nuri = "vcan0"\n')
+    assert check(config, schema_wanted=False, json=True) == 2
+    (error,) = json.loads(capsys.readouterr().out)["errors"]
+    assert (error["file"], error["key"], error["value"]) == (str(config), "bus[0].uri", "vcan0")

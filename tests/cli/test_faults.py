@@ -7,7 +7,7 @@ from rig import Rig, write_config
 from typer.testing import CliRunner
 
 from gateway.bus.logs import read_log
-from gateway.cli import app
+from gateway.cli import app, faults, present
 
 RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"
 
@@ -78,3 +78,76 @@ def test_export(run, tmp_path):
     written = json.loads((tmp_path / "catalogue.json").read_text())
     assert written == json.loads(run("export", tmp_path / "rig.toml"))
     assert [fault["dtc"] for fault in written["faults"]] == ["P1000-11", "C1001-11"]
+
+
+def test_a_reader_without_the_configuration_learns_what_a_fault_is(run, tmp_path):
+    """The memory itself has description, severity and what to do; also of an entry in a list."""
+    memory = tmp_path / "f.sqlite"
+    text = run("show", "P1000-11", "--memory", memory)
+    assert "what        frame shorter than its message" in text
+    assert "severity    none: no statement on when to have it checked" in text
+    assert "what to do  check the sender's software against the database" in text
+    told = {
+        "description": "frame shorter than its message",
+        "severity": "none",
+        "class": "unclassified",
+        "remedy": "check the sender's software against the database",
+    }
+    shown = json.loads(run("show", "P1000-11", "--memory", memory, "--json"))
+    assert told.items() <= shown.items()
+    (listed,) = json.loads(run("list", "--memory", memory, "--json"))
+    assert told.items() <= listed.items()
+
+
+def test_what_the_configuration_says_of_a_fault(tmp_path):
+    own = (
+        'severity = "immediately"\ndtc_class = "a"\ndescription = "Brake ECU silent"\n'
+        'remedy = "check fuse F7"\n'
+    )
+    rig = Rig(write_config(tmp_path, 1, faults={0: own}), tmp_path / "f.sqlite")
+    rig.fail(0)
+    rig.close()
+    made = CliRunner().invoke(
+        app, ["faults", "show", "P1000-11", "--memory", str(tmp_path / "f.sqlite")]
+    )
+    assert "what        Brake ECU silent" in made.output
+    assert "severity    immediately: stop, and have it checked at once" in made.output
+    assert "what to do  check fuse F7" in made.output
+
+
+def test_tables_at_80_columns_cut_nothing(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(present, "WIDTH", 80)
+    memory = tmp_path / "f.sqlite"
+    for command in ("list", "near-misses"):
+        text = run(command, "--memory", memory)
+        assert max(map(len, text.splitlines())) <= 80
+        assert "…" not in text
+        assert "P1000-11" in text
+        assert "b.M0.length" in text
+
+
+def test_a_long_id_and_stamps_of_the_calendar_at_80_columns(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(present, "WIDTH", 80)
+    entry = {
+        "dtc": "U0401-83",
+        "fault": "powertrain_of_the_second_axle.EngineTemperature1.counter",
+        "status": 0x2F,
+        "confirmed": True,
+        "occurrence": 255,
+        "first_ns": 1_763_806_108_123_456_789,
+        "last_ns": 1_763_806_209_123_456_789,
+        "freeze_frames": [1, 2],
+        "description": "alive counter jumped (frames lost) or stands still (frame repeated)",
+    }
+    monkeypatch.setattr(faults.service, "list_entries", lambda _: [entry])
+    monkeypatch.setattr(faults.service, "overflowed", lambda _: False)
+    faults.list_faults(None, memory=tmp_path, json=False)
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80
+    for stamp in ("2025-11-22 10:08:28", "2025-11-22 10:10:09", "U0401-83", "0x2F"):
+        assert stamp in text
+    column = "".join(line[10:].split("  ")[0].strip() for line in text.splitlines()[1:])
+    assert column == entry["fault"]
+    monkeypatch.setattr(present, "WIDTH", 160)
+    faults.list_faults(None, memory=tmp_path, json=False)
+    assert "alive counter jumped (frames lost)" in capsys.readouterr().out

@@ -39,7 +39,7 @@ resolution = 0.001220703125
 BUS = """
 [[bus]]
 name = "{name}"
-uri = "test:{name}"
+uri = "virtual:{name}"
 database = ["{folder}/pedal.dbc"]
 """
 

@@ -139,7 +139,7 @@ def realise(
             if not differentiate:
                 raise NotSolvableError(
                     f"the sequence differentiates {state}, and a transformation (20) avoids that in the consistency"
-                    " relation only: choose another, or allow derivatives"
+                    " relation only: check another equation of the set, or take another set"
                 )
             statements.append(Statement(step.equations, (), state))
         else:
