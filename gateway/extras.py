@@ -8,18 +8,27 @@ from pathlib import Path
 from gateway.errors import InputError
 
 #: Extra -> the package that its features import.
-EXTRAS = {"mf4": "asammdf", "structure": "sympy", "studies": "matplotlib"}
+EXTRAS = {
+    "mf4": "asammdf",
+    "structure": "sympy",
+    "studies": "matplotlib",
+    "zst": "backports.zstd",
+}
 #: Extra -> what people get with it.
 PURPOSES = {
     "mf4": "MF4 logs",
     "structure": "gateway structure --residual",
     "studies": "figures (--plot)",
+    "zst": "logs in Zstandard",
 }
 
 
 def installed(extra: str) -> bool:
     """Tell whether the package of an extra is there; does not import it."""
-    return find_spec(EXTRAS[extra]) is not None
+    try:
+        return find_spec(EXTRAS[extra]) is not None
+    except ModuleNotFoundError:  # nor the package that it is in
+        return False
 
 
 def need(

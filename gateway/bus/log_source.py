@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gateway.errors import InputError
+from gateway.extras import need
 
 #: Suffix -> what compressed the log.
 COMPRESSIONS = {".gz": "gzip", ".bz2": "bzip2", ".xz": "xz", ".zst": "Zstandard"}
@@ -42,12 +43,11 @@ def compression_of(path: Path) -> str:
 
 
 def _zstd() -> Any:
-    for name in ("compression.zstd", "backports.zstd"):  # Python 3.14 has it
-        try:
-            return importlib.import_module(name)
-        except ImportError:
-            continue
-    raise InputError("logs in Zstandard need a package more: pip install 'ecu-gateway[zst]'")
+    try:
+        return importlib.import_module("compression.zstd")  # since Python 3.14
+    except ImportError:
+        need("zst", "logs in Zstandard")
+        return importlib.import_module("backports.zstd")
 
 
 def open_log(path: Path, stack: ExitStack) -> tuple[BinaryIO, BinaryIO]:

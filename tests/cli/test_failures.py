@@ -15,7 +15,8 @@ from command import command
 from rich.table import Table
 
 from gateway import cli
-from gateway.cli import failure, present
+from gateway.cli import failure
+from gateway.cli.folding import FoldingConsole
 
 ROOT = Path(cli.__file__).parents[2]
 
@@ -99,7 +100,7 @@ def test_tables_fold_and_cut_nothing():
     table = Table("actuator", "production", "principle of decision", title="A title " * 20)
     table.add_row("aileron" * 5, "x" * 30, "a long explanation in several words")
     out = io.StringIO()
-    console = present._Folding(file=out, width=30)
+    console = FoldingConsole(file=out, width=30)
     console.print(table)
     text = out.getvalue()
     assert "…" not in text
