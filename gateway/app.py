@@ -14,13 +14,16 @@ import numpy as np
 import structlog
 
 from gateway.assemble import Parts, assemble, identifiers_of, outputs_of
+from gateway.bus.conditions import are_steps
 from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.config import Config
 from gateway.controls import Controls
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
+    CLOCK_STEPPED,
     CYCLE_BEGAN,
     CYCLE_ENDED,
+    NO_BUS,
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
     Events,
@@ -51,6 +54,10 @@ _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 class Gateway:
     """Engine, fault memory and outputs of one configuration.
+
+    Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
+    condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
+    stamped by the wall clock.
 
     Args:
         config: the configuration.
@@ -140,7 +147,7 @@ class Gateway:
         """End the operation cycle and keep everything."""
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
-        self.memory.end_cycle(t_ns)
+        self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self.memory.commit()
 
     def close(self) -> None:
@@ -153,7 +160,7 @@ class Gateway:
         What the returned frames say is in the fault memory before they are returned.
         """
         if self._recorder is not None:
-            self._recorder.on_frames(frames)
+            self._recorder.on_frames(frames, self.engine.offset_ns)
         sent: list[Frames] = []
         for piece, last, wanting in self._pieces(frames):
             sent.append(self._emit(self._process(piece)))
@@ -204,7 +211,10 @@ class Gateway:
     def _process(self, frames: Frames) -> Frames:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
-        return self.engine.advance(int(frames["t_ns"].max()), self._on_events)
+        # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
+        sent = self.engine.process(frames[are_steps(frames)], self._on_events)
+        more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
+        return np.concatenate([sent, more])
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
@@ -257,6 +267,9 @@ class Gateway:
             if kind in (CYCLE_BEGAN, CYCLE_ENDED):
                 self._on_cycle(event, began=kind == CYCLE_BEGAN)
                 continue
+            if kind == CLOCK_STEPPED:
+                self._on_step(event)
+                continue
             changes = self.memory.apply(events_of(event), self._observe)
             self._uncommitted = self._uncommitted or bool(changes)
             told = [change for change in changes if change.concerns_fault]
@@ -272,7 +285,8 @@ class Gateway:
             self._recorder is not None
             and change.new_status & ~change.old_status & Status.TEST_FAILED
         ):
-            self._recorder.on_failure(change.definition.id, change.t_ns)
+            t_ns = change.t_ns - self.engine.offset_ns
+            self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
 
     def _on_cycle(self, event: np.void, *, began: bool) -> None:
         name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
@@ -284,12 +298,21 @@ class Gateway:
             {
                 "event": "cycle",
                 "t_ns": t_ns,
-                "bus": self.config.bus[int(event["bus"])].name,
+                "bus": self._bus_name(int(event["bus"])),
                 "cycle": name,
                 "state": "began" if began else "ended",
                 "number": self.memory.cycle_number(name),
             }
         )
+
+    def _on_step(self, event: np.void) -> None:
+        step_s = float(event["value"])
+        log.warning("wall clock was set", step_s=step_s)
+        self._tell({"event": "clock", "t_ns": int(event["t_ns"]), "step_s": step_s})
+
+    def _bus_name(self, bus: int) -> str:
+        """Return the name of a bus; the gateway's own faults are of none."""
+        return "" if bus == NO_BUS else self.config.bus[bus].name
 
     def _emit(self, sent: Frames) -> Frames:
         """Return the frames to send: the monitors' own, then what the outputs have to say."""
@@ -348,7 +371,7 @@ class Gateway:
         return {
             "event": "monitor",
             "t_ns": int(event["t_ns"]),
-            "bus": self.config.bus[int(event["bus"])].name,
+            "bus": self._bus_name(int(event["bus"])),
             "fault": definition.id,
             "result": _RESULTS.get(int(event["result"]), "not tested"),
             "fdc": int(event["fdc"]),
@@ -360,7 +383,7 @@ class Gateway:
         return {
             "event": "dtc",
             "t_ns": change.t_ns,
-            "bus": self.config.bus[bus].name,
+            "bus": self._bus_name(bus),
             "fault": change.definition.id,
             "dtc": str(change.dtc),
             "status": int(change.new_status),

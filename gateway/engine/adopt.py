@@ -32,8 +32,9 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
     _monitors(new, old, buses)
     _faults(new, old)
     for before, now in buses.items():
-        if before < len(old.tables.health) and now < len(new.tables.health):
+        if before < len(old.tables.health) - 1 and now < len(new.tables.health) - 1:
             _copy(new.tables.health[now], old.tables.health[before], _HEALTH_SETTINGS)
+    _copy(new.tables.health[-1], old.tables.health[-1], _HEALTH_SETTINGS)  # our own
     for before, now in cycles.items():
         new.tables.cycles[now] = old.tables.cycles[before]
 
