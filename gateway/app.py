@@ -110,24 +110,40 @@ class Gateway:
         self._uncommitted = False
         self.event_count = 0
 
+    def finish(self, t_ns: int) -> Frames:
+        """Put down all that a successor is to find in the fault memory; returns frames to send.
+
+        A gateway that is then fed still goes on, as where the successor cannot be made.
+
+        Args:
+            t_ns: now.
+        """
+        sent = self.poll(t_ns)  # answers that were promised
+        if self._recorder is not None:
+            self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
+        self.memory.commit()
+        return sent
+
     def succeed(self, old: Gateway) -> None:
         """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.
 
-        What both have in common (signals, counters, monitors with the same parameters) keeps its state; testers find
-        the default session. The other gateway must not be used any more.
+        What both have in common (signals, counters, monitors with the same parameters, requests and answers under way)
+        keeps its state; testers find the default session. The other gateway must not be used any more.
 
         Args:
-            old: whose store this one was made with.
+            old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: what
+                it does after that is lost.
         """
-        if old._recorder is not None and self._recorder is not None:
-            old.memory.add_recordings(old._recorder.on_time(old.engine.now_ns, final=True))
-            old.memory.commit()
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {
             k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
         }
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self.controls.go_on()
+        for k, output in enumerate(self._outputs):
+            for other in old._outputs:
+                output.succeed(other, buses)
+            self._set_due(k)
         self._listeners = old._listeners
         self.event_count = old.event_count
 
@@ -306,9 +322,7 @@ class Gateway:
         )
 
     def _on_step(self, event: np.void) -> None:
-        step_s = float(event["value"])
-        log.warning("wall clock was set", step_s=step_s)
-        self._tell({"event": "clock", "t_ns": int(event["t_ns"]), "step_s": step_s})
+        self._tell(clock_event(int(event["t_ns"]), float(event["value"])))
 
     def _bus_name(self, bus: int) -> str:
         """Return the name of a bus; the gateway's own faults are of none."""
@@ -448,6 +462,17 @@ def prepare(config: Config, file: Path | None = None) -> Parts:
         raise InputErrors([error.within(file) for error in errors.errors]) from errors
     parts.engine.warm()
     return parts
+
+
+def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:
+    """Log that the wall clock was set, and return the event of the JSON contract that tells it.
+
+    Args:
+        t_ns: when, by the clock as it was set [ns].
+        step_s: by how much, forward positive [s].
+    """
+    log.warning("wall clock was set", step_s=step_s)
+    return {"event": "clock", "t_ns": t_ns, "step_s": step_s}
 
 
 def events_of(event: np.void) -> Events:

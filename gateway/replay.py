@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from gateway.bus.frames import Frames
+from gateway.bus.timeline import LogTime
 
 
 class Fed(Protocol):
@@ -34,7 +35,8 @@ def replay(
 
     Args:
         gateway: not started yet.
-        batches: of FRAME, in order of time.
+        batches: of FRAME, in order of time but where the clock that stamped them was set (see
+            :class:`gateway.bus.timeline.LogTime`).
         progress: called after each batch.
 
     Returns:
@@ -42,16 +44,18 @@ def replay(
     """
     count = 0
     last_ns = 0
-    for frames in batches:
-        if not len(frames):
+    time = LogTime()
+    for stamped in batches:
+        if not len(stamped):
             continue
+        frames = time.apply(stamped)
         if not count:
             gateway.start(int(frames[0]["t_ns"]))
         gateway.feed(gateway.without_own(frames))
-        count += len(frames)
+        count += len(stamped)
         last_ns = int(frames[-1]["t_ns"])
         if progress is not None:
-            progress(frames)
+            progress(stamped)
     if count:
         gateway.stop(last_ns)
     return count

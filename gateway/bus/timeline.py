@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.conditions import are_steps, step_frame, step_ns_of
 from gateway.bus.frames import ERROR, OWN, Frames

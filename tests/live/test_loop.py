@@ -4,6 +4,7 @@ import os
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import ERROR, OWN, empty, put
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.live.record import Nobody
@@ -85,10 +86,11 @@ def rig(*, echoing=False, taps=()):
         queues.append(Queue(uri, index, echoing=echoing))
         return queues[-1]
 
-    link = Link("test:queue", 0, "b", opener)
+    clock = Clock()
+    link = Link("test:queue", 0, "b", opener, clock)
     link.start()
     gateway, events = Talker(), []
-    live = Live(gateway, [link], events.append, taps=taps, tick_s=0.0)
+    live = Live(gateway, [link], events.append, taps=taps, clock=clock, tick_s=0.0)
     live.turn()
     return live, gateway, queues[0], events, link
 
