@@ -33,8 +33,6 @@ class LoopbackBus(Bus):
         BusError: there is no hub, or it is none.
     """
 
-    own_clock = True  # the hub's machine may be another one
-
     def __init__(
         self,
         uri: str,

@@ -1,8 +1,8 @@
 """From the stamps of one bus to the engine's time.
 
 Most buses are stamped by the wall clock of this machine; where it was set, some frames of a batch were stamped before
-and some after. Others (python-can's adapters, a hub on another machine) may be stamped by a clock of their own, whose
-zero is anywhere, which drifts and is set at other times.
+and some after. Others (python-can's adapters, socketcand on another machine) may be stamped by a clock of their own,
+whose zero is anywhere, which drifts and is set at other times.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from gateway.live.clock import Clock, Step
 AHEAD_NS, BEHIND_NS = 5_000_000, 1_000_000_000
 #: Fastest that another clock drifts against ours.
 DRIFT = 2e-4
+#: A frame is on its way to the queue for so long at most after its stamp [ns].
+FLIGHT_NS = 1_000_000_000
 
 log = structlog.get_logger(__name__)
 
@@ -42,6 +44,7 @@ class Stamps:
         self._offsets = [clock.offset_ns]
         self._steps: list[Step] = []
         self._count = clock.count
+        self._settled = True  # what comes next was most likely stamped after all steps
         self._floor_ns = self._looked_ns = self._last_ns = clock.now()
         self.drained = True
         self.aligned = False
@@ -64,9 +67,9 @@ class Stamps:
                 self._align(frames, now)
         self.drained = not more
         if self.drained:
-            if not self._own_clock:  # the next frame is stamped after all steps
-                del self._offsets[:-1]
-                self._steps.clear()
+            while self._steps and not self._own_clock and now > self._steps[0].noticed_ns + FLIGHT_NS:
+                del self._steps[0], self._offsets[0]
+            self._settled = True
             self._floor_ns = now
         elif len(frames):
             self._floor_ns = int(frames["t_ns"][-1])
@@ -79,6 +82,7 @@ class Stamps:
             step = self._clock.steps[k]
             self._steps.append(step)
             self._offsets.append(self._offsets[-1] + step.step_ns)
+            self._settled = False
 
     def _divide(self, frames: Frames, now: int) -> None:
         """Find which frames were stamped before, and which after each step.
@@ -88,8 +92,10 @@ class Stamps:
         """
         stamps = frames["t_ns"].astype(np.int64)
         times = stamps[:, None] - np.asarray(self._offsets)
-        wrong = np.maximum(self._floor_ns - times, 0) + np.maximum(times - now, 0)
         count, ways = times.shape
+        wrong = np.maximum(self._floor_ns - times, 0) + np.maximum(times - now, 0)
+        if self._settled:
+            wrong += np.arange(ways)[::-1]  # of two that fit the later one
         cost = wrong[0].astype(np.float64)
         chosen = np.zeros((count, ways), np.int64)
         before_or_at = np.tri(ways, dtype=bool).T  # an offset is followed by itself or a later one
