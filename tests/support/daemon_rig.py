@@ -78,12 +78,13 @@ class World:
         monkeypatch.setattr(module, "Live", partial(Live, tick_s=0.0))
 
     def daemon(self, config, memory):
-        return Daemon(
+        self.running = Daemon(
             config,
             memory=memory,
             tell=lambda event: self.events.append((self.now_ns, event)),
             clock=self.clock,
         )
+        return self.running
 
     def put(self, can_id, data, uri="test:a"):
         """A frame comes now, if the bus is there."""
