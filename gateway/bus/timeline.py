@@ -64,7 +64,9 @@ class LogTime:
     """
 
     def __init__(self) -> None:
-        self._offsets: dict[int, int] = {}  # by bus: a step may reach one bus's frames before another's
+        self._offsets: dict[
+            int, int
+        ] = {}  # by bus: a step may reach one bus's frames before another's
         self._latest: dict[int, int] = {}
         self._now_ns = 0
         self._told_ns = 0  # offset that frames in the log, or ours, have told

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
+from gateway.bus.frames import ID_MASK
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.message_checks import start_anew
 from gateway.engine.results import announce, tested, witness
 from gateway.jit import kernel
-from gateway.bus.frames import ID_MASK
 from gateway.monitors.bus_health import CLOCK_STEPPED as STEP_FAULT
 from gateway.monitors.bus_health import note, note_step
 

@@ -236,4 +236,3 @@ class Link:
 def _add(total: Statistics, part: Statistics) -> None:
     for field in fields(Statistics):
         setattr(total, field.name, getattr(total, field.name) + getattr(part, field.name))
-

@@ -259,7 +259,9 @@ def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_
     if step_s < 0:
         assert [d for d in dtcs if d[0] != "U3000-62"] == theirs
         (step,) = [e for e in events if e["event"] == "clock"]
-        assert step["step_s"] == pytest.approx(step_s, abs=0.021), "but for the time between two frames"
+        assert step["step_s"] == pytest.approx(step_s, abs=0.021), (
+            "but for the time between two frames"
+        )
         assert gateway.summary(1.0)["counters"]["late"] == 0
     else:
         assert not [e for e in events if e["event"] == "clock"]

@@ -29,7 +29,9 @@ def write(folder, buses, more=MORE):
     for k, part in enumerate(parts):
         if not part.startswith('name = "body"'):  # DTCs of their own
             part = part.replace("U0140", "U0146").replace("U0422", "U0423")
-        parts[k] = part.replace('[output.dtc_frame]\nbus = "body"', '[output.dtc_frame]\nbus = "chassis"')
+        parts[k] = part.replace(
+            '[output.dtc_frame]\nbus = "body"', '[output.dtc_frame]\nbus = "chassis"'
+        )
     path.write_text("[[bus]]\n".join([head, *parts]))
     return path
 
@@ -86,9 +88,9 @@ def bench(tmp_path, monkeypatch):
 
         def traffic(turn):
             if turn % 4 == 0:
-                for uri in counts:
-                    counts[uri] += 1
-                    world.put(0x300, beat(counts[uri]), uri)
+                for uri, count in counts.items():
+                    counts[uri] = count + 1
+                    world.put(0x300, beat(count + 1), uri)
 
         daemon = world.daemon(path, tmp_path / "f.sqlite")
         intruder = Intruder(monkeypatch, place, when, lambda: act(world, counts))
@@ -197,7 +199,7 @@ def test_what_the_old_gateway_held_back_is_told_by_the_new_one(bench):
         for _ in range(3):
             counts["test:a"] += 7
             world.put(0x300, beat(counts["test:a"]))
-        world.now_ns += 1_000_000  # they are held back for as long as another bus might have earlier ones
+        world.now_ns += 1_000_000  # until no other bus can have earlier ones
         world.running._live.turn()
         for _ in range(60):
             counts["test:a"] += 1

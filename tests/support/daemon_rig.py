@@ -4,7 +4,7 @@ import os
 from functools import partial
 
 from gateway.bus.base import Bus
-from gateway.bus.frames import empty, put
+from gateway.bus.frames import put
 from gateway.errors import BusError
 from gateway.live import daemon as module
 from gateway.live.clock import Clock
