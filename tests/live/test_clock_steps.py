@@ -12,7 +12,7 @@ from gateway.app import Gateway
 from gateway.bus.candump import parse
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.ring import read_recording
-from gateway.config import load_config
+from gateway.config import channels_of, load_config
 from gateway.faults.store import Store
 from gateway.replay import replay
 
@@ -180,7 +180,7 @@ def test_what_others_do_to_the_clock_slowly_is_followed(tmp_path, monkeypatch):
     """NTP slews by 500 ppm where the monotonic clock does not go with it: no step, and time is the wall's."""
     world = World(monkeypatch)
     bench = Bench(world)
-    daemon = world.daemon(config_of(tmp_path / "run"), None)
+    daemon = world.daemon(config_of(tmp_path / "run"), tmp_path / "f.sqlite")
 
     def each(turn):
         bench.traffic()(turn)
@@ -266,3 +266,48 @@ def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_
     else:
         assert not [e for e in events if e["event"] == "clock"]
         assert dtcs.count(("U0100-87", 1)) == 2, "an hour without frames, and the silence"
+
+
+@pytest.mark.parametrize("step_s", STEPS)
+def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path, monkeypatch):
+    """Two buses and a third that is silent: what leaves, what is told and what a replay says of the recording."""
+
+    def play(folder, step_s, more=""):
+        folder.mkdir()
+        world = World(monkeypatch)
+        buses = [("chassis", "test:a"), ("body", "test:b"), ("silent", "test:c")]
+        path = write_config(folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n')
+        text = path.read_text().split("[[bus]]\n")
+        text[3] = text[3].replace("U0140", "U0146").replace("U0422", "U0423")
+        path.write_text("[[bus]]\n".join(text))
+        bench = Bench(world)
+        beats, others = bench.traffic(), Bench(world)
+
+        def each(turn):
+            beats(turn)
+            if turn % 3 == 0 and turn < 150:
+                others.count += 1
+                world.put(0x300, beat(others.count), "test:b")
+
+        def script():
+            yield from world.wait(0.5, each)
+            world.set_clock(step_s)
+            yield from world.wait(1.5, each)
+
+        daemon = world.daemon(path, folder / "f.sqlite")
+        world.play(daemon, script())
+        world.counters = daemon.gateway.engine.counters()
+        daemon.close()
+        return world
+
+    unwatched = "[clock]\nwatched = false\n"
+    even = play(tmp_path / "even", 0.0, unwatched)
+    assert play(tmp_path / "unwatched", step_s, unwatched).sent == even.sent
+    world = play(tmp_path / "stepped", step_s)
+    failed = [(e["dtc"], e["status"] & 1) for e in world.told("dtc")]
+    assert failed == [("U0146-87", 1), ("U3000-62", 1), ("U0140-87", 1)]
+    assert world.counters["late"] == 0
+    config = load_config(tmp_path / "stepped" / "beat.toml")
+    ring = read_recording(tmp_path / "stepped" / "ring", channels_of(config))
+    events, _ = replayed(tmp_path / "stepped" / "beat.toml", ring)
+    assert events == [e for _, e in world.events if e["event"] in ("dtc", "clock")]
