@@ -13,6 +13,7 @@ import numpy as np
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
+from gateway.bus.timeline import LogTime
 from gateway.config import Config, channels_of, monitor_of
 from gateway.errors import InputError
 from gateway.monitors.shape import MonitorParams
@@ -64,10 +65,11 @@ def digest(logs: Iterable[Path]) -> str:
 
 
 def batches(config: Config, path: Path, progress: Progress) -> Iterator[Frames]:
-    """Yield a log's frames, batch by batch, without empty ones."""
+    """Yield a log's frames in even time, batch by batch, without empty ones."""
+    time = LogTime()
     for frames in read_recording(path, channels_of(config)):
         if len(frames):
-            yield frames
+            yield time.apply(frames)
             progress(len(frames))
 
 
