@@ -276,7 +276,9 @@ def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path, monkeypatch
         folder.mkdir()
         world = World(monkeypatch)
         buses = [("chassis", "test:a"), ("body", "test:b"), ("silent", "test:c")]
-        path = write_config(folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n')
+        path = write_config(
+            folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n'
+        )
         text = path.read_text().split("[[bus]]\n")
         text[3] = text[3].replace("U0140", "U0146").replace("U0422", "U0423")
         path.write_text("[[bus]]\n".join(text))
