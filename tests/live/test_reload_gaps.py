@@ -209,3 +209,18 @@ def test_what_the_old_gateway_held_back_is_told_by_the_new_one(bench):
     assert world.dtcs() == [("U0401-82", 1), ("U0401-82", 0)]
     told = [data for _, _, can_id, data in world.sent if can_id == GW_DTC and data[5] == 0]
     assert [data[3] & 1 for data in told if data[:3].hex() == "c40182"] == [1, 0]
+
+
+def test_a_bus_lost_in_sending_before_the_order_changes_is_told_as_that_bus(bench):
+    """The last frames come, and the answer to them finds the bus gone: known before, told after the reload."""
+
+    def act(world, counts):
+        for _ in range(3):
+            counts["test:a"] += 7
+            world.put(0x300, beat(counts["test:a"]))
+        world.cut.add("test:a")
+
+    world = bench("waiting frames are fed", "before", act)
+    assert [e["bus"] for e in world.told("bus") if e["state"] == "lost"] == ["chassis"]
+    failed = [e["fault"] for e in world.told("dtc") if e["status"] & 1]
+    assert failed == ["chassis.Beat.counter", "chassis.bus_lost"]
