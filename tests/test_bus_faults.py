@@ -177,3 +177,44 @@ def test_a_reload_goes_on_with_the_clock_and_its_fault(tmp_path):
     assert dtcs(successor) == ["U3000-62"]
     successor.feed(frame(11_000, 0x300, beat(0)))
     assert "U3000-62" in dtcs(successor, active=False), "healed by its time from before the reload"
+
+
+def test_a_clock_that_is_not_set_is_a_passed_test_of_each_operation_cycle(tmp_path):
+    """Or readiness would never be complete."""
+    gateway = gateway_of(tmp_path)
+    not_completed = 0x50
+    gateway.start(0)
+    gateway.advance(0)
+    assert gateway.memory.status("gateway.clock_stepped") == not_completed
+    gateway.advance(10_000 * MS)
+    assert gateway.memory.status("gateway.clock_stepped") == 0
+    gateway.controls.restart_cycle()
+    assert gateway.memory.status("gateway.clock_stepped") == 0x40
+    gateway.advance(20_000 * MS)
+    assert gateway.memory.status("gateway.clock_stepped") == 0
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+def test_a_long_gap_says_of_the_clock_what_its_windows_say_one_by_one(passes, tmp_path):
+    """A silence that was let pass in ticks, and the same as a gap in a recording."""
+
+    def own(text):
+        return (
+            f'{text}\n[fault."gateway.clock_stepped"]\ndebounce = {{ passed_after = {passes} }}\n'
+        )
+
+    told = []
+    for tick_ms in (100, 10**7):
+        gateway, events = gateway_of(tmp_path, own, timeout_ms=3.6e6), []
+        gateway.listen(events.append)
+        gateway.start(0)
+        gateway.feed(c.step_frame(2 * MS, 1_000_000))
+        for t_ms in range(tick_ms, 100_001, tick_ms):
+            gateway.advance(t_ms * MS)
+        gateway.advance(100_001 * MS)
+        gateway.feed(c.step_frame(100_002 * MS, 1_000_000))
+        gateway.advance(105_000 * MS)
+        told.append(events)
+    assert told[0] == told[1]
+    healed = [e["t_ns"] for e in told[0] if e["event"] == "dtc" and not e["status"] & 1]
+    assert healed == [1002 * MS + passes * 10_000 * MS]

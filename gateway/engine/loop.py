@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.bus_checks import conclude, on_error_frame
+from gateway.engine.bus_checks import conclude, on_error_frame, pass_over_windows
 from gateway.engine.debounce import mature
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
@@ -26,7 +26,7 @@ from gateway.engine.message_checks import judge, pass_over, time_out
 from gateway.engine.results import announce, not_tested, push, tested, witness
 from gateway.engine.tables import NEVER, Tables, borrowed
 from gateway.jit import borrow, call_entry, kernel
-from gateway.monitors.bus_health import disproved, elapsed
+from gateway.monitors.bus_health import disproved, elapsed, watch_clock
 from gateway.monitors.communication import ACCEPT, REJECT
 from gateway.monitors.shape import FAILED, TIMER
 from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
@@ -123,6 +123,7 @@ def run_timers(T: Any, t_ns: int) -> None:
         if bus >= 0:
             elapsed(T.health[bus], due)
             conclude(T, due, T.health[bus])
+            pass_over_windows(T, t_ns, T.health[bus])
         elif fault >= 0:
             ripen(T, due, fault)
         elif check >= 0:
@@ -203,6 +204,9 @@ def advance(T: Any, t_ns: int) -> None:
             if c.timeout_ns > 0:
                 c.deadline_ns = t_ns + c.timeout_ns
                 clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+        own = T.health[T.health.shape[0] - 1]
+        watch_clock(own, t_ns)
+        clock.deadline_ns = min(clock.deadline_ns, own.deadline_ns)
     if t_ns > clock.now_ns:
         if clock.deadline_ns <= t_ns:
             run_timers(T, t_ns)

@@ -255,6 +255,13 @@ def note_step(h: Any, t_ns: int, step_s: float, steps: int) -> None:
 
 
 @kernel
+def watch_clock(h: Any, t_ns: int) -> None:
+    """Begin to watch the clock: each window without a step is a passed test."""
+    if h.fault[CLOCK_STEPPED] >= 0:
+        _wait(h, CLOCK_STEPPED, t_ns)
+
+
+@kernel
 def disproved(h: Any) -> None:
     """Take a frame that was received while the bus was said to be off or lost."""
     h.failed = 0
@@ -269,6 +276,6 @@ def elapsed(h: Any, t_ns: int) -> None:
     h.deadline_ns = NEVER
     for k in range(h.until.shape[0]):
         if h.until[k] <= t_ns:
-            h.until[k] = NEVER
+            h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
             h.passed |= 1 << k
         h.deadline_ns = min(h.deadline_ns, h.until[k])

@@ -41,5 +41,5 @@ class ClockParams(MonitorParams):
         gt=0,
         le=3.6e6,
         allow_inf_nan=False,
-        description="so long without a step heals it [s]",
+        description="each time of this length without a step is a passed test [s]",
     )
