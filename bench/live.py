@@ -33,6 +33,7 @@ from gateway.bus.can_structs import RawReceiver
 from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
 from gateway.config import load_config
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.resources import shipped
@@ -112,10 +113,11 @@ def our_side(
 ) -> None:
     """Run the gateway's live loop in this process."""
     gateway = Gateway(load_config(config), memory)
-    link = Link("test:live", 0, "b", opener)
+    clock = Clock()
+    link = Link("test:live", 0, "b", opener, clock)
     link.start()
     gateway.start(time.time_ns())
-    live = Live(gateway, [link], lambda event: None)
+    live = Live(gateway, [link], lambda event: None, clock=clock)
     for _ in range(20):
         live.turn()
     ready.set()

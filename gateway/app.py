@@ -13,13 +13,16 @@ from typing import Any
 import numpy as np
 
 from gateway.assemble import Parts, assemble, identifiers_of, outputs_of
+from gateway.bus.conditions import are_steps
 from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.config import Config
 from gateway.controls import Controls
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
+    CLOCK_STEPPED,
     CYCLE_BEGAN,
     CYCLE_ENDED,
+    NO_BUS,
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
     Events,
@@ -51,6 +54,10 @@ _RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 class Gateway:
     """Engine, fault memory and outputs of one configuration.
+
+    Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
+    condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
+    stamped by the wall clock.
 
     Args:
         config: the configuration.
@@ -103,24 +110,40 @@ class Gateway:
         self._uncommitted = False
         self.event_count = 0
 
+    def finish(self, t_ns: int) -> Frames:
+        """Put down all that a successor is to find in the fault memory; returns frames to send.
+
+        A gateway that is then fed still goes on, as where the successor cannot be made.
+
+        Args:
+            t_ns: now.
+        """
+        sent = self.poll(t_ns)  # answers that were promised
+        if self._recorder is not None:
+            self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
+        self.memory.commit()
+        return sent
+
     def succeed(self, old: Gateway) -> None:
         """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.
 
-        What both have in common (signals, counters, monitors with the same parameters) keeps its state; testers find
-        the default session. The other gateway must not be used any more.
+        What both have in common (signals, counters, monitors with the same parameters, requests and answers under way)
+        keeps its state; testers find the default session. The other gateway must not be used any more.
 
         Args:
-            old: whose store this one was made with.
+            old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: what
+                it does after that is lost.
         """
-        if old._recorder is not None and self._recorder is not None:
-            old.memory.add_recordings(old._recorder.on_time(old.engine.now_ns, final=True))
-            old.memory.commit()
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {
             k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
         }
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self.controls.go_on()
+        for k, output in enumerate(self._outputs):
+            for other in old._outputs:
+                output.succeed(other, buses)
+            self._set_due(k)
         self._listeners = old._listeners
         self.event_count = old.event_count
         self._note_catalogue()
@@ -143,7 +166,7 @@ class Gateway:
         """End the operation cycle and keep everything."""
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
-        self.memory.end_cycle(t_ns)
+        self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self.memory.commit()
 
     def close(self) -> None:
@@ -156,7 +179,7 @@ class Gateway:
         What the returned frames say is in the fault memory before they are returned.
         """
         if self._recorder is not None:
-            self._recorder.on_frames(frames)
+            self._recorder.on_frames(frames, self.engine.offset_ns)
         sent: list[Frames] = []
         for piece, last, wanting in self._pieces(frames):
             sent.append(self._emit(self._process(piece)))
@@ -207,7 +230,10 @@ class Gateway:
     def _process(self, frames: Frames) -> Frames:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
-        return self.engine.advance(int(frames["t_ns"].max()), self._on_events)
+        # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
+        sent = self.engine.process(frames[are_steps(frames)], self._on_events)
+        more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
+        return np.concatenate([sent, more])
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
@@ -268,6 +294,9 @@ class Gateway:
             if kind in (CYCLE_BEGAN, CYCLE_ENDED):
                 self._on_cycle(event, began=kind == CYCLE_BEGAN)
                 continue
+            if kind == CLOCK_STEPPED:
+                self._on_step(event)
+                continue
             changes = self.memory.apply(events_of(event), self._observe)
             self._uncommitted = self._uncommitted or bool(changes)
             told = [change for change in changes if change.concerns_fault]
@@ -283,7 +312,8 @@ class Gateway:
             self._recorder is not None
             and change.new_status & ~change.old_status & Status.TEST_FAILED
         ):
-            self._recorder.on_failure(change.definition.id, change.t_ns)
+            t_ns = change.t_ns - self.engine.offset_ns
+            self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
 
     def _on_cycle(self, event: np.void, *, began: bool) -> None:
         name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
@@ -295,12 +325,19 @@ class Gateway:
             {
                 "event": "cycle",
                 "t_ns": t_ns,
-                "bus": self.config.bus[int(event["bus"])].name,
+                "bus": self._bus_name(int(event["bus"])),
                 "cycle": name,
                 "state": "began" if began else "ended",
                 "number": self.memory.cycle_number(name),
             }
         )
+
+    def _on_step(self, event: np.void) -> None:
+        self._tell(clock_event(int(event["t_ns"]), float(event["value"])))
+
+    def _bus_name(self, bus: int) -> str:
+        """Return the name of a bus; the gateway's own faults are of none."""
+        return "" if bus == NO_BUS else self.config.bus[bus].name
 
     def _emit(self, sent: Frames) -> Frames:
         """Return the frames to send: the monitors' own, then what the outputs have to say."""
@@ -359,7 +396,7 @@ class Gateway:
         return {
             "event": "monitor",
             "t_ns": int(event["t_ns"]),
-            "bus": self.config.bus[int(event["bus"])].name,
+            "bus": self._bus_name(int(event["bus"])),
             "fault": definition.id,
             "result": _RESULTS.get(int(event["result"]), "not tested"),
             "fdc": int(event["fdc"]),
@@ -371,7 +408,7 @@ class Gateway:
         return {
             "event": "dtc",
             "t_ns": change.t_ns,
-            "bus": self.config.bus[bus].name,
+            "bus": self._bus_name(bus),
             "fault": change.definition.id,
             "dtc": str(change.dtc),
             "status": int(change.new_status),
@@ -435,6 +472,17 @@ def prepare(config: Config, file: Path | None = None) -> Parts:
     except InputErrors as errors:
         raise InputErrors([error.within(file) for error in errors.errors]) from errors
     return parts
+
+
+def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:
+    """Log that the wall clock was set, and return the event of the JSON contract that tells it.
+
+    Args:
+        t_ns: when, by the clock as it was set [ns].
+        step_s: by how much, forward positive [s].
+    """
+    log.warning("wall clock was set", step_s=step_s)
+    return {"event": "clock", "t_ns": t_ns, "step_s": step_s}
 
 
 def events_of(event: np.void) -> Events:

@@ -278,6 +278,7 @@ def assemble(config: Config) -> Parts:
         extra=set(names.found.values()),
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=[BusInstance(bus.name, bus.health) for bus in config.bus],
+        clock=config.clock,
     )
     _refuse_unknown(config, engine)
     catalogue = Catalogue(

@@ -20,6 +20,7 @@ from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors import bus_health, communication
+from gateway.monitors.clock_health import ClockParams
 from gateway.monitors.registry import MONITORS
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameParams
@@ -134,6 +135,7 @@ class Config(StrictModel):
         default_factory=dict,
         description='operation cycles that signals begin and end; "power" is always there',
     )
+    clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
     record: RingParams | None = Field(

@@ -81,8 +81,8 @@ class Controls:
         self._engine.hold_results(not (self._dtcs_on and self.receive))
 
     def start_cycle(self, t_ns: int) -> None:
-        """Start the operation cycle of the gateway itself."""
-        self._memory.start_cycle(t_ns)
+        """Start the operation cycle of the gateway itself, at a time of the engine."""
+        self._memory.start_cycle(self._engine.wall_ns(t_ns))
         self._engine.reset_debounce()
         self._engine.end_cycles()
         self.go_on()
@@ -96,17 +96,17 @@ class Controls:
     def restart_cycle(self) -> None:
         """End the operation cycle and begin the next one, as at key off and on."""
         now = self._engine.now_ns
-        self._memory.end_cycle(now)
+        self._memory.end_cycle(self._engine.wall_ns(now))
         self.start_cycle(now)
 
     def begin(self, cycle: str, t_ns: int) -> None:
-        """Begin an operation cycle that signals define; its faults are tested anew."""
+        """Begin an operation cycle that signals define, at a time for people; its faults are tested anew."""
         self._memory.start_cycle(t_ns, cycle)
         mine = [d.id for d in self._memory.catalogue if d.cycle == cycle]
         self._engine.reset_debounce(self._index[fault] for fault in mine)
 
     def end(self, cycle: str, t_ns: int) -> None:
-        """End an operation cycle that signals define."""
+        """End an operation cycle that signals define, at a time for people."""
         self._memory.end_cycle(t_ns, cycle)
 
     def compact(self) -> None:

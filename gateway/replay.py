@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from gateway.bus.frames import Frames
 from gateway.bus.log_source import CutOffError
 from gateway.bus.ring import Recorded
+from gateway.bus.timeline import LogTime
 from gateway.errors import InputError
 
 #: Places named that were passed over; the rest is counted.
@@ -42,7 +43,8 @@ def replay(
 
     Args:
         gateway: not started yet.
-        batches: of FRAME, in order of time.
+        batches: of FRAME, in order of time but where the clock that stamped them was set (see
+            :class:`gateway.bus.timeline.LogTime`).
         progress: called after each batch.
 
     Returns:
@@ -50,16 +52,18 @@ def replay(
     """
     count = 0
     last_ns = 0
-    for frames in batches:
-        if not len(frames):
+    time = LogTime()
+    for stamped in batches:
+        if not len(stamped):
             continue
+        frames = time.apply(stamped)
         if not count:
             gateway.start(int(frames[0]["t_ns"]))
         gateway.feed(gateway.without_own(frames))
-        count += len(frames)
+        count += len(stamped)
         last_ns = int(frames[-1]["t_ns"])
         if progress is not None:
-            progress(frames)
+            progress(stamped)
     if count:
         gateway.stop(last_ns)
     return count

@@ -123,3 +123,98 @@ def test_a_recording_with_its_conditions_replays_to_the_same_faults(tmp_path):
     assert [e["dtc"] for e in told[0] if e["event"] == "dtc" and e["status"] & 1] == [
         "U0001-88", "U0001-04", "U0001-31"
     ]  # fmt: skip
+
+
+def test_the_clock_is_followed_while_a_tester_has_switched_reception_off(tmp_path):
+    gateway = gateway_of(tmp_path)
+    gateway.start(0)
+    gateway.controls.set_communication(receive=False, send=True)
+    gateway.feed(np.concatenate([frame(1, 0x300, beat(0)), c.step_frame(2 * MS, 3_600_000_000)]))
+    assert gateway.engine.offset_ns == 3600 * 10**9
+    assert gateway.engine.counters()["decoded"] == 0
+    gateway.stop(5 * MS)
+    assert gateway.store.cycles()["power"].t_ns == 3600 * 10**9 + 5 * MS
+
+
+def test_the_fault_of_the_clock_is_set_up_like_any_other(tmp_path):
+    def own(text):
+        return text + '\n[fault."gateway.clock_stepped"]\ndtc = "U3000-64"\nindicator = true\n'
+
+    gateway = gateway_of(tmp_path, own)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    gateway.feed(c.step_frame(2 * MS, -500_000))
+    (entry,) = gateway.memory.entries()
+    assert (str(entry.dtc), bool(entry.status & 0x80)) == ("U3000-64", True)
+    assert entry.first_ns == 2 * MS - 500 * MS
+    assert [e["event"] for e in events] == ["clock", "dtc"]
+    gateway.advance(9_999 * MS)
+    assert "U3000-64" in dtcs(gateway)
+    gateway.advance(10_003 * MS)
+    assert "U3000-64" not in dtcs(gateway), "healed after 10 s without another step"
+
+
+def test_a_clock_that_is_not_watched_is_told_and_no_fault(tmp_path):
+    gateway = gateway_of(tmp_path, more="[clock]\nwatched = false\n")
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    gateway.feed(c.step_frame(2 * MS, 1_000_000))
+    assert events == [{"event": "clock", "t_ns": 1002 * MS, "step_s": 1.0}]
+    assert gateway.memory.entries() == []
+    assert gateway.catalogue.get("gateway.clock_stepped") is None
+
+
+def test_a_reload_goes_on_with_the_clock_and_its_fault(tmp_path):
+    gateway = gateway_of(tmp_path)
+    gateway.start(0)
+    gateway.feed(c.step_frame(2 * MS, 7_000_000))
+    gateway.finish(3 * MS)
+    successor = Gateway(gateway.config, store=gateway.store)
+    successor.succeed(gateway)
+    assert successor.engine.offset_ns == 7 * 10**9
+    assert dtcs(successor) == ["U3000-62"]
+    successor.feed(frame(11_000, 0x300, beat(0)))
+    assert "U3000-62" in dtcs(successor, active=False), "healed by its time from before the reload"
+
+
+def test_a_clock_that_is_not_set_is_a_passed_test_of_each_operation_cycle(tmp_path):
+    """Or readiness would never be complete."""
+    gateway = gateway_of(tmp_path)
+    not_completed = 0x50
+    gateway.start(0)
+    gateway.advance(0)
+    assert gateway.memory.status("gateway.clock_stepped") == not_completed
+    gateway.advance(10_000 * MS)
+    assert gateway.memory.status("gateway.clock_stepped") == 0
+    gateway.controls.restart_cycle()
+    assert gateway.memory.status("gateway.clock_stepped") == 0x40
+    gateway.advance(20_000 * MS)
+    assert gateway.memory.status("gateway.clock_stepped") == 0
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+def test_a_long_gap_says_of_the_clock_what_its_windows_say_one_by_one(passes, tmp_path):
+    """A silence that was let pass in ticks, and the same as a gap in a recording."""
+
+    def own(text):
+        return (
+            f'{text}\n[fault."gateway.clock_stepped"]\ndebounce = {{ passed_after = {passes} }}\n'
+        )
+
+    told = []
+    for tick_ms in (100, 10**7):
+        gateway, events = gateway_of(tmp_path, own, timeout_ms=3.6e6), []
+        gateway.listen(events.append)
+        gateway.start(0)
+        gateway.feed(c.step_frame(2 * MS, 1_000_000))
+        for t_ms in range(tick_ms, 100_001, tick_ms):
+            gateway.advance(t_ms * MS)
+        gateway.advance(100_001 * MS)
+        gateway.feed(c.step_frame(100_002 * MS, 1_000_000))
+        gateway.advance(105_000 * MS)
+        told.append(events)
+    assert told[0] == told[1]
+    healed = [e["t_ns"] for e in told[0] if e["event"] == "dtc" and not e["status"] & 1]
+    assert healed == [1002 * MS + passes * 10_000 * MS]

@@ -37,6 +37,7 @@ def play(config, frames, cuts, change=lambda config: config):
     for start, stop in zip([0, *cuts], [*cuts, len(frames)], strict=True):
         if start:
             new = change(config)
+            sent.append(gateway.finish(gateway.engine.now_ns))
             successor = Gateway(new, parts=prepare(new), store=gateway.store)
             successor.succeed(gateway)
             gateway = successor
@@ -100,6 +101,7 @@ def test_active_faults_stay_active_over_a_reload():
     assert failing == ["crank.missed_pulse"]
     fdc = gateway.controls.fault_detection_counter("crank.missed_pulse")
     assert fdc != 0
+    gateway.finish(gateway.engine.now_ns)
     successor = Gateway(config, parts=prepare(config), store=gateway.store)
     successor.succeed(gateway)
     assert [e.fault for e in successor.memory.entries() if e.status & 1] == failing

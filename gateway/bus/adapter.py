@@ -30,6 +30,8 @@ class PythonCanBus(Bus):
         bus: opened already; closed with this one.
     """
 
+    own_clock = True  # some drivers stamp by the adapter's clock, from when it was plugged in
+
     def __init__(self, uri: str, index: int, bus: can.BusABC) -> None:
         super().__init__(uri, index)
         self._bus = bus

@@ -36,7 +36,10 @@ class Bus(ABC):
 
     Attributes:
         losses: (place in the batch received last, frames lost in a queue right before it).
+        own_clock: whether its frames may be stamped by another clock than this machine's wall clock.
     """
+
+    own_clock = False
 
     def __init__(self, uri: str, index: int) -> None:
         self.uri = uri

@@ -5,10 +5,15 @@ The kernel has no frame for an interface that goes away, comes back, or loses fr
 gateway makes error frames of **no class**, which the kernel never sends. They travel with the other frames, into
 recordings too, so that a replay judges the bus as the live run did.
 
-Data of a frame without class: byte 0 the condition, bytes 4 to 7 the number of frames lost (little endian).
+Data of a frame without class: byte 0 the condition, bytes 4 to 7 the number of frames lost (little endian). STEPPED is
+of the wall clock that stamps the frames rather than of a bus: bytes 1 to 7 are its step in microseconds, signed. Its own
+stamp, and those of all frames after it, are of the clock after the step.
 """
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, Frames, empty, put
 
@@ -21,8 +26,8 @@ RESTARTED, COUNTERS = 0x100, 0x200
 RX_OVERFLOW, TX_OVERFLOW, RX_WARNING, TX_WARNING = 0x01, 0x02, 0x04, 0x08
 RX_PASSIVE, TX_PASSIVE, ACTIVE = 0x10, 0x20, 0x40
 
-#: Conditions: frames come, none can come, some were lost in a queue.
-RUNNING, LOST, LOSS = 1, 2, 3
+#: Conditions: frames come, none can come, some were lost in a queue; the wall clock was set.
+RUNNING, LOST, LOSS, STEPPED = 1, 2, 3, 4
 
 
 def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frames:
@@ -38,3 +43,28 @@ def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frame
     data = bytes([condition, 0, 0, 0]) + min(lost, 0xFFFFFFFF).to_bytes(4, "little")
     put(frame, 0, t_ns, ERROR, data, bus=bus)
     return frame
+
+
+def step_frame(t_ns: int, step_us: int) -> Frames:
+    """Return a batch of one frame that tells a step of the wall clock.
+
+    Args:
+        t_ns: when it was noticed [ns].
+        step_us: by how much, forward positive [us].
+    """
+    frame = empty(1)
+    put(frame, 0, t_ns, ERROR, bytes([STEPPED]) + step_us.to_bytes(7, "little", signed=True))
+    return frame
+
+
+def are_steps(frames: Frames) -> NDArray[np.bool_]:
+    """Return which frames tell a step of the wall clock, shape (n,)."""
+    mask = frames["can_id"] == ERROR
+    if mask.any():
+        mask &= frames["data"][:, 0] == STEPPED
+    return np.asarray(mask, np.bool_)
+
+
+def step_ns_of(frame: np.void) -> int:
+    """Return the step that a frame tells [ns]."""
+    return int.from_bytes(bytes(frame["data"][1:8]), "little", signed=True) * 1000

@@ -13,6 +13,7 @@ import numpy as np
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
+from gateway.bus.timeline import LogTime
 from gateway.config import Config, channels_of, monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.shape import MonitorParams
@@ -67,7 +68,7 @@ def digest(logs: Iterable[Path]) -> str:
 def batches(
     config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()
 ) -> Iterator[Frames]:
-    """Yield a log's frames, batch by batch, without empty ones.
+    """Yield a log's frames in even time, batch by batch, without empty ones.
 
     Raises:
         InputError, InputErrors: the log is damaged, cut off, or holds no frame of a configured bus: nothing is to be
@@ -75,9 +76,10 @@ def batches(
     """
     channels = channels_of(config, maps)
     reader = read_recording(path, channels)
+    time = LogTime()
     for frames in reader:
         if len(frames):
-            yield frames
+            yield time.apply(frames)
             progress(len(frames))
     buses = {bus.name: bus.channel for bus in config.bus}
     found = contents(reader, buses, channels)

@@ -91,6 +91,8 @@ class EventPrinter:
             self._dtc(event)
         elif event["event"] == "bus":
             self._bus(event)
+        elif event["event"] == "clock":
+            self._clock(event)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "log":
@@ -116,6 +118,12 @@ class EventPrinter:
                 for k, v in event["evidence"].items()
             )
             self._console.print(f"{'':14}evidence: {shown}", style="dim", markup=False)
+
+    def _clock(self, event: dict[str, Any]) -> None:
+        self.start_ns += round(event["step_s"] * 1e9)  # the seconds that people see go on evenly
+        self._console.print(
+            f"{self._time(event)}  [bold red]clock set[/] by {event['step_s']:+.6f} s"
+        )
 
     def _bus(self, event: dict[str, Any]) -> None:
         if event["state"] in ("open", "lost"):

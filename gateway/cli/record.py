@@ -14,6 +14,7 @@ from gateway.bus.uri import channel_of, open_bus
 from gateway.cli.present import EventPrinter, say
 from gateway.cli.run import Ending
 from gateway.errors import InputError
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, bus_event
 from gateway.live.notify import Notifier
@@ -39,7 +40,8 @@ def record(
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     channels = _channels(uris)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
-    nobody, notifier = Nobody(), Notifier()
+    clock = Clock()
+    nobody, notifier = Nobody(printer), Notifier()
     with ExitStack() as stack:
         sink: Ring | None = None
         if ring is not None:
@@ -49,17 +51,19 @@ def record(
         writer = None if out is None else stack.enter_context(open_writer(out, interfaces=channels))
         links = []
         for index, uri in enumerate(uris):
-            links.append(Link(uri, index, channels[index], partial(open_bus, patience_s=0.0)))
+            opener = partial(open_bus, patience_s=0.0)
+            links.append(Link(uri, index, channels[index], opener, clock))
             stack.callback(links[-1].close)
             links[-1].start()
-        live = Live(nobody, links, printer, taps=[t for t in (sink, writer) if t is not None])
+        taps = [tap for tap in (sink, writer) if tap is not None]
+        live = Live(nobody, links, printer, taps=taps, clock=clock)
         stack.callback(live.close)
         say(f"recording {', '.join(uris)} to {out or ring}")
         notifier.ready(f"recording {', '.join(uris)}")
         live.run(ending, on_turn=notifier.alive)
         notifier.stopping()
         for link in links:
-            printer(bus_event(link, "closed", time.time_ns()))
+            printer(bus_event(link, "closed", clock.wall()))
     lost = 0 if sink is None else sink.lost
     say(f"{nobody.frames} frames recorded" + (f", {lost} could not be written" if lost else ""))
     return 0

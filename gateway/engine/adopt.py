@@ -9,6 +9,8 @@ import numpy as np
 
 from gateway.engine.core import Engine
 from gateway.engine.debounce import STATE as DEBOUNCE_STATE
+from gateway.engine.tables import NEVER
+from gateway.monitors.bus_health import watch_clock
 from gateway.signals.tables import SignalRef
 
 #: What of a communication check depends on the whole configuration rather than on the check.
@@ -32,8 +34,12 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
     _monitors(new, old, buses)
     _faults(new, old)
     for before, now in buses.items():
-        if before < len(old.tables.health) and now < len(new.tables.health):
+        if before < len(old.tables.health) - 1 and now < len(new.tables.health) - 1:
             _copy(new.tables.health[now], old.tables.health[before], _HEALTH_SETTINGS)
+    own = new.tables.health[-1]
+    _copy(own, old.tables.health[-1], _HEALTH_SETTINGS)
+    if old.tables.clock[0]["started"] and own["until"].min() == NEVER:  # watched from now on
+        watch_clock(own, new.now_ns)
     for before, now in cycles.items():
         new.tables.cycles[now] = old.tables.cycles[before]
 

@@ -13,12 +13,13 @@ from gateway.engine import emission
 from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.debounce import DEBOUNCE, configure
 from gateway.engine.emission import Emitted
-from gateway.engine.events import EVENT
+from gateway.engine.events import EVENT, NO_BUS
 from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
 from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
 from gateway.errors import InputError
 from gateway.monitors import bus_health, communication
 from gateway.monitors.bus_health import HEALTH
+from gateway.monitors.clock_health import OWN, OWN_FAULTS, ClockParams
 from gateway.monitors.communication import CHECK
 from gateway.monitors.shape import RESULTS, Debounce, Fault, Monitor, MonitorParams
 from gateway.signals.crc import ALGORITHMS, crc8_table
@@ -85,6 +86,7 @@ def build_engine(
     extra: Collection[SignalRef] = (),
     pgn: Collection[int] = (),
     buses: Sequence[BusInstance] = (),
+    clock: ClockParams | None = None,
     ring: int = 4096,
 ) -> Engine:
     """Compile everything into one engine.
@@ -99,10 +101,12 @@ def build_engine(
         extra: further signals to decode (freeze frames, identifiers).
         pgn: buses whose extended identifiers match by J1939 PGN.
         buses: whose health is judged, in the order of their indices.
+        clock: how the gateway's own clock is judged; None: it is not.
         ring: events that one pass of the loop can hold.
 
     Returns:
-        the engine; its faults are those of the monitors, then those of the checks, then those of the buses, in order.
+        the engine; its faults are those of the monitors, then those of the checks, then those of the buses,
+        in order, then the gateway's own.
 
     Raises:
         InputError: a message or signal that no database has, a CRC signal off its byte boundary.
@@ -170,10 +174,11 @@ def build_engine(
         vectors[row]["check"] = k
         faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
 
-    health = table(len(buses), HEALTH)
+    health = table(len(buses) + 1, HEALTH)
     codes = bus_health.codes_of([bus.params for bus in buses])
     for k, (bus, code) in enumerate(zip(buses, codes, strict=True)):
         faults += _prepare_health(health[k], bus, k, code, len(faults))
+    faults += _prepare_own(health[-1], clock, len(faults))
 
     debounces = table(len(faults), DEBOUNCE)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
@@ -191,9 +196,9 @@ def build_engine(
     )
     outbox, outbox_cells = emission.outbox()
     out = table(1, RESULTS)
-    clock = table(1, CLOCK)
-    clock[0]["deadline_ns"] = NEVER
-    clock[0]["timed"] = bool(debounces["timed"].any())
+    clock_row = table(1, CLOCK)
+    clock_row[0]["deadline_ns"] = NEVER
+    clock_row[0]["timed"] = bool(debounces["timed"].any())
     tables = Tables(
         plan.keys,
         plan.rows,
@@ -225,7 +230,7 @@ def build_engine(
         outbox_cells,
         table(ring, EVENT),
         health,
-        clock,
+        clock_row,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
 
@@ -350,5 +355,20 @@ def _prepare_health(
     if not p.watched:
         return []
     faults = bus_health.faults_of(code)
-    row["fault"] = first_fault + np.arange(len(faults))
+    row["fault"][: len(faults)] = first_fault + np.arange(len(faults))
     return [FaultSlot(f"{bus.name}.{fault.name}", fault, index) for fault in faults]
+
+
+def _prepare_own(row: Any, params: ClockParams | None, first_fault: int) -> list[FaultSlot]:
+    """Fill the health of the gateway itself; returns the faults it can report, in order."""
+    row["deadline_ns"] = NEVER
+    row["until"] = NEVER
+    row["fault"] = -1
+    if params is None or not params.watched:
+        return []
+    row["most"], row["window_ns"] = (
+        round(params.tolerance_ms * 1e3),
+        round(params.heals_after_s * 1e9),
+    )
+    row["fault"][-len(OWN_FAULTS) :] = first_fault + np.arange(len(OWN_FAULTS))
+    return [FaultSlot(f"{OWN}.{fault.name}", fault, NO_BUS) for fault in OWN_FAULTS]

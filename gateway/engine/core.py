@@ -80,6 +80,15 @@ class Engine:
         """Time of the latest frame or :meth:`advance` [ns]."""
         return int(self.tables.clock[0]["now_ns"])
 
+    @property
+    def offset_ns(self) -> int:
+        """What the wall clock is ahead of the engine's time, since it was set [ns]."""
+        return int(self.tables.clock[0]["offset_ns"])
+
+    def wall_ns(self, t_ns: int) -> int:
+        """Return a time of the engine as people read it [ns]."""
+        return t_ns + self.offset_ns
+
     def process(self, frames: Frames, sink: Sink) -> Frames:
         """Feed a batch of frames, in order; returns what the monitors send.
 
@@ -183,13 +192,13 @@ class Engine:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
-        hidden = {"now_ns", "deadline_ns", "started", "stop", "timed", "held"}
+        hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "timed", "held"}
         hidden |= {"events", "sent", "fed", "taken"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def error_counters(self, bus: int) -> dict[str, int]:
         """Return the error frames of a bus by class, and the frames lost in its queues."""
-        if bus >= len(self.tables.health):
+        if bus >= len(self.tables.health) - 1:
             return {}
         row = self.tables.health[bus]
         counts = {name: int(count) for name, count in zip(COUNTED, row["counts"], strict=True)}

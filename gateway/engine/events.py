@@ -18,8 +18,14 @@ RESULT_CHANGED = 3
 FDC_REACHED = 4
 #: An operation cycle began, or ended; ``fault`` is the index of the cycle.
 CYCLE_BEGAN, CYCLE_ENDED = 5, 6
+#: The wall clock was set; ``value`` is by how much [s].
+CLOCK_STEPPED = 7
 
-#: One event. ``fault`` is the index in the engine's list of faults, ``result`` one of NOT_TESTED,
+#: Bus of what is of no bus: the gateway's own faults.
+NO_BUS = 255
+
+#: One event. ``t_ns`` is of the wall clock, as all stamps for people, ``fault`` the index in the engine's list of
+#: faults, ``result`` one of NOT_TESTED,
 #: PASSED, FAILED, ``fdc`` the fault detection counter, ``evidence`` named by the fault's definition.
 EVENT = record(
     t_ns=i8,

@@ -17,18 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.bus_checks import conclude, on_error_frame
+from gateway.engine.bus_checks import conclude, on_error_frame, pass_over_windows
 from gateway.engine.debounce import mature
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
 from gateway.engine.gate import closed, reached
 from gateway.engine.message_checks import judge, pass_over, time_out
-from gateway.engine.results import not_tested, push, tested, witness
+from gateway.engine.results import announce, not_tested, push, tested, witness
 from gateway.engine.tables import NEVER
 from gateway.jit import call_entry, kernel
-from gateway.monitors.bus_health import disproved, elapsed
+from gateway.monitors.bus_health import disproved, elapsed, watch_clock
 from gateway.monitors.communication import ACCEPT, REJECT
-from gateway.monitors.shape import FAILED, NOT_TESTED, TIMER
+from gateway.monitors.shape import FAILED, TIMER
 from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
 
 _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
@@ -124,6 +124,7 @@ def run_timers(T: Any, t_ns: int) -> None:
         if bus >= 0:
             elapsed(T.health[bus], due)
             conclude(T, due, T.health[bus])
+            pass_over_windows(T, t_ns, T.health[bus])
         elif fault >= 0:
             ripen(T, due, fault)
         elif check >= 0:
@@ -145,23 +146,8 @@ def watch(T: Any, t_ns: int, w: Any) -> None:
         return
     T.cycles[w.cycle] = w.begins
     w.lowest = value
-    clock = T.clock[0]
-    clock.stop = 1
-    if clock.events >= T.ring.shape[0]:
-        clock.events_lost += 1
-        return
-    event = T.ring[clock.events]
-    event.t_ns = t_ns
-    event.fault = w.cycle
-    event.kind = CYCLE_BEGAN if w.begins == 1 else CYCLE_ENDED
-    event.result = NOT_TESTED
-    event.fdc = 0
-    event.bus = w.bus
-    event.value = value
-    event.threshold = w.low
-    for k in range(event.evidence.shape[0]):
-        event.evidence[k] = 0.0
-    clock.events += 1
+    kind = CYCLE_BEGAN if w.begins == 1 else CYCLE_ENDED
+    announce(T, t_ns, kind, w.cycle, w.bus, value, w.low)
 
 
 @kernel
@@ -171,7 +157,7 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
     if can_id & _ERROR:
         on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
         return
-    if bus < T.health.shape[0] and T.health[bus].bad != 0:
+    if bus < T.health.shape[0] - 1 and T.health[bus].bad != 0:
         disproved(T.health[bus])
         conclude(T, t_ns, T.health[bus])
     if can_id & _REMOTE:
@@ -219,6 +205,9 @@ def advance(T: Any, t_ns: int) -> None:
             if c.timeout_ns > 0:
                 c.deadline_ns = t_ns + c.timeout_ns
                 clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+        own = T.health[T.health.shape[0] - 1]
+        watch_clock(own, t_ns)
+        clock.deadline_ns = min(clock.deadline_ns, own.deadline_ns)
     if t_ns > clock.now_ns:
         if clock.deadline_ns <= t_ns:
             run_timers(T, t_ns)

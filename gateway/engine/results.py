@@ -21,7 +21,7 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
         return -1
     event = T.ring[place]
     d = T.debounces[fault]
-    event.t_ns = t_ns
+    event.t_ns = t_ns + clock.offset_ns
     event.fault = fault
     event.kind = kind
     event.result = result
@@ -35,6 +35,30 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
     if kind != RESULT_CHANGED:
         clock.stop = 1
     return int(place)
+
+
+@kernel
+def announce(
+    T: Any, t_ns: int, kind: int, index: int, bus: int, value: float, limit: float
+) -> None:
+    """Append an event that is no test result, and leave the loop after it."""
+    clock = T.clock[0]
+    clock.stop = 1
+    if clock.events >= T.ring.shape[0]:
+        clock.events_lost += 1
+        return
+    event = T.ring[clock.events]
+    event.t_ns = t_ns + clock.offset_ns
+    event.fault = index
+    event.kind = kind
+    event.result = NOT_TESTED
+    event.fdc = 0
+    event.bus = bus
+    event.value = value
+    event.threshold = limit
+    for k in range(event.evidence.shape[0]):
+        event.evidence[k] = 0.0
+    clock.events += 1
 
 
 @kernel

@@ -43,9 +43,11 @@ HANDLER = record(
 )
 
 #: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline; ``timed`` tells whether a
-#: fault is debounced by time, ``held`` whether test results count at present. Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
+#: fault is debounced by time, ``held`` whether test results count at present. ``offset_ns`` is what the wall clock is
+#: ahead of the engine's: it changes where the wall clock is set (``clock_steps`` times), so that ``now_ns`` goes on evenly. Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
 CLOCK = record(
     now_ns=i8,
+    offset_ns=i8,
     deadline_ns=i8,
     started=u1,
     stop=u1,
@@ -59,6 +61,7 @@ CLOCK = record(
     remote=i8,
     error=i8,
     late=i8,
+    clock_steps=i8,
     too_short=i8,
     unknown_mux=i8,
     crc_failed=i8,
@@ -80,7 +83,7 @@ class Tables(NamedTuple):
     Outbox: ``emits``, ``emit_signals``, ``outbox`` and the same memory in cells (see engine.emission).
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
-    Health: a row for each bus (see monitors.bus_health).
+    Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
 

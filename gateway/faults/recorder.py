@@ -1,6 +1,7 @@
 """Frames around a failure: what the bus said before and after, kept with the fault.
 
-Driven by the frames' own clock, so that a replay keeps what the live run kept. Bounded three ways: frames of one
+Driven by the engine's time, so that a replay keeps what the live run kept; what it keeps has the stamps of the wall
+clock, and frames that tell where that was set. Bounded three ways: frames of one
 recording, recordings of one fault, and how soon after one the same fault may have another.
 """
 
@@ -16,6 +17,7 @@ from pydantic import Field
 
 from gateway.bus.candump import format_frame
 from gateway.bus.frames import Frames, empty
+from gateway.bus.timeline import spans
 from gateway.faults.records import Recording
 from gateway.tomlfile import StrictModel
 
@@ -50,6 +52,14 @@ class _Trigger:
     fault: str
     t_ns: int
     due_ns: int
+    wall_ns: int
+
+
+@dataclass(frozen=True)
+class _Batch:
+    latest_ns: int
+    offset_ns: int  # of the wall clock
+    frames: Frames
 
 
 class Recorder:
@@ -65,15 +75,20 @@ class Recorder:
         self._channels = channels
         self._before_ns = round(params.before_ms * 1e6)
         self._after_ns = round(params.after_ms * 1e6)
-        self._batches: deque[tuple[int, Frames]] = deque()  # with their latest stamps
+        self._batches: deque[_Batch] = deque()
         self._kept = 0
         self._gone: deque[NDArray[np.int64]] = deque()  # stamps of frames given up in a flood
         self._triggers: list[_Trigger] = []
         self._last_ns: dict[str, int] = {}
         self.refused = 0
 
-    def on_frames(self, frames: Frames) -> None:
-        """Take a batch before the engine gets it."""
+    def on_frames(self, frames: Frames, offset_ns: int = 0) -> None:
+        """Take a batch before the engine gets it.
+
+        Args:
+            frames: of the engine's time.
+            offset_ns: what the wall clock is ahead of it before this batch [ns].
+        """
         count = len(frames)
         if not count:
             return
@@ -85,19 +100,27 @@ class Recorder:
         # what was before it, so that only what came before is given up.
         window = 2 * self._before_ns + self._after_ns
         full = self._kept >= 2 * self._params.most_frames
-        if full or (self._batches and self._batches[0][0] < first - window):
+        if full or (self._batches and self._batches[0].latest_ns < first - window):
             self._trim(first)
-        self._batches.append((latest, frames.copy()))
+        for part, offset in spans(frames.copy(), offset_ns):
+            self._batches.append(_Batch(latest, offset, part))
         self._kept += count
 
-    def on_failure(self, fault: str, t_ns: int) -> None:
-        """Note a failure; refused (and counted) while the fault's last one is too young."""
+    def on_failure(self, fault: str, t_ns: int, *, wall_ns: int | None = None) -> None:
+        """Note a failure; refused (and counted) while the fault's last one is too young.
+
+        Args:
+            fault: its id.
+            t_ns: when, of the engine's time.
+            wall_ns: when, for people; default: the same.
+        """
         last = self._last_ns.get(fault)
         if last is not None and 0 <= t_ns - last < self._params.cooldown_s * 1e9:
             self.refused += 1
             return
         self._last_ns[fault] = t_ns
-        self._triggers.append(_Trigger(fault, t_ns, t_ns + self._after_ns))
+        told_ns = t_ns if wall_ns is None else wall_ns
+        self._triggers.append(_Trigger(fault, t_ns, t_ns + self._after_ns, told_ns))
 
     def forget(self, faults: list[str]) -> None:
         """Give up what belongs to cleared faults; they may be recorded again at once."""
@@ -121,20 +144,23 @@ class Recorder:
         """Give up frames that no recording will ask for."""
         oldest = min([t_ns, *(trigger.t_ns for trigger in self._triggers)]) - self._before_ns
         batches = self._batches
-        while batches and batches[0][0] < oldest:
-            self._kept -= len(batches.popleft()[1])
+        while batches and batches[0].latest_ns < oldest:
+            self._kept -= len(batches.popleft().frames)
         while self._gone and int(self._gone[0].max()) < oldest:
             self._gone.popleft()
         # A flood of frames must not fill the memory: what no recording could hold goes.
         most = self._params.most_frames
-        while not self._triggers and batches and self._kept - len(batches[0][1]) >= most:
-            _, given_up = batches.popleft()
+        while not self._triggers and batches and self._kept - len(batches[0].frames) >= most:
+            given_up = batches.popleft().frames
             self._kept -= len(given_up)
             self._gone.append(given_up["t_ns"].copy())
 
     def _cut(self, trigger: _Trigger) -> Recording:
-        frames = np.concatenate([empty(0), *(batch for _, batch in self._batches)])
-        times = frames["t_ns"]
+        frames = np.concatenate([empty(0), *(batch.frames for batch in self._batches)])
+        lengths = [len(batch.frames) for batch in self._batches]
+        offsets = np.repeat([batch.offset_ns for batch in self._batches], lengths).astype(np.int64)
+        times = frames["t_ns"].copy()
+        frames["t_ns"] += offsets
         inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)
         frames, times = frames[inside], times[inside]
         most = self._params.most_frames
@@ -146,7 +172,7 @@ class Recorder:
             frames = frames[nearest]
         text = "".join(f"{format_frame(frame, self._channel(frame))}\n" for frame in frames)
         return Recording(
-            trigger.fault, trigger.t_ns, len(frames), dropped, zlib.compress(text.encode())
+            trigger.fault, trigger.wall_ns, len(frames), dropped, zlib.compress(text.encode())
         )
 
     def _channel(self, frame: np.void) -> str:

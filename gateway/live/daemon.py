@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from gateway.bus.ring import Ring
 from gateway.bus.uri import open_bus
 from gateway.config import Config, load_config
 from gateway.errors import GatewayError, InputError
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.notify import Notifier
@@ -32,7 +32,7 @@ class Daemon:
         tell: takes the events of the JSON contract.
         taps: take every frame besides the configured recording.
         notifier: the service manager.
-        clock_ns: the clock that stamps the frames [ns].
+        clock: the engine's; default: this machine's, with the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
 
     Attributes:
@@ -52,17 +52,19 @@ class Daemon:
         tell: Callable[[dict[str, Any]], None],
         taps: Sequence[Tap] = (),
         notifier: Notifier | None = None,
-        clock_ns: Callable[[], int] = time.time_ns,
+        clock: Clock | None = None,
         on_built: Callable[[], None] = lambda: None,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._tell, self._given_taps = tell, list(taps)
         self._notifier = notifier or Notifier({})
-        self._clock_ns = clock_ns
         config = self._load()
+        self._clock = clock or Clock()
+        self._clock.tolerance_ns = _tolerance_ns(config)
         self._ring: Ring | None = None
         self.reloader = Reloader(self._prepare)
         parts = prepare(config, path)
+        parts.engine.warm()
         on_built()
         gateway = Gateway(config, memory or config.memory.path, file=path, parts=parts)
         gateway.listen(tell)
@@ -73,8 +75,8 @@ class Daemon:
             for index, entry in enumerate(config.bus):
                 links.append(self._new_link(entry.uri, index, entry.name))
                 links[-1].start()
-            gateway.start(clock_ns())
-            self._live = Live(gateway, links, tell, taps=self._taps(), clock_ns=clock_ns)
+            gateway.start(self._clock.now())
+            self._live = Live(gateway, links, tell, taps=self._taps(), clock=self._clock)
         except BaseException:
             for link in links:
                 link.close()
@@ -95,11 +97,12 @@ class Daemon:
             self._notifier.stopping()
         self._live.drain()
         gateway = self.gateway
-        gateway.advance(self._clock_ns() - GRACE_NS)
+        gateway.advance(self._clock.now() - GRACE_NS)
         gateway.stop(gateway.engine.now_ns)
         self._live.keep()
         for link in self._live.links:
-            self._tell(bus_event(link, "closed", gateway.engine.now_ns))
+            t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
+            self._tell(bus_event(link, "closed", t_ns))
 
     def close(self) -> None:
         """Close buses, recording and fault memory."""
@@ -124,7 +127,7 @@ class Daemon:
 
     def _new_link(self, uri: str, index: int, name: str) -> Link:
         opener = partial(open_bus, patience_s=0.0)
-        return Link(uri, index, name, opener, clock_ns=self._clock_ns)
+        return Link(uri, index, name, opener, self._clock)
 
     def _new_ring(self, config: Config) -> Ring | None:
         if config.record is None:
@@ -159,7 +162,7 @@ class Daemon:
         self._tell(
             {
                 "event": "config",
-                "t_ns": self._clock_ns(),
+                "t_ns": self._clock.wall(),
                 "file": str(self._path),
                 "state": state,
                 "reason": reason,
@@ -181,11 +184,16 @@ class Daemon:
         return Prepared(config, parts)
 
     def _change(self, new: Prepared) -> None:
-        """Go on with another configuration; what cannot be built or opened changes nothing."""
+        """Go on with another configuration; what cannot be built or opened changes nothing.
+
+        The order matters. Opening may take long, and what comes meanwhile is for the old gateway: all of it is fed
+        before the new one reads the fault memory. From there to the end nothing is fed to anybody; frames wait in the
+        queues of the buses.
+        """
         old = self.gateway
-        gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
         kept = {link.uri: link for link in self._live.links}
-        links, opened = [], []
+        links: list[Link] = []
+        opened: list[Link] = []
         ring = self._ring
         channels = [bus.channel for bus in new.config.bus]
         same = [bus.channel for bus in old.config.bus] == channels
@@ -199,13 +207,16 @@ class Daemon:
                     opened.append(link)
                     link.start()
                 links.append(link)
+            self._live.drain()
+            self._live.finish()
+            gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
         except GatewayError:
             for link in opened:
                 link.close()
             raise
-        self._live.drain()
         gateway.succeed(old)
         self.gateway = gateway
+        self._clock.tolerance_ns = _tolerance_ns(new.config)
         for index, (link, entry) in enumerate(zip(links, new.config.bus, strict=True)):
             link.index, link.name = index, entry.name
         if ring is not self._ring:
@@ -215,3 +226,7 @@ class Daemon:
         self._live.replace(gateway, links, self._taps())
         for link in kept.values():
             link.close()
+
+
+def _tolerance_ns(config: Config) -> int:
+    return round(config.clock.tolerance_ms * 1e6)

@@ -1,6 +1,6 @@
 """A bus that comes and goes: opened, lost, opened again, without anybody else noticing more than a frame.
 
-What happened to it goes among its frames (see ``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING
+Its frames come in the engine's time (see ``gateway.live.stamps``). What happened to it goes among them (see ``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING
 when it can again, LOSS where frames were lost in a queue.
 """
 
@@ -13,9 +13,11 @@ from dataclasses import fields
 import numpy as np
 
 from gateway.bus.base import Bus, Statistics
-from gateway.bus.conditions import LOSS, LOST, RUNNING, condition_frame
+from gateway.bus.conditions import LOSS, LOST, RUNNING, are_steps, condition_frame
 from gateway.bus.frames import Frames, empty
 from gateway.errors import BusError, UnsupportedError
+from gateway.live.clock import Clock
+from gateway.live.stamps import Stamps
 from gateway.live.transmit import Transmitter
 from gateway.log import get_logger, load
 
@@ -38,12 +40,13 @@ class Link:
         index: stamped into its frames.
         name: what the configuration calls it.
         opener: opens it.
-        clock_ns: stamps what happens to it [ns].
+        clock: the engine's.
         monotonic: for the waits [s].
 
     Attributes:
         index, name: may be changed at any time.
         losses: how often it was lost.
+        stamps: from those of its frames to the engine's time.
     """
 
     def __init__(
@@ -52,12 +55,13 @@ class Link:
         index: int,
         name: str,
         opener: Opener,
+        clock: Clock,
         *,
-        clock_ns: Callable[[], int] = time.time_ns,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.uri, self.index, self.name = uri, index, name
-        self._opener, self._clock_ns, self._monotonic = opener, clock_ns, monotonic
+        self._opener, self._clock, self._monotonic = opener, clock, monotonic
+        self.stamps = Stamps(clock, name)
         self._bus: Bus | None = None
         self._wait_s = FIRST_WAIT_S
         self._next_try = 0.0
@@ -115,14 +119,15 @@ class Link:
             self._send(empty(0))
 
     def receive(self) -> tuple[Frames, bool]:
-        """Take what has come, and what happened; the frames are valid until the next call.
+        """Take what has come, and what happened, in the engine's time; the frames are valid until the next call.
 
         Returns:
             frames; whether there may be more.
         """
         told, self._told = self._told, []
         if self._bus is None:
-            return _joined(told), False
+            self.stamps.apply(empty(0), more=False)
+            return self._joined(told), False
         try:
             self._bus.index = self.index
             count = self._bus.receive(self._batch)
@@ -130,11 +135,21 @@ class Link:
             self._lose(str(error))
             told += self._told
             self._told = []
-            return _joined(told), False
+            return self._joined(told), False
         frames = self._batch[:count]
+        self.stamps.apply(frames, more=count == BATCH)
         if self._bus.losses:
             frames = self._with_losses(frames, self._bus.losses)
-        return (_joined([*told, frames]) if told else frames), count == BATCH
+        forged = are_steps(frames)
+        if forged.any():  # what our clock does is not for others to say
+            self._bus.statistics.rejected += int(forged.sum())
+            frames = frames[~forged]
+        return (self._joined([*told, frames]) if told else frames), count == BATCH
+
+    def _joined(self, parts: list[Frames]) -> Frames:
+        frames = np.concatenate([empty(0), *parts])
+        frames["bus"] = self.index  # it may have changed since something happened
+        return frames
 
     def send(self, frames: Frames) -> None:
         """Send frames; those of a bus that is gone are given up."""
@@ -185,12 +200,13 @@ class Link:
 
     def _open(self) -> None:
         self._bus = self._opener(self.uri, self.index)
+        self.stamps = Stamps(self._clock, self.name, own_clock=self._bus.own_clock)
         self._wait_s = FIRST_WAIT_S
         self.reason = ""
         self._choose()
         if self.losses:
             log.info("bus is back", bus=self.name, uri=self.uri)
-        self._told.append(condition_frame(self._clock_ns(), self.index, RUNNING))
+        self._told.append(condition_frame(self._clock.now(), self.index, RUNNING))
 
     def _lose(self, reason: str) -> None:
         log.warning("bus lost", bus=self.name, uri=self.uri, reason=reason)
@@ -199,7 +215,7 @@ class Link:
         self.reason = reason
         self._transmitter.give_up()
         self._next_try = self._monotonic() + self._wait_s
-        self._told.append(condition_frame(self._clock_ns(), self.index, LOST))
+        self._told.append(condition_frame(self._clock.now(), self.index, LOST))
 
     def _drop(self) -> None:
         if self._bus is not None:
@@ -212,7 +228,7 @@ class Link:
         parts, at = [], 0
         for place, lost in losses:
             parts.append(frames[at:place])
-            t_ns = int(frames[place]["t_ns"]) if place < len(frames) else self._clock_ns()
+            t_ns = int(frames[place]["t_ns"]) if place < len(frames) else self._clock.now()
             parts.append(condition_frame(t_ns, self.index, LOSS, lost))
             at = place
         return np.concatenate([*parts, frames[at:]])
@@ -221,7 +237,3 @@ class Link:
 def _add(total: Statistics, part: Statistics) -> None:
     for field in fields(Statistics):
         setattr(total, field.name, getattr(total, field.name) + getattr(part, field.name))
-
-
-def _joined(parts: list[Frames]) -> Frames:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else empty(0)

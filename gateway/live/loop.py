@@ -11,8 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gateway.bus.conditions import LOST, RUNNING
-from gateway.bus.frames import ERROR, OWN, Frames
+from gateway.bus.conditions import LOST, RUNNING, step_frame
+from gateway.bus.frames import ERROR, OWN, Frames, empty
+from gateway.bus.timeline import to_wall
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.merge import Merger
 from gateway.log import get_logger
@@ -37,7 +39,7 @@ log = get_logger(__name__)
 
 
 class Tap(Protocol):
-    """Takes a copy of each frame on the buses."""
+    """Takes a copy of each frame on the buses, stamped by the wall clock."""
 
     def write(self, frames: Frames) -> None:
         """Take a batch."""
@@ -68,6 +70,9 @@ class Fed(Protocol):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do."""
 
+    def finish(self, t_ns: int) -> Frames:
+        """Put down what a successor is to find; returns the frames to send."""
+
 
 class Live:
     """Feeds a gateway from its buses.
@@ -76,8 +81,8 @@ class Live:
         gateway: started already.
         links: its buses, in the order of their indices; started already.
         tell: takes the events of the buses.
-        taps: take each frame exactly as the engine gets it, and what is sent.
-        clock_ns: the clock that stamps the frames of these buses [ns].
+        taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
+        clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic [s].
     """
 
@@ -88,14 +93,15 @@ class Live:
         tell: Callable[[dict[str, Any]], None],
         *,
         taps: Sequence[Tap] = (),
-        clock_ns: Callable[[], int] = time.time_ns,
+        clock: Clock,
         tick_s: float = TICK_S,
     ) -> None:
         self._gateway = gateway
         self._links = list(links)
         self._tell = tell
         self._taps = list(taps)
-        self._clock_ns, self._tick_s = clock_ns, tick_s
+        self._clock, self._tick_s = clock, tick_s
+        self._offset_ns = clock.told_offset_ns  # of what the taps have got
         self._selector = selectors.DefaultSelector()
         self._watched: dict[int, Link] = {}
         self._merger = Merger()
@@ -113,6 +119,7 @@ class Live:
         """Feed another gateway from now on; no frame is lost between the two."""
         self._gateway = gateway
         self._links, self._taps = list(links), list(taps)
+        self._offset_ns = self._clock.told_offset_ns
         self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
         self._choose()
         _settle()
@@ -150,8 +157,8 @@ class Live:
         if not fed and not busy:
             # Only now: frames that still wait in a queue must not be overtaken. With traffic,
             # its own time stamps move the clock.
-            self._send(self._gateway.advance(self._clock_ns() - GRACE_NS))
-        self._send(self._gateway.poll(self._clock_ns()))
+            self._send(self._gateway.advance(self._clock.now() - GRACE_NS))
+        self._send(self._gateway.poll(self._clock.now()))
         now = time.monotonic()
         if now >= self._poll:
             self._gateway.serve_requests()
@@ -172,7 +179,7 @@ class Live:
 
     def _wait(self) -> bool:
         """Wait until there is something to do; returns whether a bus is readable."""
-        soon = (self._gateway.next_ns - self._clock_ns()) / 1e9
+        soon = (self._gateway.next_ns - self._clock.now()) / 1e9
         waits = [self._tick_s, soon, *(link.due_s for link in self._links)]
         if self._merger.holding:
             waits.append(0.0005)
@@ -183,6 +190,7 @@ class Live:
         any_fed = False
         for _ in range(TURN):
             frames, more = link.receive()
+            frames = self._with_steps(frames)
             if len(frames):
                 self._feed(frames)
                 any_fed = True
@@ -190,14 +198,40 @@ class Live:
                 break
         return any_fed
 
+    def _take_steps(self, *, final: bool = False) -> Frames:
+        """Return a frame for each step of the wall clock whose place among the frames is known.
+
+        That is before the first frame that was stamped after it; if there is none yet, after all that had come when it
+        was noticed.
+        """
+        untold = self._clock.untold
+        told = [empty(0)]
+        drained = final or all(link.stamps.drained for link in self._links)
+        while untold and (untold[0].seen or drained):
+            step = untold.pop(0)
+            told.append(step_frame(step.t_ns, step.step_ns // 1000))
+        return np.concatenate(told)
+
+    def _with_steps(self, frames: Frames) -> Frames:
+        for step in self._take_steps() if self._clock.untold else ():
+            later = np.flatnonzero(frames["t_ns"] >= step["t_ns"])
+            at = int(later[0]) if len(later) else len(frames)
+            told = np.asarray([step], frames.dtype)
+            frames = np.concatenate([frames[:at], told, frames[at:]])
+        return frames
+
     def drain(self) -> None:
         """Feed all that has come until now; nothing is held back."""
         self._read_all(final=True)
 
+    def finish(self) -> None:
+        """Let the gateway put down what its successor is to find; nothing must be fed to it any more."""
+        self._send(self._gateway.finish(self._clock.now()))
+
     def _read_all(self, *, final: bool = False) -> bool:
         """Feed what several buses have, in order of time; returns whether there was any."""
-        read_ns = self._clock_ns()
-        parts = []
+        read_ns = self._clock.now()
+        parts: list[tuple[Frames, bool]] = []
         for link in self._links:
             pieces: list[Frames] = []
             more = True
@@ -205,15 +239,19 @@ class Live:
                 frames, more = link.receive()
                 pieces.append(frames.copy())
             parts.append((np.concatenate(pieces), more))
+        if self._clock.untold:
+            parts.insert(0, (self._take_steps(final=final), False))
         frames = self._merger.take(parts, read_ns, final=final)
         if len(frames):
             self._feed(frames)
         return bool(len(frames))
 
     def _feed(self, frames: Frames) -> None:
-        for tap in self._taps:
-            tap.write(frames)
-        if self._taps:  # what we have sent came back for them only
+        if self._taps:
+            stamped, self._offset_ns = to_wall(frames, self._offset_ns)
+            for tap in self._taps:
+                tap.write(stamped)
+            # What we have sent came back for them only.
             frames = frames[frames["flags"] & OWN == 0]
         self._note(frames)
         self._send(self._gateway.feed(frames))
@@ -225,7 +263,8 @@ class Live:
             state = {RUNNING: "open", LOST: "lost"}.get(int(frame["data"][0]))
             if state is not None:
                 link = self._links[int(frame["bus"])]
-                self._tell(bus_event(link, state, int(frame["t_ns"])))
+                t_ns = int(frame["t_ns"]) + self._clock.offset_ns
+                self._tell(bus_event(link, state, t_ns))
                 self._keep = 0.0  # at the next look
 
     def _send(self, frames: Frames) -> None:
@@ -241,7 +280,7 @@ class Live:
                 sent = mine.copy()
                 sent["flags"] |= OWN
                 sent["rank"] = 0
-                sent["t_ns"] = self._clock_ns()
+                sent["t_ns"] = self._clock.now() + self._offset_ns
                 for tap in self._taps:
                     tap.write(sent)
 
@@ -254,7 +293,7 @@ class Live:
             if overflow > told and now - when >= REPORT_S:
                 log.warning("frames lost in a queue", bus=link.name, lost=overflow - told)
                 self._told[id(link)] = (overflow, now)
-                self._tell(bus_event(link, "overflow", self._clock_ns()))
+                self._tell(bus_event(link, "overflow", self._clock.wall()))
                 changed = True
         if changed or now >= self._keep:
             self.keep()
@@ -266,7 +305,7 @@ class Live:
 
     def _states(self) -> list[dict[str, Any]]:
         return [
-            bus_event(link, "open" if link.running else "lost", self._clock_ns())
+            bus_event(link, "open" if link.running else "lost", self._clock.wall())
             for link in self._links
         ]
 
@@ -283,7 +322,7 @@ def _settle() -> None:
 
 
 def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:
-    """Return the event of the JSON contract that tells the state of a bus."""
+    """Return the event of the JSON contract that tells the state of a bus at a time of the wall clock."""
     return {
         "event": "bus",
         "t_ns": t_ns,

@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from gateway.app import clock_event
+from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
 from gateway.outputs.base import NEVER
 
 
 class Nobody:
-    """Takes the frames that a gateway would take, and has nothing to say."""
+    """Takes the frames that a gateway would take, and has nothing to say but that the clock was set.
+
+    Args:
+        tell: takes that as an event.
+    """
 
     next_ns = NEVER
 
-    def __init__(self) -> None:
+    def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
+        self._tell = tell
+        self._offset_ns = 0
         self.frames = 0
 
     def feed(self, frames: Frames) -> Frames:
         """Count frames."""
         self.frames += len(frames)
+        for frame in frames[np.flatnonzero(are_steps(frames))]:
+            step_ns = step_ns_of(frame)
+            self._offset_ns += step_ns
+            self._tell(clock_event(int(frame["t_ns"]) + self._offset_ns, step_ns / 1e9))
         return empty(0)
 
     def advance(self, t_ns: int) -> Frames:
@@ -28,6 +42,10 @@ class Nobody:
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass."""
+        return empty(0)
+
+    def finish(self, t_ns: int) -> Frames:
+        """Put nothing down."""
         return empty(0)
 
     def identifiers_on(self, bus: int) -> list[int] | None:

@@ -39,9 +39,10 @@ from gateway.bus.conditions import (
     TX_WARNING,
 )
 from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.monitors.clock_health import OWN_FAULTS
 from gateway.monitors.shape import Debounce, Fault, MonitorParams
 
-OFF, PASSIVE, ERRORS, GONE, OVERFLOW = range(5)
+OFF, PASSIVE, ERRORS, GONE, OVERFLOW, CLOCK_STEPPED = range(6)
 
 _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 
@@ -128,11 +129,11 @@ class Params(MonitorParams):
     )
 
 
-#: Constants and state of one bus. ``fault`` is the engine's index of each fault, -1: not judged; ``failed`` and
+#: Constants and state of one bus, or of the gateway itself: it has OWN_FAULTS, after those of buses. ``fault`` is the engine's index of each fault, -1: not judged; ``failed`` and
 #: ``passed`` are the verdicts of the last frame, a bit for each fault; ``bad`` the faults that any frame received
 #: disproves; ``until`` when a fault heals by silence.
 HEALTH = record(
-    fault=(i4, len(FAULTS)),
+    fault=(i4, len(FAULTS) + len(OWN_FAULTS)),
     most=i8,
     window_ns=i8,
     failed=i4,
@@ -141,7 +142,7 @@ HEALTH = record(
     count=i8,
     since_ns=i8,
     deadline_ns=i8,
-    until=(i8, len(FAULTS)),
+    until=(i8, len(FAULTS) + len(OWN_FAULTS)),
     lost=i8,
     counts=(i8, len(COUNTED)),
     value=f8,
@@ -249,6 +250,29 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
 
 
 @kernel
+def note_step(h: Any, t_ns: int, step_s: float, steps: int) -> None:
+    """Take a step of the wall clock; its verdict is in ``h.failed``.
+
+    Args:
+        h: the gateway's own record of HEALTH.
+        t_ns: when.
+        step_s: by how much [s].
+        steps: how many there have been.
+    """
+    h.failed, h.passed = 1 << CLOCK_STEPPED, 0
+    h.value, h.limit = abs(step_s), h.most * 1e-6
+    h.evidence[0], h.evidence[1], h.evidence[2] = step_s, steps, 0.0
+    _wait(h, CLOCK_STEPPED, t_ns)
+
+
+@kernel
+def watch_clock(h: Any, t_ns: int) -> None:
+    """Begin to watch the clock: each window without a step is a passed test."""
+    if h.fault[CLOCK_STEPPED] >= 0:
+        _wait(h, CLOCK_STEPPED, t_ns)
+
+
+@kernel
 def disproved(h: Any) -> None:
     """Take a frame that was received while the bus was said to be off or lost."""
     h.failed = 0
@@ -263,6 +287,6 @@ def elapsed(h: Any, t_ns: int) -> None:
     h.deadline_ns = NEVER
     for k in range(h.until.shape[0]):
         if h.until[k] <= t_ns:
-            h.until[k] = NEVER
+            h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
             h.passed |= 1 << k
         h.deadline_ns = min(h.deadline_ns, h.until[k])

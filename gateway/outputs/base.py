@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,14 @@ class Output:
     def on_time(self, t_ns: int) -> Frames:
         """Let time pass; returns frames to send."""
         return empty(0)
+
+    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+        """Go on where an output of the configuration before stops, if it is the same one.
+
+        Args:
+            old: one of its outputs, of any kind; not to be used any more.
+            buses: index of a bus there -> its index here.
+        """
 
     def counters(self) -> dict[str, int]:
         """Return what it counted, by name."""

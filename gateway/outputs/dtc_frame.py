@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -107,6 +107,15 @@ class DtcFrameOutput(Output):
         self._held: dict[str, DtcChange] = {}
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
+
+    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+        """Tell the changes that were held back, and go on with the cyclic list."""
+        if isinstance(old, DtcFrameOutput):
+            known = self._memory.catalogue.get
+            self._held = {name: held for name, held in old._held.items() if known(name) is not None}
+            self._sent_ns = old._sent_ns
+            if self._params.cycle_ms == old._params.cycle_ms:
+                self._next_ns = old._next_ns
 
     @property
     def next_ns(self) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import isotp
@@ -127,6 +127,43 @@ class _Layer(isotp.TransportLayerLogic):
         return min(int(cast(Any, timer).due_ns) for timer in timers)
 
 
+class _Transport:
+    """The transport layer of one address: frames received and to be sent, and requests and answers under way."""
+
+    def __init__(self, params: IsoTpParams) -> None:
+        self.clock = _Clock()
+        self.received: deque[isotp.CanMessage] = deque()
+        self.sent: list[isotp.CanMessage] = []
+        self.errors = 0
+        mode = (
+            isotp.AddressingMode.Normal_29bits
+            if params.flags
+            else isotp.AddressingMode.Normal_11bits
+        )
+        self.layer = _Layer(
+            self.clock,
+            rxfn=lambda _timeout: self.received.popleft() if self.received else None,
+            txfn=self.sent.append,
+            address=isotp.Address(mode, txid=params.response, rxid=params.request),
+            error_handler=self._on_error,
+            params={
+                "stmin": params.separation_ms,
+                "blocksize": params.block_size,
+                "tx_data_length": 64 if params.fd else 8,
+                "tx_data_min_length": None if params.padding is None else 8,
+                "tx_padding": params.padding,
+                "can_fd": params.fd,
+                "bitrate_switch": params.fd,
+                "wftmax": MOST_WAITS,
+                "max_frame_size": 4095,
+                "logger_name": _LOGGER,
+            },
+        )
+
+    def _on_error(self, _error: Exception) -> None:
+        self.errors += 1
+
+
 class IsoTpServer(Output):
     """One server address: a physical and a functional identifier in, one identifier out.
 
@@ -157,37 +194,19 @@ class IsoTpServer(Output):
         self._answer = answer
         self._on_time = on_time
         self._next_ns = next_ns
-        self._clock = _Clock()
-        self._received: deque[isotp.CanMessage] = deque()
-        self._sent: list[isotp.CanMessage] = []
-        self.errors = 0
+        self._transport = _Transport(params)
         self.dropped = 0
         flags = params.flags
         self._physical = params.request | flags
         self._functional = None if params.functional is None else params.functional | flags
-        mode = isotp.AddressingMode.Normal_29bits if flags else isotp.AddressingMode.Normal_11bits
-        self._layer = _Layer(
-            self._clock,
-            rxfn=lambda _timeout: self._received.popleft() if self._received else None,
-            txfn=self._sent.append,
-            address=isotp.Address(mode, txid=params.response, rxid=params.request),
-            error_handler=self._on_error,
-            params={
-                "stmin": params.separation_ms,
-                "blocksize": params.block_size,
-                "tx_data_length": 64 if params.fd else 8,
-                "tx_data_min_length": None if params.padding is None else 8,
-                "tx_padding": params.padding,
-                "can_fd": params.fd,
-                "bitrate_switch": params.fd,
-                "wftmax": MOST_WAITS,
-                "max_frame_size": 4095,
-                "logger_name": _LOGGER,
-            },
-        )
 
-    def _on_error(self, _error: Exception) -> None:
-        self.errors += 1
+    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+        """Keep requests and answers that are under way, if the addresses are the same."""
+        if not isinstance(old, IsoTpServer) or buses.get(old._bus) != self._bus:
+            return
+        names = IsoTpParams.model_fields.keys() - {"bus"}
+        if all(getattr(old._params, name) == getattr(self._params, name) for name in names):
+            self._transport, self.dropped = old._transport, old.dropped
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return its request identifiers, if it is on this bus."""
@@ -204,7 +223,7 @@ class IsoTpServer(Output):
 
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame of a request, or the flow control of an answer."""
-        self._clock.now_ns = max(self._clock.now_ns, t_ns)
+        self._transport.clock.now_ns = max(self._transport.clock.now_ns, t_ns)
         can_id = int(frame["can_id"])
         message = isotp.CanMessage(
             can_id & 0x1FFFFFFF, data=payload(frame), extended_id=bool(can_id & EXTENDED)
@@ -212,7 +231,7 @@ class IsoTpServer(Output):
         if can_id == self._functional and can_id != self._physical:
             self._take_functional(message)
         else:
-            self._received.append(message)
+            self._transport.received.append(message)
             self._process()
         return self._take_sent()
 
@@ -221,35 +240,35 @@ class IsoTpServer(Output):
         try:
             pdu = PDU(message)
         except ValueError:
-            self.errors += 1
+            self._transport.errors += 1
             return
         if pdu.type != PDU.Type.SINGLE_FRAME or (pdu.can_dl > 8 and not pdu.escape_sequence):
-            self.errors += 1
+            self._transport.errors += 1
             return
         self._serve(bytes(pdu.data), functional=True)
         self._process()
 
     def _process(self) -> None:
-        self._layer.process()
-        while self._layer.available():
-            request = self._layer.recv()
+        self._transport.layer.process()
+        while self._transport.layer.available():
+            request = self._transport.layer.recv()
             if request is not None:
                 self._serve(bytes(request), functional=False)
-            self._layer.process()
+            self._transport.layer.process()
 
     def _serve(self, request: bytes, *, functional: bool) -> None:
-        if not request or self._layer.transmitting():
+        if not request or self._transport.layer.transmitting():
             return
-        self._send(self._answer(request, functional, self._clock.now_ns))
+        self._send(self._answer(request, functional, self._transport.clock.now_ns))
 
     def _send(self, responses: list[bytes]) -> None:
         for response in responses:
-            self._layer.send(response)
+            self._transport.layer.send(response)
 
     def push(self, responses: list[bytes], t_ns: int) -> Frames:
         """Send responses that no request asked for just now, one after the other."""
-        self._clock.now_ns = max(self._clock.now_ns, t_ns)
-        room = max(MOST_PUSHED - self._layer.tx_queue.qsize(), 0)
+        self._transport.clock.now_ns = max(self._transport.clock.now_ns, t_ns)
+        room = max(MOST_PUSHED - self._transport.layer.tx_queue.qsize(), 0)
         self.dropped += max(len(responses) - room, 0)
         self._send(responses[:room])
         self._process()
@@ -257,31 +276,31 @@ class IsoTpServer(Output):
 
     def on_time(self, t_ns: int) -> Frames:
         """Run separation times and timeouts, and send answers that come later."""
-        self._clock.now_ns = max(self._clock.now_ns, t_ns)
-        self._send(self._on_time(self._clock.now_ns))
+        self._transport.clock.now_ns = max(self._transport.clock.now_ns, t_ns)
+        self._send(self._on_time(self._transport.clock.now_ns))
         self._process()
         return self._take_sent()
 
     @property
     def next_ns(self) -> int:
         """Time of the next timer of the transport or of the server."""
-        return min(self._layer.due_ns, self._next_ns())
+        return min(self._transport.layer.due_ns, self._next_ns())
 
     def counters(self) -> dict[str, int]:
         """Return frames that break ISO-TP, and responses on events that found no room."""
-        return {"isotp_errors": self.errors, "responses_dropped": self.dropped}
+        return {"isotp_errors": self._transport.errors, "responses_dropped": self.dropped}
 
     def _take_sent(self) -> Frames:
-        frames = empty(len(self._sent))
-        for k, message in enumerate(self._sent):
+        frames = empty(len(self._transport.sent))
+        for k, message in enumerate(self._transport.sent):
             put(
                 frames,
                 k,
-                self._clock.now_ns,
+                self._transport.clock.now_ns,
                 message.arbitration_id | (EXTENDED if message.is_extended_id else 0),
                 bytes(message.data),
                 bus=self._bus,
                 flags=FD | BRS if message.is_fd else 0,
             )
-        self._sent.clear()
+        self._transport.sent.clear()
         return frames

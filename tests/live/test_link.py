@@ -7,6 +7,7 @@ from gateway.bus.base import Bus
 from gateway.bus.conditions import LOSS, LOST, RUNNING
 from gateway.bus.frames import ERROR, empty, put
 from gateway.errors import BusError, InputError, UnsupportedError
+from gateway.live.clock import Clock
 from gateway.live.link import LONGEST_WAIT_S, Link
 
 
@@ -58,7 +59,7 @@ class World:
         return Link(
             "test:cable", 0, "chassis",
             lambda uri, index: Cable(self, uri, index),
-            clock_ns=lambda: self.now_ns,
+            Clock(lambda: self.now_ns, lambda: self.now_ns),
             monotonic=lambda: self.now_s,
         )  # fmt: skip
 
@@ -158,4 +159,4 @@ def test_what_waiting_does_not_mend_is_an_error_at_once(error):
         raise error
 
     with pytest.raises(type(error)):
-        Link("test:never", 0, "chassis", refuse).start()
+        Link("test:never", 0, "chassis", refuse, Clock()).start()

@@ -3,7 +3,9 @@
 import os
 
 from gateway.bus.base import Bus
+from gateway.bus.conditions import STEPPED
 from gateway.bus.frames import ERROR, OWN, empty, put
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.live.record import Nobody
@@ -85,10 +87,11 @@ def rig(*, echoing=False, taps=()):
         queues.append(Queue(uri, index, echoing=echoing))
         return queues[-1]
 
-    link = Link("test:queue", 0, "b", opener)
+    clock = Clock()
+    link = Link("test:queue", 0, "b", opener, clock)
     link.start()
     gateway, events = Talker(), []
-    live = Live(gateway, [link], events.append, taps=taps, tick_s=0.0)
+    live = Live(gateway, [link], events.append, taps=taps, clock=clock, tick_s=0.0)
     live.turn()
     return live, gateway, queues[0], events, link
 
@@ -167,4 +170,57 @@ def test_conditions_of_a_bus_are_events_but_lost_frames_are_not_one_each():
     queue.waiting = [(0x10, 0)]
     live.turn()
     assert [e["state"] for e in events] == ["open"]
+    live.close()
+
+
+def test_where_the_clock_was_set_taps_get_its_stamps_and_who_records_is_told():
+    """The recording has the stamps of the wall clock, and a frame where they begin to be of another time."""
+    now = [10**12, 10**18]  # monotonic, and what the wall clock is ahead
+    clock = Clock(lambda: sum(now), lambda: now[0])
+    queues, events, stamps = [], [], []
+
+    class Stamped(Queue):
+        def receive(self, out):
+            count = super().receive(out)
+            out["t_ns"][:count] = sum(now)
+            return count
+
+    class Taker:
+        def write(self, frames):
+            stamps.extend((int(f["can_id"]), int(f["t_ns"]) - now[0] - 10**18) for f in frames)
+
+    def opener(uri, index):
+        queues.append(Stamped(uri, index))
+        return queues[-1]
+
+    link = Link("test:queue", 0, "b", opener, clock)
+    link.start()
+    live = Live(Nobody(events.append), [link], events.append, taps=[Taker()], clock=clock, tick_s=0)
+    live.turn()
+    for step in (0, -3600 * 10**9, 5 * 10**9):
+        now[0] += 10**7
+        now[1] += step
+        queues[0].waiting = [(0x10, 0)]
+        live.turn()
+    back, on = -3600 * 10**9, -3595 * 10**9
+    assert stamps == [(ERROR, 0), (0x10, 0), (ERROR, back), (0x10, back), (ERROR, on), (0x10, on)]
+    told = [(e["step_s"], e["t_ns"] - 10**18) for e in events if e["event"] == "clock"]
+    assert told == [(-3600.0, 10**12 + 2 * 10**7 + back), (5.0, 10**12 + 3 * 10**7 + on)]
+    live.close()
+
+
+def test_nobody_on_the_bus_sets_our_clock():
+    live, gateway, queue, _, link = rig()
+    queue.waiting = [(ERROR, 0), (0x10, 0)]
+    original = queue.receive
+
+    def forged(out):
+        count = original(out)
+        out["data"][:count, 0] = STEPPED
+        return count
+
+    queue.receive = forged
+    live.turn()
+    assert gateway.got == [ERROR, 0x10], "the first is of the opening"
+    assert link.statistics.rejected == 1
     live.close()

@@ -10,6 +10,7 @@ from gateway.bus.base import Bus
 from gateway.bus.frames import empty
 from gateway.config import load_config
 from gateway.errors import InputError, InputErrors
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.resources import shipped
@@ -108,13 +109,12 @@ def run(config, streams, *, steps_ns, delays_ns):
         scripts.append(Script(index, streams[index], lambda: now, delays_ns[index]))
         return scripts[-1]
 
-    links = [
-        Link(bus.uri, k, bus.name, opener, clock_ns=lambda: now) for k, bus in enumerate(config.bus)
-    ]
+    clock = Clock(lambda: now, lambda: now)
+    links = [Link(bus.uri, k, bus.name, opener, clock) for k, bus in enumerate(config.bus)]
     for link in links:
         link.start()
     gateway.start(0)
-    live = Live(gateway, links, events.append, clock_ns=lambda: now)
+    live = Live(gateway, links, events.append, clock=clock)
     rng = np.random.default_rng(6)
     end = int(streams[0]["t_ns"].max()) + 10**8
     while now < end:

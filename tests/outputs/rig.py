@@ -19,6 +19,8 @@ BU_: A B
 """
 
 CONFIG = """
+[clock]
+watched = false
 [[bus]]
 name = "b"
 uri = "virtual:rig"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,15 @@ class J1939Output(Output):
             dm.DM25: self._freeze_frames,
             dm.DM28: lambda: self._message(self._permanent()),
         }
+
+    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+        """Keep the address, the sessions of the transport protocol, and what was told already."""
+        if not isinstance(old, J1939Output) or buses.get(old._bus) != self._bus:
+            return
+        if (old._params.name, old._params.address) == (self._params.name, self._params.address):
+            self._claim, self.transport, self._now_ns = old._claim, old.transport, old._now_ns
+            self._next_dm1_ns, self._told = old._next_dm1_ns, old._told
+            self._changed = old._changed
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Anything on its bus may be for it."""

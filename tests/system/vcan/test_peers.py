@@ -85,7 +85,7 @@ def reports(log):
 
     Without the number of all DTCs: how long a daemon waits for its ECU decides about another one.
     """
-    frames, wrong = parse(log.read_bytes().splitlines(), 1, log, None)
+    frames, wrong = parse(log.read_bytes().splitlines(), 1, log, None, Counter())
     assert wrong is None
     seen = [MESSAGE.decode(payload(f)) for f in frames if int(f["can_id"]) == MESSAGE.frame_id]
     wanted = [v for v in seen if v["Index"] == 0 and int(v["Dtc"]) >> 8 == 0x0336]

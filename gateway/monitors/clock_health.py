@@ -1,0 +1,45 @@
+"""Health of the gateway itself: its wall clock, which stamps what people read, was set while it ran.
+
+Time in the engine goes on evenly whatever is done to the wall clock; but stamps before and after the step cannot be
+compared, and somebody has to know. U3000 is the control module; failure type 62 (SAE J2012: signal compare failure),
+because two clocks that must agree, the wall clock and the monotonic one, do not.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from gateway.monitors.shape import Debounce, Fault, MonitorParams
+
+#: First part of the ids of the gateway's own faults.
+OWN = "gateway"
+
+OWN_FAULTS = (
+    Fault(
+        "clock_stepped",
+        "U3000-62",
+        "wall clock was set while the gateway ran",
+        ("step [s]", "steps since the start"),
+        Debounce(failed_after=1, passed_after=1, jump_down=True),
+    ),
+)
+
+
+class ClockParams(MonitorParams):
+    """How the wall clock is watched."""
+
+    watched: bool = Field(True, description="false: a step is told, but is no fault")
+    tolerance_ms: float = Field(
+        10.0,
+        ge=1,
+        le=1e6,
+        allow_inf_nan=False,
+        description="change against the monotonic clock that is a step [ms]",
+    )
+    heals_after_s: float = Field(
+        10.0,
+        gt=0,
+        le=3.6e6,
+        allow_inf_nan=False,
+        description="each time of this length without a step is a passed test [s]",
+    )

@@ -1,0 +1,116 @@
+"""A daemon in this process, on buses and clocks that a test makes: time passes and is set when the test says so."""
+
+import os
+from functools import partial
+
+from gateway.bus.base import Bus
+from gateway.bus.frames import put
+from gateway.errors import BusError
+from gateway.live import daemon as module
+from gateway.live.clock import Clock
+from gateway.live.daemon import Daemon
+from gateway.live.loop import Live
+
+MS = 1_000_000
+#: Time between two turns of the loop [ns].
+TURN_NS = 5 * MS
+
+
+class Wire(Bus):
+    """One bus of the world."""
+
+    def __init__(self, world, uri, index):
+        super().__init__(uri, index)
+        if uri in world.cut:
+            raise BusError(f"{uri}: cut")
+        self.world = world
+        self._event = os.eventfd(0)
+        world.wires[uri] = self
+        self.waiting = []
+        self.own_clock = uri in world.own_clocks
+
+    def fileno(self):
+        return self._event
+
+    def receive(self, out):
+        if self.uri in self.world.cut and not self.waiting:
+            raise BusError(f"{self.uri}: cut")
+        part, self.waiting = self.waiting[: len(out)], self.waiting[len(out) :]
+        for k, (stamp, can_id, data) in enumerate(part):
+            put(out, k, stamp, can_id, data, bus=self.index)
+        self.statistics.received += len(part)
+        return len(part)
+
+    def send(self, frames):
+        if self.uri in self.world.cut:
+            raise BusError(f"{self.uri}: cut")
+        for frame in frames:
+            data = bytes(frame["data"][: int(frame["length"])])
+            self.world.sent.append((self.world.now_ns, self.uri, int(frame["can_id"]), data))
+        return len(frames)
+
+    def close(self):
+        if self._event >= 0:
+            os.close(self._event)
+            self._event = -1
+        if self.world.wires.get(self.uri) is self:
+            del self.world.wires[self.uri]
+
+
+class World:
+    """Time, buses, and what is seen of the daemon.
+
+    Attributes:
+        now_ns: true time [ns]; ``ahead_ns`` is what the wall clock is ahead of it.
+        sent: (true time, URI, identifier, data) of frames that the daemon sent.
+        events: (true time, event).
+        cut: URIs of buses that are gone.
+        own_clocks: URI -> what the stamps of its adapter are ahead of true time [ns].
+    """
+
+    def __init__(self, monkeypatch, *, own_clocks=()):
+        self.now_ns, self.ahead_ns = 10**12, 1_700_000_000 * 10**9
+        self.start_ns = self.now_ns
+        self.wires, self.cut, self.own_clocks = {}, set(), dict(own_clocks)
+        self.sent, self.events = [], []
+        self.clock = Clock(lambda: self.now_ns + self.ahead_ns, lambda: self.now_ns)
+        monkeypatch.setattr(module, "open_bus", lambda uri, index, **_: Wire(self, uri, index))
+        monkeypatch.setattr(module, "Live", partial(Live, tick_s=0.0))
+
+    def daemon(self, config, memory):
+        self.running = Daemon(
+            config,
+            memory=memory,
+            tell=lambda event: self.events.append((self.now_ns, event)),
+            clock=self.clock,
+        )
+        return self.running
+
+    def put(self, can_id, data, uri="virtual:a"):
+        """A frame comes now, if the bus is there."""
+        ahead = self.own_clocks.get(uri, self.ahead_ns)
+        if uri in self.wires:
+            self.wires[uri].waiting.append((self.now_ns + ahead, can_id, data))
+
+    def set_clock(self, step_s):
+        self.ahead_ns += round(step_s * 1e9)
+
+    def play(self, daemon, script):
+        """Run the daemon as long as a script yields, a turn each; then it ends as at SIGTERM."""
+        steps = iter(script)
+        end = object()
+        daemon.run(lambda: next(steps, end) is end)
+
+    def wait(self, seconds, each=None):
+        """Let true time pass; ``each`` is called with the count of turns before every turn."""
+        for turn in range(round(seconds * 1e9) // TURN_NS):
+            self.now_ns += TURN_NS
+            if each is not None:
+                each(turn)
+            yield
+
+    def told(self, kind):
+        return [event for _, event in self.events if event["event"] == kind]
+
+    def dtcs(self):
+        return [(e["dtc"], e["status"] & 1) for e in self.told("dtc")]
