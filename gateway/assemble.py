@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from gateway.engine.gate import Condition, CycleWatch, Gate
 from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, debounce_of, define
 from gateway.faults.memory import FaultMemory
-from gateway.faults.settings import ConditionSettings, FaultOverride
+from gateway.faults.settings import POWER, ConditionSettings, FaultOverride
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
@@ -152,7 +152,7 @@ def _emission(
     raise InputError("no database has this message", key=key, value=name)
 
 
-def _gate(names: _Names, fault: str, settings: FaultOverride) -> Gate:
+def _gate(names: _Names, fault: str, settings: FaultOverride, cycles: Sequence[str]) -> Gate:
     at = settings.freeze_frame_at
     return Gate(
         tuple(
@@ -162,6 +162,7 @@ def _gate(names: _Names, fault: str, settings: FaultOverride) -> Gate:
         settings.caused_by,
         settings.when_disabled == "reset",
         at if isinstance(at, int) else 0,
+        -1 if settings.cycle == POWER else cycles.index(settings.cycle),
     )
 
 
@@ -257,7 +258,7 @@ def assemble(config: Config) -> Parts:
     gates = _caused_by_buses(config)
     for fault, settings in config.fault.items():
         roots = settings.caused_by or gates.get(fault, Gate()).roots
-        gates[fault] = replace(_gate(names, fault, settings), roots=roots)
+        gates[fault] = replace(_gate(names, fault, settings, tuple(config.cycle)), roots=roots)
     cycles = [
         CycleWatch(
             names.condition(cycle.begins, f"cycle.{name}.begins"),

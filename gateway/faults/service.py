@@ -10,8 +10,9 @@ from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
+from gateway.faults.ledger import OVERFLOW
 from gateway.faults.lock import InUseError, is_kept
-from gateway.faults.memory import OVERFLOW, FaultMemory
+from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store

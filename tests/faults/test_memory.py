@@ -149,7 +149,7 @@ def test_a_full_memory_keeps_the_more_important():
     fail(memory, 0)
     assert stored(memory) == ["m.f0", "m.f1"], "the least important gave way"
     memory.commit()
-    assert memory._store.facts()["overflow"] == 1
+    assert memory._held.store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"
     fail(memory, 3)
     assert stored(memory) == ["m.f0", "m.f1"], (
