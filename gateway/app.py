@@ -28,15 +28,16 @@ from gateway.engine.events import (
 from gateway.errors import GatewayError, InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
+from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory, Observed
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
-from gateway.faults.store import Store
 from gateway.monitors.shape import FAILED, PASSED
 from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
 from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA
 from gateway.resources import shipped
+from gateway.upkeep import Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -70,12 +71,12 @@ class Gateway:
         *,
         file: Path | None = None,
         parts: Parts | None = None,
-        store: Store | None = None,
+        store: KeptStore | None = None,
     ) -> None:
         self.config = config
         self._parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
-        self.store = Store(memory_path) if store is None else store
+        self.store = KeptStore(memory_path) if store is None else store
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
         self._recorder = None if recording is None else Recorder(recording, names)
@@ -99,8 +100,9 @@ class Gateway:
         self._heard = self._identifiers_of_outputs()
         self._emitted = self.engine.emitted
         self._listeners: list[Listener] = []
-        self._changes: list[DtcChange] = []
-        self._uncommitted = False
+        self._changes: list[DtcChange] = []  # not told yet, nor are these events
+        self._untold: list[dict[str, Any]] = []
+        self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self.event_count = 0
 
     def succeed(self, old: Gateway) -> None:
@@ -114,7 +116,9 @@ class Gateway:
         """
         if old._recorder is not None and self._recorder is not None:
             old.memory.add_recordings(old._recorder.on_time(old.engine.now_ns, final=True))
-            old.memory.commit()
+        self.memory.succeed(old.memory)
+        self._upkeep.succeed(old._upkeep)
+        self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {
             k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
@@ -141,7 +145,15 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self.memory.end_cycle(t_ns)
-        self.memory.commit()
+        self._upkeep.settle(t_ns, self._on_events, final=True)
+        self._tell_untold()
+        if self.memory.unsaved:
+            log.error(
+                "the fault memory was not written at the end; what it had not stored is lost",
+                file=str(self.store.path),
+                reason=self.memory.outage.reason,
+                changes=self.memory.unsaved,
+            )
 
     def close(self) -> None:
         """Close the fault memory."""
@@ -150,7 +162,7 @@ class Gateway:
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames; returns the frames to send.
 
-        What the returned frames say is in the fault memory before they are returned.
+        What the returned frames say is stored before they are returned, unless it cannot be (see ``upkeep``).
         """
         if self._recorder is not None:
             self._recorder.on_frames(frames)
@@ -241,10 +253,13 @@ class Gateway:
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
+        self._upkeep.look(self.engine.now_ns)
         self.controls.forget(self.memory.serve_requests())
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
+        if self.store.detached or self.memory.outage.reason:
+            return  # that has been told
         try:
             self.store.save_buses(states)
         except GatewayError as error:
@@ -258,14 +273,19 @@ class Gateway:
                 self._on_cycle(event, began=kind == CYCLE_BEGAN)
                 continue
             changes = self.memory.apply(events_of(event), self._observe)
-            self._uncommitted = self._uncommitted or bool(changes)
-            told = [change for change in changes if change.concerns_fault]
-            self._changes += told
-            for change in told:
-                self._record(change)
-                self._tell(self._dtc_event(change, int(event["bus"])))
+            told = self._note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._tell(self._monitor_event(event))
+                self._untold.append(self._monitor_event(event))
+
+    def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
+        """Keep changes to be told when they are stored; returns whether there are any worth it."""
+        told = [change for change in changes if change.concerns_fault]
+        self._changes += told
+        for change in told:
+            self._record(change)
+            bus = self.engine.faults[self._index[change.definition.id]].bus
+            self._untold.append(self._dtc_event(change, bus))
+        return bool(told)
 
     def _record(self, change: DtcChange) -> None:
         if (
@@ -280,7 +300,7 @@ class Gateway:
             self.controls.begin(name, t_ns)
         else:
             self.controls.end(name, t_ns)
-        self._tell(
+        self._untold.append(
             {
                 "event": "cycle",
                 "t_ns": t_ns,
@@ -295,21 +315,42 @@ class Gateway:
         """Return the frames to send: the monitors' own, then what the outputs have to say."""
         now = self.engine.now_ns
         if self._recorder is not None and self._recorder.busy:
-            made = self._recorder.on_time(now)
-            self.memory.add_recordings(made)
-            self._uncommitted = self._uncommitted or bool(made)
-        if self._uncommitted:
-            self.memory.commit()
-            self._uncommitted = False
+            self.memory.add_recordings(self._recorder.on_time(now))
+        self._note_changes(self.memory.admit_refused(now))
         frames = [sent] if self.controls.send else [empty(0)]
-        changes, self._changes = self._changes, []
-        if changes:
-            for k, output in enumerate(self._outputs):
-                frames.append(self._allowed(output, output.on_changes(changes, now)))
-                self._set_due(k)
+        settled = self._settle(now)
+        if settled:
+            changes, self._changes = self._changes, []
+            self._tell_untold()
+            if changes:
+                for k, output in enumerate(self._outputs):
+                    frames.append(self._allowed(output, output.on_changes(changes, now)))
+                    self._set_due(k)
         if now >= self._next_due:
-            frames.append(self._on_time(now, [True] * len(self._outputs)))
+            # What is not stored yet is not told; answers that testers wait for are not about it, or have it stored.
+            frames.append(
+                self._on_time(now, [settled or output.prompt for output in self._outputs])
+            )
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
+
+    def _settle(self, now: int) -> bool:
+        """Write what has changed, if it is time; returns whether it may be told.
+
+        What is wrong with the memory itself is told before what it could not store.
+        """
+        changes, self._changes = self._changes, []
+        settled = self._upkeep.settle(now, self._on_events)
+        self._changes += changes
+        return settled
+
+    def _tell_untold(self) -> None:
+        events, self._untold = self._untold, []
+        stored = self._upkeep.stored
+        for event in events:
+            if event["event"] == "dtc":
+                event["stored"] = stored
+                self._upkeep.not_stored += not stored
+            self._tell(event)
 
     def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
         frames = []
@@ -391,6 +432,8 @@ class Gateway:
         for output in self._outputs:
             for name, count in output.counters().items():
                 counters[name] = counters.get(name, 0) + count
+        counters["memory_not_stored"] = self._upkeep.not_stored
+        counters["memory_write_failures"] = self._upkeep.failures
         if self._recorder is not None:
             counters["recordings_refused"] = self._recorder.refused
         buses = {

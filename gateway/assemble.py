@@ -10,12 +10,13 @@ from cantools.database.can import Message
 
 from gateway.config import Config, MonitorConfig, monitor_of
 from gateway.engine.build import BusInstance, CheckInstance, MonitorInstance, build_engine
-from gateway.engine.core import Engine
+from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.gate import Condition, CycleWatch, Gate
 from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, debounce_of, define
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import POWER, ConditionSettings, FaultOverride
+from gateway.monitors import memory_health
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
@@ -237,6 +238,22 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
         )
 
 
+def _own_faults(config: Config) -> list[FaultSlot]:
+    """Return the faults of the gateway itself, on its first bus."""
+    watched = memory_health.FAULTS if config.memory.watched else ()
+    return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
+
+
+def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
+    """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
+    settings = config.fault.get(slot.id)
+    if slot.fault not in memory_health.FAULTS:
+        return settings
+    asked = {} if settings is None else settings.model_dump(exclude_unset=True)
+    own = {"emission_related": False, "priority": memory_health.PRIORITY}
+    return FaultOverride.model_validate({**own, **asked})
+
+
 def assemble(config: Config) -> Parts:
     """Build everything that needs no fault memory.
 
@@ -276,11 +293,12 @@ def assemble(config: Config) -> Parts:
         extra=set(names.found.values()),
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=[BusInstance(bus.name, bus.health) for bus in config.bus],
+        reported=_own_faults(config),
     )
     _refuse_unknown(config, engine)
     catalogue = Catalogue(
         replace(
-            define(slot.id, slot.fault, config.fault.get(slot.id)),
+            define(slot.id, slot.fault, _settings(config, slot)),
             caused_by=gates.get(slot.id, Gate()).roots,
         )
         for slot in engine.faults

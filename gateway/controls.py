@@ -90,7 +90,7 @@ class Controls:
     def go_on(self) -> None:
         """Take over in the middle of an operation cycle: what fails in the memory is there."""
         for fault, index in self._index.items():
-            failing = self._memory.status(fault) & Status.TEST_FAILED
+            failing = self._memory.status_now(fault) & Status.TEST_FAILED
             self._engine.set_active(index, bool(failing))
 
     def restart_cycle(self) -> None:

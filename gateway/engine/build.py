@@ -15,7 +15,16 @@ from gateway.engine.debounce import DEBOUNCE, configure
 from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT
 from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
-from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
+from gateway.engine.tables import (
+    CLOCK,
+    HANDLER,
+    MOST_REPORTS,
+    NEVER,
+    REPORT,
+    VECTOR,
+    Tables,
+    table,
+)
 from gateway.errors import InputError
 from gateway.monitors import bus_health, communication
 from gateway.monitors.bus_health import HEALTH
@@ -85,6 +94,7 @@ def build_engine(
     extra: Collection[SignalRef] = (),
     pgn: Collection[int] = (),
     buses: Sequence[BusInstance] = (),
+    reported: Sequence[FaultSlot] = (),
     ring: int = 4096,
 ) -> Engine:
     """Compile everything into one engine.
@@ -99,10 +109,12 @@ def build_engine(
         extra: further signals to decode (freeze frames, identifiers).
         pgn: buses whose extended identifiers match by J1939 PGN.
         buses: whose health is judged, in the order of their indices.
+        reported: faults that nobody tests in the loop; their results are told by :meth:`Engine.report`.
         ring: events that one pass of the loop can hold.
 
     Returns:
-        the engine; its faults are those of the monitors, then those of the checks, then those of the buses, in order.
+        the engine; its faults are those of the monitors, then those of the checks, then those of the buses, then its
+        own, in order.
 
     Raises:
         InputError: a message or signal that no database has, a CRC signal off its byte boundary.
@@ -176,6 +188,7 @@ def build_engine(
     for k, (bus, code) in enumerate(zip(buses, codes, strict=True)):
         faults += _prepare_health(health[k], bus, k, code, len(faults))
 
+    faults += reported
     debounces = table(len(faults), DEBOUNCE)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
     for k, (slot, gate) in enumerate(zip(faults, own_gates, strict=True)):
@@ -226,6 +239,7 @@ def build_engine(
         outbox_cells,
         table(ring, EVENT),
         health,
+        table(MOST_REPORTS, REPORT),
         clock,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))

@@ -14,14 +14,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from gateway.errors import InputError
 from gateway.faults import rows
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
-from gateway.faults.records import Changes, Recording
+from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
 from gateway.faults.schema import MIGRATIONS
 from gateway.faults.store import DamagedError, Store, StoreError, UnusableError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -62,15 +65,45 @@ class KeptStore(Store):
         self._unread = False  # whether there is a file that could not be read when this began
         try:
             super().__init__(path)
+            self._read_all()
         except DamagedError as error:
             assert path is not None
-            self._begin_with(path, self._put_aside(path, error))
+            self._begin_with(path, error)
         except UnusableError as error:
             assert path is not None
             found = salvage(path) if path.exists() else Salvage()
             self._unread = path.exists() and found.lost > 0
             self._detach(error.message, found)
         self._note_place()
+
+    # Reading: what a running gateway finds damaged, it begins anew with what it knows
+
+    def load(self) -> list[Record]:
+        """Return all records (see :meth:`Store.load`)."""
+        return self._or_nothing(super().load, [])
+
+    def cycles(self) -> dict[str, Cycle]:
+        """Return the last operation cycle of each name."""
+        return self._or_nothing(super().cycles, {})
+
+    def permanent(self) -> list[Permanent]:
+        """Return the permanent DTCs, the oldest first."""
+        return self._or_nothing(super().permanent, [])
+
+    def identifiers(self) -> dict[int, bytes]:
+        """Return the values that testers wrote, by data identifier."""
+        return self._or_nothing(super().identifiers, {})
+
+    def facts(self) -> dict[str, int]:
+        """Return numbers by name."""
+        return self._or_nothing(super().facts, {})
+
+    def _or_nothing(self, read: Callable[[], T], nothing: T) -> T:
+        try:
+            return read()
+        except InputError:
+            self._suspect = True
+            return nothing
 
     # What happened
 
@@ -176,7 +209,8 @@ class KeptStore(Store):
         try:
             self._connect()
         except DamagedError as error:
-            found = self._put_aside(path, error)
+            found = salvage(path)
+            self._put_aside(path, error, found)
             self._recordings = self._recordings or found.recordings
             self._connect()
             return True
@@ -196,26 +230,39 @@ class KeptStore(Store):
 
     # Beginning without, or with another file
 
-    def _put_aside(self, path: Path, error: DamagedError) -> Salvage:
-        """Put a damaged file aside; returns what could be read of it.
+    def _put_aside(self, path: Path, error: DamagedError, found: Salvage) -> None:
+        """Put a damaged file aside, of which something could be read.
 
         Raises:
             UnusableError: it cannot be put aside.
         """
-        found = salvage(path)
         try:
             aside = put_aside(path, "damaged")
         except OSError as problem:
             raise UnusableError(f"damaged, and not put aside: {problem}", file=path) from problem
         reason = error.message.partition(";")[0]
         self._mishaps.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
-        return found
 
-    def _begin_with(self, path: Path, found: Salvage) -> None:
+    def _read_all(self) -> None:
+        """Find what is damaged but not seen by SQLite.
+
+        Raises:
+            DamagedError: something is.
+        """
+        for read in (super().load, super().cycles, super().permanent, super().identifiers):
+            read()
+        super().facts()
+
+    def _begin_with(self, path: Path, damage: DamagedError) -> None:
+        """Begin a new file with what can be read of a damaged one."""
+        self.close()
+        found = salvage(path)
         try:
+            self._put_aside(path, damage, found)
             super().__init__(path)
             Store.save(self, found.changes())
         except UnusableError as error:
+            self._unread = found.lost > 0
             self._detach(error.message, found)
         except StoreError as error:
             self._detach(error.reason, found)

@@ -1,0 +1,171 @@
+"""What the gateway does about its fault memory's file: it writes in time, and tells when it cannot.
+
+Everything that changes is written before it is told. Three things can happen on the way:
+
+- **A storm of changes**: they are written in groups (:class:`Pace`), and wait so long to be told.
+- **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
+  is there until a later attempt has written everything.
+- **The file was damaged, deleted or replaced**: a new one is begun; the fault ``gateway.memory_damaged`` is there until
+  the next operation cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import structlog
+
+from gateway.engine.core import Engine, Sink
+from gateway.faults.kept import KeptStore, Mishap
+from gateway.faults.memory import FaultMemory
+from gateway.faults.pace import Pace
+from gateway.monitors.memory_health import DAMAGED, NOT_WRITTEN, OWNER
+from gateway.monitors.shape import Fault
+
+log = structlog.get_logger(__name__)
+
+
+class Upkeep:
+    """Writes a fault memory and watches its file.
+
+    Args:
+        memory: the fault memory.
+        store: its file.
+        engine: debounces the gateway's own faults.
+        tell: takes events of the JSON contract.
+
+    Attributes:
+        not_stored: changes of DTCs that were told while they were not stored.
+    """
+
+    def __init__(
+        self,
+        memory: FaultMemory,
+        store: KeptStore,
+        engine: Engine,
+        tell: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._memory, self._store, self._engine, self._tell = memory, store, engine, tell
+        places = {slot.id: k for k, slot in enumerate(engine.faults)}
+        self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
+        self._pace = Pace()
+        self._tested = store.path is None  # whether its faults have had their first result
+        self._down = False
+        self.not_stored = 0
+
+    def succeed(self, old: Upkeep) -> None:
+        """Go on where that of an earlier configuration stops."""
+        self._pace, self.not_stored = old._pace, old.not_stored
+        self._down = old._down
+
+    @property
+    def stored(self) -> bool:
+        """Whether all that is known is where it is kept: in its file, or in this process if there is none."""
+        return not self._memory.unsaved
+
+    @property
+    def failures(self) -> int:
+        """Attempts to write that failed."""
+        return self._memory.outage.failures
+
+    def settle(self, t_ns: int, sink: Sink, *, final: bool = False) -> bool:
+        """Write what waits, if it is time; returns whether what has happened may be told.
+
+        Args:
+            t_ns: now, of the engine's clock.
+            sink: takes the events of the gateway's own faults.
+            final: write in any case.
+        """
+        memory = self._memory
+        if not memory.unsaved and self._tested and not self._down:
+            return True
+        if memory.unsaved:
+            if not (final or memory.outage.reason or self._pace.allows(t_ns)):
+                return False
+            memory.commit(t_ns, final=final)
+        if self._judge(t_ns, sink):
+            memory.commit(t_ns, final=final)
+            self._judge(t_ns, sink)
+        return True
+
+    def look(self, t_ns: int) -> None:
+        """Look whether the file is still there; if not, all is written anew."""
+        if not self._store.look() and not self._memory.outage.reason:
+            self._memory.rewrite()
+            self._memory.commit(t_ns)
+
+    def _judge(self, t_ns: int, sink: Sink) -> bool:
+        """Report what became of the file, where that is news; returns whether there was any."""
+        news = False
+        mishaps = self._store.mishaps()
+        for mishap in mishaps:
+            self._tell_mishap(mishap, t_ns)
+        if mishaps or not self._tested:
+            recovered, lost = sum(m.recovered for m in mishaps), sum(m.lost for m in mishaps)
+            self._report(DAMAGED, bool(mishaps), lost, (recovered, lost), sink)
+            news = True
+        down = bool(self._memory.outage.reason) or bool(self._store.detached)
+        if down != self._down or not self._tested:
+            self._tell_outage(t_ns, down=down, news=down != self._down)
+            self._down = down
+            waiting = self._memory.unsaved
+            self._report(NOT_WRITTEN, down, float(down), (waiting,), sink)
+            news = True
+        self._tested = True
+        self._store.note_unsaved(down)
+        return news
+
+    def _report(
+        self, fault: Fault, failed: bool, value: float, evidence: Sequence[float], sink: Sink
+    ) -> None:
+        place = self._places[fault]
+        if place is not None:
+            self._engine.report(place, failed, value, 0.0, evidence, sink)
+
+    def _tell_mishap(self, mishap: Mishap, t_ns: int) -> None:
+        aside = "" if mishap.aside is None else str(mishap.aside)
+        log.error(
+            "fault memory begun anew",
+            file=str(self._store.path),
+            reason=mishap.reason,
+            put_aside=aside,
+            rows_recovered=mishap.recovered,
+            rows_lost=mishap.lost,
+        )
+        self._event(
+            t_ns, mishap.kind, mishap.reason,
+            aside=aside, recovered=mishap.recovered, lost=mishap.lost,
+        )  # fmt: skip
+
+    def _tell_outage(self, t_ns: int, *, down: bool, news: bool) -> None:
+        if not news:
+            return
+        outage = self._memory.outage
+        reason = outage.reason or self._store.detached
+        if down:
+            log.error(
+                "fault memory cannot be written; monitoring goes on, and writing is tried again",
+                file=str(self._store.path),
+                reason=reason,
+            )
+            self._event(t_ns, "not written", reason)
+        else:
+            seconds = max(t_ns - outage.since_ns, 0) / 1e9
+            log.warning(
+                "fault memory written again", file=str(self._store.path), after_s=round(seconds, 3)
+            )
+            self._event(t_ns, "written", "")
+
+    def _event(self, t_ns: int, state: str, reason: str, **more: object) -> None:
+        self._tell(
+            {
+                "event": "memory",
+                "t_ns": t_ns,
+                "file": str(self._store.path),
+                "state": state,
+                "reason": reason,
+                "unsaved": self._memory.unsaved,
+                **more,
+            }
+        )
