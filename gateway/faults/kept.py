@@ -26,6 +26,9 @@ from gateway.faults.store import DamagedError, Store, StoreError, UnusableError
 
 T = TypeVar("T")
 
+#: Stands for the device and the inode of a file that is not there.
+NO_FILE = (0, 0)
+
 
 @dataclass(frozen=True)
 class Mishap:
@@ -59,7 +62,7 @@ class KeptStore(Store):
         self.detached = ""
         self._suspect = False  # whether the file must be looked at before it is written again
         self._mishaps: list[Mishap] = []
-        self._inode = (0, 0)
+        self._inode = self._wal = NO_FILE
         self._recordings: list[Recording] = []  # of a file that is gone, for the next one
         self._unsaved = False
         self._unread = False  # whether there is a file that could not be read when this began
@@ -196,7 +199,10 @@ class KeptStore(Store):
         if self._unread:
             aside = put_aside(path, "unread")
             self._mishaps.append(Mishap("unread", "its file could not be read at the start", aside))
-        elif self._inode != (0, 0) and not self._is_in_place():
+        elif self._inode != NO_FILE and not self._is_in_place():
+            if _inode(Path(f"{path}-wal")) == self._wal:  # our own, of a file that is no more
+                for suffix in SUFFIXES[1:]:
+                    Path(f"{path}{suffix}").unlink(missing_ok=True)
             aside = put_aside(path, "replaced")
             self._mishaps.append(Mishap("replaced", "another file was put in its place", aside))
         else:
@@ -269,7 +275,7 @@ class KeptStore(Store):
 
     def _detach(self, reason: str, found: Salvage) -> None:
         """Keep everything in this process until the file can be written."""
-        with suppress(AttributeError, sqlite3.Error):
+        with suppress(sqlite3.Error):
             self._db.close()
         self._db = sqlite3.connect(":memory:", isolation_level=None)
         for script in MIGRATIONS:
@@ -283,16 +289,19 @@ class KeptStore(Store):
 
     def _note_place(self) -> None:
         if self.path is not None and not self.detached:
-            found = self.path.stat()
-            self._inode = found.st_dev, found.st_ino
+            self._inode, self._wal = _inode(self.path), _inode(Path(f"{self.path}-wal"))
 
     def _is_in_place(self) -> bool:
         assert self.path is not None
-        try:
-            found = self.path.stat()
-        except OSError:
-            return False
-        return (found.st_dev, found.st_ino) == self._inode
+        return _inode(self.path) == self._inode
+
+
+def _inode(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return NO_FILE
+    return found.st_dev, found.st_ino
 
 
 def _most_of_one(recordings: list[Recording]) -> int:

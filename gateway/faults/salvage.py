@@ -103,6 +103,7 @@ def salvage(path: Path) -> Salvage:
             with suppress(FileNotFoundError):
                 shutil.copyfile(f"{path}{suffix}", f"{copy}{suffix}")
         db = sqlite3.connect(copy, isolation_level=None)
+        db.execute("PRAGMA writable_schema = ON")  # a definition that is damaged hides no other table
         try:
             return _read(db)
         finally:
@@ -172,7 +173,7 @@ def _raw_rows(
         if whole:
             return
     found.lost += 1  # at least
-    last = max([*seen, *_numbers(db, table)], default=MOST_ROWS)
+    last = max([*seen, *_numbers(db, table)], default=0)
     for number in range(1, min(last, MOST_ROWS) + 1):
         if number in seen:
             continue

@@ -83,6 +83,7 @@ class Store:
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
+        self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
 
     def _connect(self) -> None:

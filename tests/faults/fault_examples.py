@@ -27,7 +27,7 @@ def catalogue(confirm=None, **settings):
     return Catalogue(
         FaultDefinition(
             f"m.f{k}",
-            Dtc.parse(f"P030{k}-11"),
+            Dtc.parse(f"P0{300 + k}-11"),
             f"fault {k}",
             ("residual", "tooth"),
             confirm_cycles=rule.confirm_cycles,
