@@ -155,6 +155,11 @@ class Gateway:
                 changes=self.memory.unsaved,
             )
 
+    @property
+    def stored(self) -> bool:
+        """Whether all that is known is in the fault memory's file."""
+        return self._upkeep.stored
+
     def close(self) -> None:
         """Close the fault memory."""
         self.store.close()

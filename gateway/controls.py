@@ -52,7 +52,11 @@ class Controls:
         return math.nan if slot is None else self._engine.value(slot)
 
     def clear(self, group: int) -> bool:
-        """Clear one DTC or a group, durable on return; False if there is no such DTC or group."""
+        """Clear one DTC or a group, durable on return; False if there is no such DTC or group.
+
+        Raises:
+            StoreError: it could not be written; nothing was cleared.
+        """
         if not self._memory.knows(group):
             return False
         self.forget(self._memory.clear(group))

@@ -78,7 +78,8 @@ class Upkeep:
             final: write in any case.
         """
         memory = self._memory
-        if not memory.unsaved and self._tested and not self._down:
+        quiet = self._tested and not (self._down or self._store.happened)
+        if quiet and not memory.unsaved:
             return True
         if memory.unsaved:
             if not (final or memory.outage.reason or self._pace.allows(t_ns)):

@@ -10,9 +10,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from gateway.cli.present import find_config, print_json, status_text, wide_console
+from gateway.cli.present import find_config, print_json, say, status_text, wide_console
 from gateway.config import load_config
 from gateway.faults import service
+from gateway.faults.lock import is_unsaved
 
 
 def _path(config: Path | None, memory: Path | None) -> Path:
@@ -27,10 +28,19 @@ def _time(t_ns: int | None) -> str:
     return datetime.fromtimestamp(t_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
 
 
+def _say_if_behind(path: Path) -> None:
+    if is_unsaved(path):
+        say(
+            f"{path}: stored: false - the gateway that keeps this memory cannot write it at present;"
+            " it knows more than is shown here (its log and events say why)"
+        )
+
+
 def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List the entries; returns the exit code."""
     path = _path(config, memory)
     entries = service.list_entries(path)
+    _say_if_behind(path)
     if json:
         print_json(entries)
         return 0
@@ -55,7 +65,9 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
 
 def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
     """Show one entry; returns the exit code."""
-    entry = service.show(_path(config, memory), dtc)
+    path = _path(config, memory)
+    _say_if_behind(path)
+    entry = service.show(path, dtc)
     if json:
         print_json(entry)
         return 0

@@ -104,6 +104,8 @@ class EventPrinter:
             self._dtc(event)
         elif event["event"] == "bus":
             self._bus(event)
+        elif event["event"] == "memory":
+            self._memory(event)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "summary":
@@ -118,7 +120,7 @@ class EventPrinter:
         self._console.print(
             f"{self._time(event)}  [{colour}]DTC {event['dtc']} {word}[/]  {event['fault']}"
             f"  status 0x{event['status']:02X}  fdc {event['fdc']:+d}"
-            f"  occurrence {event['occurrence']}"
+            f"  occurrence {event['occurrence']}{'' if event['stored'] else '  NOT STORED'}"
         )
         if failed:
             shown = "  ".join(
@@ -126,6 +128,12 @@ class EventPrinter:
                 for k, v in event["evidence"].items()
             )
             self._console.print(escape(f"{'':14}evidence: {shown}"), style="dim")
+
+    def _memory(self, event: dict[str, Any]) -> None:
+        colour = "green" if event["state"] == "written" else "bold red"
+        text = f"{self._time(event)}  fault memory [{colour}]{event['state']}[/]  "
+        aside = f"; put aside: {event['aside']}" if event.get("aside") else ""
+        self._console.print(text + escape(f"{event['file']} {event['reason']}{aside}".rstrip()))
 
     def _bus(self, event: dict[str, Any]) -> None:
         if event["state"] in ("open", "lost"):
@@ -153,6 +161,17 @@ class EventPrinter:
             if counts:
                 print_(f"bus {name}: " + "  ".join(f"{k} {n}" for k, n in counts.items()))
         print_("DTCs: " + (", ".join(event["dtcs"]) or "none"))
+
+
+def say_unless_stored(stored: bool, memory: Path | None) -> int:
+    """Say at the end that the fault memory could not be written; returns the exit code for it."""
+    if stored:
+        return 0
+    say(
+        f"error: {memory}: the fault memory could not be written; what it had not stored is lost."
+        " Free the disk, or name another one with --memory"
+    )
+    return 2
 
 
 def find_config(path: Path | None) -> Path:

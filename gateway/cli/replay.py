@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
-from gateway.cli.present import EventPrinter, find_config, say_if_cold
+from gateway.cli.present import EventPrinter, find_config, say_if_cold, say_unless_stored
 from gateway.config import channels_of, load_config
 from gateway.replay import replay as feed
 
@@ -50,6 +50,9 @@ def replay(
             begun = time.monotonic()
             feed(gateway, stamped(), progress=show)
         printer(gateway.summary(time.monotonic() - begun))
+        lost = say_unless_stored(gateway.stored, memory)
     finally:
         gateway.close()
+    if lost:
+        return lost
     return 1 if fail_on_dtc and printer.failures else 0

@@ -110,6 +110,11 @@ class KeptStore(Store):
 
     # What happened
 
+    @property
+    def happened(self) -> bool:
+        """Whether :meth:`mishaps` has something to tell."""
+        return bool(self._mishaps)
+
     def mishaps(self) -> list[Mishap]:
         """Return what happened to the file since the last call."""
         found, self._mishaps = self._mishaps, []

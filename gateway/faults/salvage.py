@@ -103,7 +103,9 @@ def salvage(path: Path) -> Salvage:
             with suppress(FileNotFoundError):
                 shutil.copyfile(f"{path}{suffix}", f"{copy}{suffix}")
         db = sqlite3.connect(copy, isolation_level=None)
-        db.execute("PRAGMA writable_schema = ON")  # a definition that is damaged hides no other table
+        db.execute(
+            "PRAGMA writable_schema = ON"
+        )  # a definition that is damaged hides no other table
         try:
             return _read(db)
         finally:

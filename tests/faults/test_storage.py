@@ -1,5 +1,6 @@
 """A memory that cannot be written, is damaged, deleted or replaced: nothing stops, nothing is lost, all of it is said."""
 
+import itertools
 import os
 import random
 import sqlite3
@@ -96,9 +97,9 @@ def test_attempts_grow_rare_and_never_end(tmp_path, disk):
         memory.commit(t_ns)
         if disk.attempts > before:
             tried.append(t_ns)
-    waits = [b - a for a, b in zip(tried, tried[1:], strict=False)]
+    waits = [b - a for a, b in itertools.pairwise(tried)]
     assert waits[0] == FIRST_NS
-    assert all(b == min(2 * a, LONGEST_NS) for a, b in zip(waits, waits[1:], strict=False))
+    assert all(b == min(2 * a, LONGEST_NS) for a, b in itertools.pairwise(waits))
     assert waits[-1] == LONGEST_NS
     assert len(tried) < 20
     assert memory.outage.failures == len(tried)
@@ -411,7 +412,9 @@ def test_a_file_that_could_not_be_read_is_never_overwritten(tmp_path, monkeypatc
     path = tmp_path / "f.sqlite"
     fill(path)
     unwritable(monkeypatch)
-    monkeypatch.setattr("gateway.faults.salvage.shutil.copyfile", lambda *_: (_ for _ in ()).throw(OSError()))
+    monkeypatch.setattr(
+        "gateway.faults.salvage.shutil.copyfile", lambda *_: (_ for _ in ()).throw(OSError())
+    )
     store, memory = kept(path)
     assert memory.entries() == []
     memory.start_cycle(0)
@@ -448,7 +451,9 @@ def failing(memory, *faults):
 
 def test_what_a_full_memory_refused_is_entered_when_there_is_room():
     memory = FaultMemory(
-        catalogue((1,) * 4, emission_related=(False,) * 4, priority=(5, 5, 7, 6)), Store(None), size=2
+        catalogue((1,) * 4, emission_related=(False,) * 4, priority=(5, 5, 7, 6)),
+        Store(None),
+        size=2,
     )
     memory.start_cycle(0)
     failing(memory, 0, 1, 2, 3)
