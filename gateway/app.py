@@ -37,7 +37,7 @@ from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
 from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA
 from gateway.resources import shipped
-from gateway.upkeep import Upkeep
+from gateway.upkeep import Noted, Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -145,8 +145,7 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self.memory.end_cycle(t_ns)
-        self._upkeep.settle(t_ns, self._on_events, final=True)
-        self._tell_untold()
+        self._settle(t_ns, final=True)
         if self.memory.unsaved:
             log.error(
                 "the fault memory was not written at the end; what it had not stored is lost",
@@ -158,10 +157,15 @@ class Gateway:
     @property
     def stored(self) -> bool:
         """Whether all that is known is in the fault memory's file."""
-        return self._upkeep.stored
+        return not self.memory.unsaved
+
+    def write_beside(self) -> None:
+        """Have a thread write the fault memory: frames come whether a disk is slow or not."""
+        self._upkeep.write_beside()
 
     def close(self) -> None:
         """Close the fault memory."""
+        self._upkeep.close()
         self.store.close()
 
     def feed(self, frames: Frames) -> Frames:
@@ -265,6 +269,7 @@ class Gateway:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
         if self.store.detached or self.memory.outage.reason:
             return  # that has been told
+        self.memory.join()
         try:
             self.store.save_buses(states)
         except GatewayError as error:
@@ -323,39 +328,33 @@ class Gateway:
             self.memory.add_recordings(self._recorder.on_time(now))
         self._note_changes(self.memory.admit_refused(now))
         frames = [sent] if self.controls.send else [empty(0)]
-        settled = self._settle(now)
-        if settled:
-            changes, self._changes = self._changes, []
-            self._tell_untold()
-            if changes:
-                for k, output in enumerate(self._outputs):
-                    frames.append(self._allowed(output, output.on_changes(changes, now)))
-                    self._set_due(k)
+        changes = self._settle(now)
+        if changes:
+            for k, output in enumerate(self._outputs):
+                frames.append(self._allowed(output, output.on_changes(changes, now)))
+                self._set_due(k)
         if now >= self._next_due:
-            # What is not stored yet is not told; answers that testers wait for are not about it, or have it stored.
-            frames.append(
-                self._on_time(now, [settled or output.prompt for output in self._outputs])
-            )
+            frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
 
-    def _settle(self, now: int) -> bool:
-        """Write what has changed, if it is time; returns whether it may be told.
+    def _settle(self, now: int, *, final: bool = False) -> list[DtcChange]:
+        """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.
 
         What is wrong with the memory itself is told before what it could not store.
         """
-        changes, self._changes = self._changes, []
-        settled = self._upkeep.settle(now, self._on_events)
-        self._changes += changes
-        return settled
-
-    def _tell_untold(self) -> None:
-        events, self._untold = self._untold, []
+        waiting, self._changes = self._changes, []
+        noted = Noted(len(waiting), len(self._untold))
+        may = self._upkeep.settle(now, noted, self._on_events, final=final)
+        own, self._changes = self._changes, waiting[may.changes :]
+        events = len(self._untold) if may == noted else may.events
+        told, self._untold = self._untold[:events], self._untold[events:]
         stored = self._upkeep.stored
-        for event in events:
+        for event in told:
             if event["event"] == "dtc":
                 event["stored"] = stored
                 self._upkeep.not_stored += not stored
             self._tell(event)
+        return own + waiting[: may.changes]
 
     def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
         frames = []

@@ -119,4 +119,5 @@ class Controls:
         Raises:
             GatewayError: it is damaged, or cannot be written.
         """
+        self._memory.join()
         self._store.compact()

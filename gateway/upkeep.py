@@ -2,7 +2,8 @@
 
 Everything that changes is written before it is told. Three things can happen on the way:
 
-- **A storm of changes**: they are written in groups (:class:`Pace`), and wait so long to be told.
+- **A storm of changes**: they are written in groups (:class:`Pace`), and wait so long to be told. In a live gateway a
+  thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
 - **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
   is there until a later attempt has written everything.
 - **The file was damaged, deleted or replaced**: a new one is begun; the fault ``gateway.memory_damaged`` is there until
@@ -12,7 +13,8 @@ Everything that changes is written before it is told. Three things can happen on
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import structlog
 
@@ -24,6 +26,18 @@ from gateway.monitors.memory_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.monitors.shape import Fault
 
 log = structlog.get_logger(__name__)
+
+
+class Noted(NamedTuple):
+    """How many changes, and how many events, have been noted to be told."""
+
+    changes: int
+    events: int
+
+
+NOTHING = Noted(0, 0)
+#: How long a single change is waited for where a thread writes it [s].
+PATIENCE_S = 0.003
 
 
 class Upkeep:
@@ -51,6 +65,9 @@ class Upkeep:
         self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
         self._pace = Pace()
         self._tested = store.path is None  # whether its faults have had their first result
+        self._executor: ThreadPoolExecutor | None = None
+        self._patience_s = 0.0
+        self._under_way = NOTHING  # what was noted when the write under way began
         self._down = False
         self.not_stored = 0
 
@@ -58,40 +75,87 @@ class Upkeep:
         """Go on where that of an earlier configuration stops."""
         self._pace, self.not_stored = old._pace, old.not_stored
         self._down = old._down
+        self._executor, self._patience_s = old._executor, old._patience_s
+        old._executor = None
 
     @property
     def stored(self) -> bool:
-        """Whether all that is known is where it is kept: in its file, or in this process if there is none."""
-        return not self._memory.unsaved
+        """Whether all that is told is where it is kept: in its file, or in this process if there is none."""
+        return not self._memory.outage.reason
 
     @property
     def failures(self) -> int:
         """Attempts to write that failed."""
         return self._memory.outage.failures
 
-    def settle(self, t_ns: int, sink: Sink, *, final: bool = False) -> bool:
-        """Write what waits, if it is time; returns whether what has happened may be told.
+    def write_beside(self, patience_s: float = PATIENCE_S) -> None:
+        """Have a thread write from now on, for a gateway whose frames do not wait.
+
+        Args:
+            patience_s: how long a single change is waited for, before other things are done [s].
+        """
+        self._patience_s = patience_s
+        if self._executor is None:
+            self._executor = ThreadPoolExecutor(1, thread_name_prefix="fault-memory")
+
+    def close(self) -> None:
+        """End the thread; what it writes is written first."""
+        self._memory.join()
+        if self._executor is not None:
+            self._executor.shutdown()
+            self._executor = None
+
+    def settle(self, t_ns: int, noted: Noted, sink: Sink, *, final: bool = False) -> Noted:
+        """Write what waits, if it is time; returns how much of what was noted may be told.
 
         Args:
             t_ns: now, of the engine's clock.
+            noted: what has been noted to be told.
             sink: takes the events of the gateway's own faults.
             final: write in any case.
         """
         memory = self._memory
         quiet = self._tested and not (self._down or self._store.happened)
         if quiet and not memory.unsaved:
-            return True
+            return noted
+        beside = self._executor is not None and quiet and not final
+        if beside and not memory.outage.reason:
+            done = self._write_beside(t_ns, noted)
+            if done is not None:
+                return done
         if memory.unsaved:
-            if not (final or memory.outage.reason or self._pace.allows(t_ns)):
-                return False
+            if not (final or memory.outage.reason or beside or self._pace.allows(t_ns)):
+                return NOTHING
             memory.commit(t_ns, final=final)
         if self._judge(t_ns, sink):
             memory.commit(t_ns, final=final)
             self._judge(t_ns, sink)
-        return True
+        self._under_way = NOTHING
+        return noted
+
+    def _write_beside(self, t_ns: int, noted: Noted) -> Noted | None:
+        """Go on with writing in the thread; returns what may be told, None: something is wrong, judge it."""
+        memory = self._memory
+        patience_s = self._patience_s if self._pace.calm else 0.0
+        if self._under_way == NOTHING:
+            if not self._pace.allows(t_ns):
+                return NOTHING
+            assert self._executor is not None
+            memory.begin(t_ns, self._executor)
+            self._under_way = noted
+        if memory.under_way(patience_s):
+            return NOTHING
+        memory.join()
+        if memory.outage.reason or not self._store.look():
+            return None
+        done, self._under_way = self._under_way, NOTHING
+        return done
 
     def look(self, t_ns: int) -> None:
         """Look whether the file is still there; if not, all is written anew."""
+        if self._memory.under_way():
+            return
+        self._memory.join()
         if not self._store.look() and not self._memory.outage.reason:
             self._memory.rewrite()
             self._memory.commit(t_ns)

@@ -136,10 +136,10 @@ class KeptStore(Store):
 
     def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
         """Write changes (see :meth:`Store.save`); a file that is damaged or gone is begun anew with all there is."""
-        if self.path is None or whole is None:
+        if self.path is None:
             super().save(changes)
             return
-        if self.detached or self._suspect:
+        if whole is not None and (self.detached or self._suspect):
             self._restore(self.path, whole())
             return
         try:
@@ -147,7 +147,9 @@ class KeptStore(Store):
         except StoreError as error:
             self._suspect = not error.full
             raise
-        if not self._is_in_place():  # written, but into a file that nobody will find
+        if (
+            whole is not None and not self._is_in_place()
+        ):  # written, but into a file that nobody will find
             self._restore(self.path, whole())
 
     def _restore(self, path: Path, everything: Changes) -> None:
@@ -282,7 +284,7 @@ class KeptStore(Store):
         """Keep everything in this process until the file can be written."""
         with suppress(sqlite3.Error):
             self._db.close()
-        self._db = sqlite3.connect(":memory:", isolation_level=None)
+        self._db = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         for script in MIGRATIONS:
             self._db.executescript(script)
         with self.transaction():

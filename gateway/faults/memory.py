@@ -1,14 +1,15 @@
 """The fault memory: qualified verdicts become status bytes, entries, freeze frames, permanent DTCs.
 
 Changes take effect in two steps: :meth:`FaultMemory.apply` and its like change the memory,
-:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told, so that whatever reads the memory
-commits first. While the file cannot be written there is a third state, told as such: known here, not stored.
+:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: what is read of the memory is as it
+was last written. While the file cannot be written there is a third state, told as such: known here, not stored.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -124,10 +125,10 @@ class FaultMemory:
         """Have a definition and a record of every fault, monitored or only stored."""
         self._definitions = {definition.id: definition for definition in self.catalogue}
         for definition in self.catalogue:
-            record = self._records.setdefault(
-                definition.id, Record(definition.id, definition.dtc.value, int(CLEARED))
-            )
-            record.dtc = definition.dtc.value
+            if definition.id not in self._records:
+                self._held.add(Record(definition.id, definition.dtc.value, int(CLEARED)))
+            for view in (self._records, self._held.shown):
+                view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(
                 record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored")
@@ -382,6 +383,19 @@ class FaultMemory:
         self._now_ns = max(self._now_ns, t_ns or 0)
         return self._held.commit(self._now_ns, final=final)
 
+    def begin(self, t_ns: int, executor: Executor) -> None:
+        """Have all changes made durable by a thread (see :meth:`under_way`)."""
+        self._now_ns = max(self._now_ns, t_ns)
+        self._held.begin(self._now_ns, executor)
+
+    def under_way(self, patience_s: float = 0.0) -> bool:
+        """Tell whether a thread writes still, after waiting so long at most [s]."""
+        return self._held.under_way(patience_s)
+
+    def join(self) -> None:
+        """Wait for the thread that writes, if one does: the store is for this one then."""
+        self._held.join()
+
     def rewrite(self) -> None:
         """Have everything written by the next commit: the file is gone."""
         self._held.rewrite()
@@ -469,6 +483,9 @@ class FaultMemory:
 
     def serve_requests(self) -> list[str]:
         """Do what other processes asked for (clearing); returns ids of the faults cleared."""
+        if self._held.under_way():  # they are served the next time
+            return []
+        self._held.join()
         if not self._asked():
             return []
         cleared: list[str] = []
@@ -489,28 +506,25 @@ class FaultMemory:
         self._forget(cleared)
         return cleared
 
-    # Reading: commits first, because what is read may be told
+    # Reading: what was last written, because what is read may be told
 
     def entries(self) -> list[Entry]:
         """Return every DTC that has failed since it was cleared, in order of DTC."""
-        self.commit()
-        found = [entry_of(r) for r in self._records.values() if r.occurrence > 0]
+        found = [entry_of(r) for r in self._held.shown.values() if r.occurrence > 0]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
 
     def supported(self) -> list[Entry]:
         """Return every DTC of the catalogue, and those that are still stored, in order of DTC."""
-        self.commit()
         found = [
             entry_of(r)
-            for r in self._records.values()
+            for r in self._held.shown.values()
             if r.occurrence or self.catalogue.get(r.id) is not None
         ]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
 
     def entry(self, fault: str) -> Entry:
         """Return what is known of one fault, also when it has not failed since it was cleared."""
-        self.commit()
-        return entry_of(self._records[fault])
+        return entry_of(self._held.shown[fault])
 
     def definition(self, fault: str) -> FaultDefinition:
         """Return the definition of a fault, also of one that is only stored any more."""
@@ -522,25 +536,21 @@ class FaultMemory:
 
     def count_by_status_mask(self, mask: int) -> int:
         """Return how many entries :meth:`by_status_mask` finds."""
-        self.commit()
-        return sum(1 for r in self._records.values() if r.occurrence > 0 and r.status & mask)
+        return sum(1 for r in self._held.shown.values() if r.occurrence > 0 and r.status & mask)
 
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""
-        self.commit()
-        return self.status_now(fault)
+        return Status(self._held.shown[fault].status)
 
     def status_now(self, fault: str) -> Status:
-        """Return the status byte of a fault, durable or not: not for others."""
+        """Return the status byte of a fault, written or not: not for others."""
         return Status(self._records[fault].status)
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""
-        self.commit()
-        return self._held.kept_permanent()
+        return self._held.shown_permanent
 
     def in_order(self, what: str) -> list[Entry]:
         """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
-        self.commit()
-        known = [r for r in self._records.values() if getattr(r, what) is not None]
+        known = [r for r in self._held.shown.values() if getattr(r, what) is not None]
         return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]

@@ -21,6 +21,11 @@ class Pace:
         self._credit_ns = self._most_ns
         self._last_ns: int | None = None
 
+    @property
+    def calm(self) -> bool:
+        """Whether there has been little to write lately."""
+        return 2 * self._credit_ns >= self._most_ns
+
     def allows(self, t_ns: int) -> bool:
         """Tell whether to write now; a yes is used up."""
         passed = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)

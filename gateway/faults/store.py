@@ -102,7 +102,10 @@ class Store:
                     self._lock = take_lock(path)
                 self._was_kept = path.exists() and is_marked(path)
             self._db = sqlite3.connect(
-                ":memory:" if path is None else path, isolation_level=None, timeout=PATIENCE_S
+                ":memory:" if path is None else path,
+                isolation_level=None,
+                timeout=PATIENCE_S,
+                check_same_thread=False,  # one thread at a time, but not always the same
             )
         except (sqlite3.Error, OSError) as error:
             self._unlock()

@@ -63,6 +63,7 @@ class Daemon:
         self.reloader = Reloader(self._prepare)
         gateway = Gateway(config, memory or config.memory.path, file=path)
         gateway.listen(tell)
+        gateway.write_beside()
         self.gateway = gateway
         links: list[Link] = []
         try:

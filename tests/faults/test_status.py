@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from amount import FULL, amount
-from fault_examples import RULES, catalogue, event, nothing
+from fault_examples import RULES, AtOnce, catalogue, event, nothing
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
@@ -264,7 +264,7 @@ def test_random_lives_agree_with_the_model():
 
 
 def test_a_failure_and_its_healing_by_hand():
-    memory = FaultMemory(catalogue(), Store(None))
+    memory = AtOnce(catalogue(), Store(None))
     assert memory.status("m.f0") == CLEARED == 0x50
     memory.start_cycle(0)
     assert memory.status("m.f0") == 0x50
@@ -294,7 +294,7 @@ def one_cycle(memory, fault, *failed):
 
 def test_healing_and_aging_by_hand():
     """m.f1: confirmed by 2 failed cycles, healed by 2 good ones, aged by 3 more; it asks for the indicator."""
-    memory = FaultMemory(catalogue(), Store(None))
+    memory = AtOnce(catalogue(), Store(None))
     assert one_cycle(memory, 1, True) == 0x27, "pending"
     assert one_cycle(memory, 1, True) == 0xAF, "confirmed, and lit"
     assert one_cycle(memory, 1) == 0xED, "not tested: all stays but this cycle's bits"
@@ -310,7 +310,7 @@ def test_healing_and_aging_by_hand():
 
 @pytest.mark.parametrize("confirm", [2, 3])
 def test_confirmation_takes_failed_cycles(confirm):
-    memory = FaultMemory(catalogue(confirm=(confirm,)), Store(None))
+    memory = AtOnce(catalogue(confirm=(confirm,)), Store(None))
     for cycle in range(1, confirm + 1):
         memory.start_cycle(cycle)
         for _ in range(5):
@@ -322,7 +322,7 @@ def test_confirmation_takes_failed_cycles(confirm):
 
 
 def test_a_good_cycle_starts_the_count_anew():
-    memory = FaultMemory(catalogue(confirm=(2,)), Store(None))
+    memory = AtOnce(catalogue(confirm=(2,)), Store(None))
     for results in ([True], [False], [True]):
         memory.start_cycle(0)
         for failed in results:
@@ -333,7 +333,7 @@ def test_a_good_cycle_starts_the_count_anew():
 
 def test_a_failure_outside_its_operation_cycle_is_no_trip():
     """Two trips confirm: a failure before the drive, and one in the first drive, are one trip."""
-    memory = FaultMemory(catalogue(confirm=(2,), cycle=("drive",)), Store(None))
+    memory = AtOnce(catalogue(confirm=(2,), cycle=("drive",)), Store(None))
     memory.start_cycle(0)
     assert memory.apply(event(0, True), nothing) == []
     assert memory.status("m.f0") == CLEARED, "its drive has not begun"

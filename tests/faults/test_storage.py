@@ -7,7 +7,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from fault_examples import catalogue, event, frame, nothing
+from fault_examples import AtOnce, catalogue, event, frame, nothing
 
 from gateway.errors import InputError
 from gateway.faults import service
@@ -450,7 +450,7 @@ def failing(memory, *faults):
 
 
 def test_what_a_full_memory_refused_is_entered_when_there_is_room():
-    memory = FaultMemory(
+    memory = AtOnce(
         catalogue((1,) * 4, emission_related=(False,) * 4, priority=(5, 5, 7, 6)),
         Store(None),
         size=2,
@@ -472,7 +472,7 @@ def test_what_a_full_memory_refused_is_entered_when_there_is_room():
 
 
 def test_what_gave_way_comes_back_when_there_is_room():
-    memory = FaultMemory(
+    memory = AtOnce(
         catalogue((1,) * 2, emission_related=(False,) * 2, priority=(9, 1)), Store(None), size=1
     )
     memory.start_cycle(0)
@@ -485,7 +485,7 @@ def test_what_gave_way_comes_back_when_there_is_room():
 
 
 def test_an_earlier_cycles_failure_is_not_entered_as_one_of_this_cycle():
-    memory = FaultMemory(catalogue((1,) * 2, emission_related=(False,) * 2), Store(None), size=1)
+    memory = AtOnce(catalogue((1,) * 2, emission_related=(False,) * 2), Store(None), size=1)
     memory.start_cycle(0)
     failing(memory, 0, 1)
     memory.start_cycle(5)
@@ -494,7 +494,7 @@ def test_an_earlier_cycles_failure_is_not_entered_as_one_of_this_cycle():
 
 
 def test_a_fault_refused_and_healed_is_confirmed_when_it_fails_again_in_the_same_cycle():
-    memory = FaultMemory(catalogue((1,) * 2, emission_related=(False,) * 2), Store(None), size=1)
+    memory = AtOnce(catalogue((1,) * 2, emission_related=(False,) * 2), Store(None), size=1)
     memory.start_cycle(0)
     failing(memory, 0, 1)
     memory.apply(event(1, False), nothing)
