@@ -112,6 +112,7 @@ def our_side(
 ) -> None:
     """Run the gateway's live loop in this process."""
     gateway = Gateway(load_config(config), memory)
+    gateway.write_beside()
     link = Link("test:live", 0, "b", opener)
     link.start()
     gateway.start(time.time_ns())

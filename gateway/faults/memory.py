@@ -25,11 +25,18 @@ from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.outage import Outage
 from gateway.faults.records import Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.settings import POWER
-from gateway.faults.status import CLEARED, Cycles, Status
+from gateway.faults.status import CLEARED, STATUS, Cycles, Status
 from gateway.faults.store import Store, StoreError
 
 #: The occurrence counter stops here.
 MOST_OCCURRENCES = 255
+
+_TEST_FAILED, _CONFIRMED = int(Status.TEST_FAILED), int(Status.CONFIRMED_DTC)
+#: The bit that stores a freeze frame when it rises; a counter's value stands for testFailed.
+_FREEZE_FRAME_AT: dict[str | int, int] = {
+    "pending": int(Status.PENDING_DTC),
+    "confirmed": _CONFIRMED,
+}
 
 
 class Observed(NamedTuple):
@@ -156,7 +163,7 @@ class FaultMemory:
             self._end(t_ns, name)
         for record in self._records.values():
             if self._definitions[record.id].cycle == name:
-                record.status = int(transition.on_cycle_start(Status(record.status)))
+                record.status = int(transition.on_cycle_start(STATUS[record.status]))
                 self._held.touch(record.id)
                 self._refused.pop(record.id, None)  # it is tested again
         last = self._held.cycles.get(name)
@@ -194,7 +201,7 @@ class FaultMemory:
             rules = definition.rules
             if definition.aging_cycle == name and record.occurrence:
                 status, cycles, aged = transition.on_aging_cycle_end(
-                    Status(record.status), _cycles(record), rules
+                    STATUS[record.status], _cycles(record), rules
                 )
                 _set(record, status, cycles)
                 self._held.touch(record.id)
@@ -202,7 +209,7 @@ class FaultMemory:
                     self._remove_entry(record)
             if definition.cycle == name:
                 status, cycles = transition.on_cycle_end(
-                    Status(record.status), _cycles(record), rules
+                    STATUS[record.status], _cycles(record), rules
                 )
                 _set(record, status, cycles)
                 self._held.touch(record.id)
@@ -230,17 +237,18 @@ class FaultMemory:
         """
         changes = []
         for event in events:
-            if event["kind"] not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
+            kind = int(event["kind"])
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
                 continue
             definition = self.catalogue[int(event["fault"])]
             if not self._counts(definition):
                 continue
             record = self._records[definition.id]
-            old = Status(record.status)
-            if event["kind"] == FDC_REACHED:
+            old = STATUS[record.status]
+            if kind == FDC_REACHED:
                 content = _finite(snapshot(definition).frame)
                 self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
-            elif event["kind"] == QUALIFIED_FAILED:
+            elif kind == QUALIFIED_FAILED:
                 self._fail(definition, record, _failure_of(definition, event, snapshot))
             else:
                 record.status = int(transition.on_passed(old))
@@ -253,11 +261,11 @@ class FaultMemory:
         self, definition: FaultDefinition, record: Record, old: Status, fdc: int, t_ns: int
     ) -> list[DtcChange]:
         """Return the change of a status byte, if it has changed."""
-        new = Status(record.status)
+        new = STATUS[record.status]
         if new == old:
             return []
         self._held.touch(record.id)
-        evidence = dict(record.evidence) if new & Status.TEST_FAILED else {}
+        evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
         return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
 
     def admit_refused(self, t_ns: int) -> list[DtcChange]:
@@ -280,7 +288,7 @@ class FaultMemory:
             if not self._counts(definition):
                 continue
             record = self._records[definition.id]
-            old = Status(record.status)
+            old = STATUS[record.status]
             del self._refused[definition.id]
             self._fail(definition, record, failure)
             changes += self._changed(definition, record, old, 127, t_ns)
@@ -288,7 +296,7 @@ class FaultMemory:
 
     def _fail(self, definition: FaultDefinition, record: Record, failure: _Failure) -> None:
         """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
-        old = Status(record.status)
+        old = STATUS[record.status]
         if not record.occurrence:  # what was refused earlier in this cycle has not been counted
             old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
         status, cycles = transition.on_failed(old, _cycles(record), definition.rules)
@@ -298,16 +306,14 @@ class FaultMemory:
             self._refused[record.id] = replace(failure, observe=lambda: seen)
             return
         _set(record, status, cycles)
-        risen = status & ~old
-        if risen & Status.TEST_FAILED:
+        risen = int(status) & ~int(old)
+        if risen & _TEST_FAILED:
             self._note_failure(record, failure)
-        if risen & Status.CONFIRMED_DTC:
+        if risen & _CONFIRMED:
             record.last_confirmed = self._held.next_in_order()
             if record.first_confirmed is None:
                 record.first_confirmed = record.last_confirmed
-        at = definition.freeze_frame_at
-        wanted = {"pending": Status.PENDING_DTC, "confirmed": Status.CONFIRMED_DTC}
-        if risen & wanted.get(str(at), Status.TEST_FAILED):
+        if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
             prestored = self._prestored.pop(definition.id, None)
             frame = prestored or FreezeFrame(0, failure.t_ns, _finite(failure.observe().frame))
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
