@@ -124,7 +124,9 @@ class Upkeep:
             if done is not None:
                 return done
         if memory.unsaved:
-            if not (final or memory.outage.reason or beside or self._pace.allows(t_ns)):
+            if not (
+                final or memory.outage.reason or beside or self._pace.allows(t_ns, memory.unsaved)
+            ):
                 return NOTHING
             memory.commit(t_ns, final=final)
         if self._judge(t_ns, sink):
@@ -138,7 +140,7 @@ class Upkeep:
         memory = self._memory
         patience_s = self._patience_s if self._pace.calm else 0.0
         if self._under_way == NOTHING:
-            if not self._pace.allows(t_ns):
+            if not self._pace.allows(t_ns, memory.unsaved):
                 return NOTHING
             assert self._executor is not None
             memory.begin(t_ns, self._executor)
@@ -146,7 +148,10 @@ class Upkeep:
         if memory.under_way(patience_s):
             return NOTHING
         memory.join()
-        if memory.outage.reason or not self._store.look():
+        if not self._store.look():  # written, but into a file that nobody will find
+            memory.rewrite()
+            return None
+        if memory.outage.reason:
             return None
         done, self._under_way = self._under_way, NOTHING
         return done

@@ -1,5 +1,7 @@
 """A gateway whose fault memory cannot be written: it goes on, tells, says so, and stores everything when it can."""
 
+import threading
+
 import pytest
 from rig import MS, Rig, Tester, write_config
 
@@ -297,3 +299,121 @@ def test_a_storm_is_written_in_groups_and_every_change_is_told(make):
         "b.M1.length": 167,
         "b.M2.length": 166,
     }
+
+
+class SlowDisk:
+    """Writes of a store in another thread wait until they are let go; they may fail then."""
+
+    def __init__(self, monkeypatch):
+        self._gate = threading.Event()
+        self._gate.set()
+        self.fails = self.full = False
+        write = Store.save
+
+        def save(store, changes, whole=None):
+            if threading.current_thread() is not threading.main_thread():
+                assert self._gate.wait(60)
+                if self.fails:
+                    raise StoreError(store.path, "no", full=self.full)
+            write(store, changes, whole)
+
+        monkeypatch.setattr(Store, "save", save)
+
+    def stall(self):
+        self._gate.clear()
+
+    def let_go(self):
+        self._gate.set()
+
+    def go_on(self, rig):
+        """Let writes go on, and wait for the one under way as the gateway would find it done."""
+        self._gate.set()
+        rig.gateway.memory.under_way(60.0)
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    return SlowDisk(monkeypatch)
+
+
+def test_while_a_disk_takes_its_time_testers_are_answered_and_nothing_is_told_early(make, slow):
+    rig = make(extra=FRAMES + "[output.uds]\n")
+    rig.gateway.write_beside()
+    tester = Tester(rig)
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    rig.fail(1)
+    assert tester.ask("3E00").hex() == "7e00"
+    assert tester.ask("190208").hex()[:6] == "5902ff"
+    assert len(tester.ask("190208")) == 3, "what is not stored is not shown"
+    assert told(rig) == [] or told(rig) == [("P0000-00", False)]
+    assert of(rig, "dtc") == []
+    slow.go_on(rig)
+    rig.wait(50)
+    assert [d for d, _ in told(rig) if d[:5] != "P0000"] == ["P1000-11", "C1001-11"]
+    assert [e["stored"] for e in of(rig, "dtc")] == [True, True]
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length"}
+    assert len(tester.ask("190208")) == 3 + 2 * 4
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_what_a_thread_could_not_write_is_told_as_such_and_written_later(make, slow, full):
+    rig = make()
+    slow.full = full
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    slow.fails = True
+    rig.fail(0)
+    rig.fail(1)
+    slow.go_on(rig)
+    rig.wait(20)
+    assert told(rig)[-3:] == [("U3000-44", True), ("P1000-11", True), ("C1001-11", True)]
+    slow.fails = False
+    rig.wait(500)
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length", NOT_WRITTEN}
+    assert told(rig)[-1] == ("U3000-44", False)
+
+
+def test_a_file_deleted_while_a_thread_writes_is_written_anew(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    for file in rig.gateway.store.path.parent.glob("m.sqlite*"):
+        file.unlink()
+    slow.go_on(rig)
+    rig.wait(50)
+    assert set(stored(rig)) == {"b.M0.length", DAMAGED}
+
+
+def test_a_clear_waits_for_the_thread_and_what_it_wrote_does_not_come_back(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    timer = threading.Timer(0.05, slow.let_go)
+    timer.start()
+    assert rig.gateway.controls.clear(0xFFFFFF)
+    timer.join()
+    rig.wait(50)
+    assert stored(rig) == {}
+    assert rig.status(0) == 0x50
+
+
+def test_the_end_waits_for_the_thread(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    timer = threading.Timer(0.05, slow.let_go)
+    timer.start()
+    rig.gateway.stop(rig.now)
+    timer.join()
+    assert rig.gateway.stored
+    assert set(stored(rig)) == {"b.M0.length"}
+    assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length"]

@@ -511,6 +511,12 @@ def test_a_storm_is_written_in_groups_and_a_single_change_at_once():
     assert [pace.allows(0) for _ in range(6)] == [True] * 4 + [False] * 2
     assert sum(pace.allows(t) for t in range(1, 1001)) == 100
     assert [pace.allows(2000) for _ in range(6)] == [True] * 4 + [False] * 2
+    pace = Pace(burst=1, interval_ns=10)
+    assert [t for t in range(200) if pace.allows(t, 16)] == list(range(0, 200, 30)), (
+        "sixteen faults in each write: a third as often"
+    )
+    pace = Pace(burst=2, interval_ns=10)
+    assert [pace.allows(2000) for _ in range(3)] == [True] * 2 + [False]
     assert not pace.allows(0), "a clock that goes back gives no leave"
     assert pace.allows(10), "and takes none away"
 
