@@ -28,8 +28,9 @@ from gateway.engine.events import (
 from gateway.errors import GatewayError, InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
+from gateway.faults.failures import Observed
 from gateway.faults.kept import KeptStore
-from gateway.faults.memory import FaultMemory, Observed
+from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.monitors.shape import FAILED, PASSED

@@ -7,11 +7,9 @@ was last written. While the file cannot be written there is a third state, told 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.errors import InputError
@@ -20,10 +18,20 @@ from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
 from gateway.faults.dtc import ALL_DTCS, Dtc, in_group
-from gateway.faults.entries import DtcChange, Entry, entry_of
+from gateway.faults.entries import DtcChange
+from gateway.faults.failures import (
+    Failure,
+    Observed,
+    Snapshot,
+    failure_of,
+    finite,
+    known,
+    latest_signals,
+)
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.outage import Outage
-from gateway.faults.records import Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults.reading import Readable
+from gateway.faults.records import Cycle, FreezeFrame, Record, Recording
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Cycles, Status
 from gateway.faults.store import Store, StoreError
@@ -39,37 +47,8 @@ _FREEZE_FRAME_AT: dict[str | int, int] = {
 }
 
 
-class Observed(NamedTuple):
-    """What is seen at a failure: the signals of its freeze frame, the inputs of its monitor."""
-
-    frame: Mapping[str, float] = {}
-    inputs: Mapping[str, float] = {}
-
-
-#: Takes a fault, returns what is seen of it now.
-Snapshot = Callable[[FaultDefinition], Observed]
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
 Statistics = Callable[[int], tuple[int, int]]
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
-
-
-@dataclass(frozen=True)
-class _Failure:
-    """A qualified failure, and what was seen at it."""
-
-    t_ns: int
-    evidence: dict[str, float | None]
-    observe: Callable[[], Observed]
-
-
-def _failure_of(definition: FaultDefinition, event: Any, snapshot: Snapshot) -> _Failure:
-    names = ("value", "threshold", *definition.evidence)
-    values = (event["value"], event["threshold"], *event["evidence"])
-    evidence = _finite(dict(zip(names, values, strict=False)))
-    return _Failure(int(event["t_ns"]), evidence, lambda: snapshot(definition))
 
 
 def _cycles(record: Record) -> Cycles:
@@ -82,18 +61,7 @@ def _set(record: Record, status: Status, cycles: Cycles) -> None:
     record.aged_cycles = cycles.aged
 
 
-def _known(values: Mapping[str, float | None]) -> dict[str, float]:
-    return {name: math.nan if value is None else value for name, value in values.items()}
-
-
-def _latest(record: Record) -> dict[str, float]:
-    """Return the signals of a record's latest freeze frame."""
-    frames = record.freeze_frames
-    at = freeze_frames.LATEST_FAILURE if freeze_frames.LATEST_FAILURE in frames else 1
-    return _known(frames[at].content) if at in frames else {}
-
-
-class FaultMemory:
+class FaultMemory(Readable):
     """Status, entries and freeze frames of every fault of a catalogue.
 
     Entries of faults that are no longer in the catalogue are kept and listed until cleared.
@@ -121,7 +89,7 @@ class FaultMemory:
         self._held = Ledger(store, recordings)
         self._records = self._held.records
         self._prestored: dict[str, FreezeFrame] = {}
-        self._refused: dict[str, _Failure] = {}
+        self._refused: dict[str, Failure] = {}
         self._room = False  # whether an entry has gone since the refused ones were tried again
         self._now_ns = 0
         self._define()
@@ -246,10 +214,10 @@ class FaultMemory:
             record = self._records[definition.id]
             old = STATUS[record.status]
             if kind == FDC_REACHED:
-                content = _finite(snapshot(definition).frame)
+                content = finite(snapshot(definition).frame)
                 self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
             elif kind == QUALIFIED_FAILED:
-                self._fail(definition, record, _failure_of(definition, event, snapshot))
+                self._fail(definition, record, failure_of(definition, event, snapshot))
             else:
                 record.status = int(transition.on_passed(old))
                 self._prestored.pop(definition.id, None)
@@ -294,7 +262,7 @@ class FaultMemory:
             changes += self._changed(definition, record, old, 127, t_ns)
         return changes
 
-    def _fail(self, definition: FaultDefinition, record: Record, failure: _Failure) -> None:
+    def _fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
         """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
         old = STATUS[record.status]
         if not record.occurrence:  # what was refused earlier in this cycle has not been counted
@@ -315,12 +283,12 @@ class FaultMemory:
                 record.first_confirmed = record.last_confirmed
         if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
             prestored = self._prestored.pop(definition.id, None)
-            frame = prestored or FreezeFrame(0, failure.t_ns, _finite(failure.observe().frame))
+            frame = prestored or FreezeFrame(0, failure.t_ns, finite(failure.observe().frame))
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
         became = self._held.permanent.on_failed(definition, status, failure.t_ns)
         self._held.note_permanent(became)
 
-    def _note_failure(self, record: Record, failure: _Failure) -> None:
+    def _note_failure(self, record: Record, failure: Failure) -> None:
         sequence = self._held.next_in_order()
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
         record.first_ns = failure.t_ns if record.first_ns is None else record.first_ns
@@ -328,7 +296,7 @@ class FaultMemory:
         record.first_failed = sequence if record.first_failed is None else record.first_failed
         record.last_failed = sequence
         record.evidence = failure.evidence
-        record.inputs = _finite(failure.observe().inputs)
+        record.inputs = finite(failure.observe().inputs)
 
     def _stored(self) -> list[Record]:
         return [record for record in self._records.values() if record.occurrence]
@@ -345,8 +313,8 @@ class FaultMemory:
         if found is None:
             return False
         if found.status & Status.TEST_FAILED and self.catalogue.get(found.id) is not None:
-            seen = Observed(_latest(found), _known(found.inputs))
-            self._refused[found.id] = _Failure(found.last_ns or 0, found.evidence, lambda: seen)
+            seen = Observed(latest_signals(found), known(found.inputs))
+            self._refused[found.id] = Failure(found.last_ns or 0, found.evidence, lambda: seen)
         found.status = int(transition.on_displaced(Status(found.status)))
         self._remove_entry(found)
         self._room = False  # the newcomer takes it
@@ -512,51 +480,6 @@ class FaultMemory:
         self._forget(cleared)
         return cleared
 
-    # Reading: what was last written, because what is read may be told
-
-    def entries(self) -> list[Entry]:
-        """Return every DTC that has failed since it was cleared, in order of DTC."""
-        found = [entry_of(r) for r in self._held.shown.values() if r.occurrence > 0]
-        return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
-
-    def supported(self) -> list[Entry]:
-        """Return every DTC of the catalogue, and those that are still stored, in order of DTC."""
-        found = [
-            entry_of(r)
-            for r in self._held.shown.values()
-            if r.occurrence or self.catalogue.get(r.id) is not None
-        ]
-        return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
-
-    def entry(self, fault: str) -> Entry:
-        """Return what is known of one fault, also when it has not failed since it was cleared."""
-        return entry_of(self._held.shown[fault])
-
-    def definition(self, fault: str) -> FaultDefinition:
-        """Return the definition of a fault, also of one that is only stored any more."""
-        return self._definitions[fault]
-
-    def by_status_mask(self, mask: int) -> list[Entry]:
-        """Return the entries with any of the mask's bits set."""
-        return [entry for entry in self.entries() if entry.status & mask]
-
-    def count_by_status_mask(self, mask: int) -> int:
-        """Return how many entries :meth:`by_status_mask` finds."""
-        return sum(1 for r in self._held.shown.values() if r.occurrence > 0 and r.status & mask)
-
-    def status(self, fault: str) -> Status:
-        """Return the status byte of a fault."""
-        return Status(self._held.shown[fault].status)
-
     def status_now(self, fault: str) -> Status:
         """Return the status byte of a fault, written or not: not for others."""
         return Status(self._records[fault].status)
-
-    def permanent(self) -> list[Permanent]:
-        """Return the permanent DTCs, the oldest first."""
-        return self._held.shown_permanent
-
-    def in_order(self, what: str) -> list[Entry]:
-        """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
-        known = [r for r in self._held.shown.values() if getattr(r, what) is not None]
-        return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]

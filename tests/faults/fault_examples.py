@@ -5,7 +5,8 @@ import numpy as np
 from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
-from gateway.faults.memory import FaultMemory, Observed
+from gateway.faults.failures import Observed
+from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Rules
 
 #: Rules of the three faults: they differ in every number.
