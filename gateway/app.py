@@ -178,7 +178,7 @@ class Gateway:
             self._recorder.on_frames(frames)
         sent: list[Frames] = []
         for piece, last, wanting in self._pieces(frames):
-            sent.append(self._emit(self._process(piece)))
+            sent.append(self._emit(self._process(piece), asked=bool(wanting)))
             for k in wanting:
                 output = self._outputs[k]
                 made = output.on_frame(last, self.engine.now_ns)
@@ -322,14 +322,19 @@ class Gateway:
             }
         )
 
-    def _emit(self, sent: Frames) -> Frames:
-        """Return the frames to send: the monitors' own, then what the outputs have to say."""
+    def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
+        """Return the frames to send: the monitors' own, then what the outputs have to say.
+
+        Args:
+            sent: by the monitors.
+            asked: whether somebody asks for what there is now.
+        """
         now = self.engine.now_ns
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         self._note_changes(self.memory.admit_refused(now))
         frames = [sent] if self.controls.send else [empty(0)]
-        changes = self._settle(now)
+        changes = self._settle(now, asked=asked)
         if changes:
             for k, output in enumerate(self._outputs):
                 frames.append(self._allowed(output, output.on_changes(changes, now)))
@@ -338,14 +343,14 @@ class Gateway:
             frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
 
-    def _settle(self, now: int, *, final: bool = False) -> list[DtcChange]:
+    def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
         """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.
 
         What is wrong with the memory itself is told before what it could not store.
         """
         waiting, self._changes = self._changes, []
         noted = Noted(len(waiting), len(self._untold))
-        may = self._upkeep.settle(now, noted, self._on_events, final=final)
+        may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)
         own, self._changes = self._changes, waiting[may.changes :]
         events = len(self._untold) if may == noted else may.events
         told, self._untold = self._untold[:events], self._untold[events:]

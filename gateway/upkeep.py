@@ -105,13 +105,16 @@ class Upkeep:
             self._executor.shutdown()
             self._executor = None
 
-    def settle(self, t_ns: int, noted: Noted, sink: Sink, *, final: bool = False) -> Noted:
+    def settle(
+        self, t_ns: int, noted: Noted, sink: Sink, *, asked: bool = False, final: bool = False
+    ) -> Noted:
         """Write what waits, if it is time; returns how much of what was noted may be told.
 
         Args:
             t_ns: now, of the engine's clock.
             noted: what has been noted to be told.
             sink: takes the events of the gateway's own faults.
+            asked: whether a tester asks for what there is now; he does not wait for a thread that writes.
             final: write in any case.
         """
         memory = self._memory
@@ -124,9 +127,8 @@ class Upkeep:
             if done is not None:
                 return done
         if memory.unsaved:
-            if not (
-                final or memory.outage.reason or beside or self._pace.allows(t_ns, memory.unsaved)
-            ):
+            urgent = final or asked or beside or memory.outage.reason
+            if not (urgent or self._pace.allows(t_ns, memory.unsaved)):
                 return NOTHING
             memory.commit(t_ns, final=final)
         if self._judge(t_ns, sink):

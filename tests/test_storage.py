@@ -40,7 +40,7 @@ def make(tmp_path):
 
     def build(messages=3, name="m.sqlite", **options):
         options.setdefault("extra", FRAMES)
-        rigs.append(Rig(write_config(tmp_path, messages, **options), tmp_path / name))
+        rigs.append(Rig(write_config(tmp_path, messages, **options), tmp_path / name, watched=True))
         return rigs[-1]
 
     yield build
@@ -184,7 +184,7 @@ def test_a_damaged_file_is_put_aside_recovered_and_told(make, tmp_path):
 
 def test_the_own_faults_can_be_switched_off_and_set_like_any(tmp_path, disk):
     config = write_config(tmp_path, 1, extra=FRAMES + "[memory]\nwatched = false\n")
-    rig = Rig(config, tmp_path / "m.sqlite")
+    rig = Rig(config, tmp_path / "m.sqlite", watched=True)
     disk["broken"] = True
     rig.fail(0)
     assert [dtc for dtc, _ in told(rig) if dtc.startswith("U3")] == []
