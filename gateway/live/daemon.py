@@ -34,6 +34,7 @@ class Daemon:
         notifier: the service manager.
         clock: the engine's; default: this machine's, with the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
+        beside: whether a thread writes the fault memory, so that frames do not wait for a disk.
 
     Attributes:
         gateway: that runs now.
@@ -54,6 +55,7 @@ class Daemon:
         notifier: Notifier | None = None,
         clock: Clock | None = None,
         on_built: Callable[[], None] = lambda: None,
+        beside: bool = True,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._tell, self._given_taps = tell, list(taps)
@@ -68,6 +70,8 @@ class Daemon:
         on_built()
         gateway = Gateway(config, memory or config.memory.path, file=path, parts=parts)
         gateway.listen(tell)
+        if beside:
+            gateway.write_beside()
         self.gateway = gateway
         links: list[Link] = []
         try:

@@ -83,6 +83,7 @@ class World:
             memory=memory,
             tell=lambda event: self.events.append((self.now_ns, event)),
             clock=self.clock,
+            beside=False,  # a thread would write in real time
         )
         return self.running
 
