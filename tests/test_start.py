@@ -152,9 +152,10 @@ def test_a_daemon_on_our_own_buses_imports_no_python_can(tmp_path):
 def test_a_bus_in_operation_does_not_load_the_logger_with_frames_waiting():
     code = """
 import sys
+from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.bus.uri import open_bus
-link = Link("virtual:a", 0, "a", open_bus)
+link = Link("virtual:a", 0, "a", open_bus, Clock())
 before = "structlog" in sys.modules
 link.start()
 print(before, link.running, "structlog" in sys.modules)

@@ -354,11 +354,11 @@ def test_a_ring_whose_newest_segment_is_unfinished(replay, tmp_path):
     """Being written still: told in the log, no error. One cut off in the middle of the ring is one."""
     ring = tmp_path / "ring"
     ring.mkdir()
-    half = lines("can0", count=20)
-    (ring / "frames-000001-20250101T000000Z.log").write_text(half)
-    (ring / "frames-000002-20250101T000100Z.log").write_text(half[:-15])
+    first, second, third = (lines("can0", count=20, begin=60.0 * k) for k in range(3))
+    (ring / "frames-000001-20250101T000000Z.log").write_text(first)
+    (ring / "frames-000002-20250101T000100Z.log").write_text(second[:-15])
     assert replay(ring, config="one.toml").code == 0
-    (ring / "frames-000003-20250101T000200Z.log").write_text(half)
+    (ring / "frames-000003-20250101T000200Z.log").write_text(third)
     ended = replay(ring, "--json", config="one.toml")
     assert ended.code == 2
     assert "frames-000002-20250101T000100Z.log:20" in ended.err
