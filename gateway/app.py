@@ -381,7 +381,8 @@ class Gateway:
         now = self.engine.now_ns
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
-        self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
+        if self.memory.room:
+            self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
         frames = [sent] if self.controls.send else [empty(0)]
         changes = self._settle(now, asked=asked)
         if changes:
@@ -397,6 +398,8 @@ class Gateway:
 
         What is wrong with the memory itself is told before what it could not store.
         """
+        if not (final or self._changes or self._untold) and self._upkeep.idle:
+            return []  # as for nearly every batch
         waiting, self._changes = self._changes, []
         noted = Noted(len(waiting), len(self._untold))
         may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)

@@ -83,6 +83,11 @@ class Upkeep:
         return not self._memory.outage.reason
 
     @property
+    def idle(self) -> bool:
+        """Whether nothing waits to be written, and nothing has happened to the file."""
+        return self._tested and not (self._down or self._store.happened or self._memory.unsaved)
+
+    @property
     def failures(self) -> int:
         """Attempts to write that failed."""
         return self._memory.outage.failures

@@ -17,7 +17,7 @@ import numpy as np
 
 from gateway.bus.base import Statistics
 from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty, payload
-from gateway.jit import kernel
+from gateway.jit import bound, kernel
 
 # From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
 _CAN_MTU, _CANFD_MTU = 16, 72
@@ -75,15 +75,15 @@ def _word(control: Any, at: int, count: int) -> int:
 
 @kernel
 def settle(
-    out: Any, messages: Any, control: Any, losses: Any, count: int, bus: int, now_ns: int, lost: int
+    messages: Any, control: Any, losses: Any, out: Any, count: int, bus: int, now_ns: int, lost: int
 ) -> tuple[int, int, int, int]:
     """Turn received structs, where they lie now, into frames; what is no frame is left out.
 
     Args:
-        out: batch whose records were received at byte 8.
-        messages: their headers, shape (>= count,) of struct mmsghdr.
+        messages: headers, shape (>= count,) of struct mmsghdr.
         control: their ancillary data, uint8, shape (>= count, bytes).
         losses: int64, shape (n, 2): takes (place in the batch, frames lost before it).
+        out: batch whose records were received at byte 8.
         count: how many messages.
         bus: index of the bus.
         now_ns: stamp of a frame that has none [ns].
@@ -175,9 +175,10 @@ class RawReceiver:
         self._lengths = header["control_length"]
         self._headers = self._messages.ctypes.data
         self._into = 0
-        settle(
-            empty(0), self._messages, self._control, self._gaps, 0, 0, 0, 0
-        )  # compiled before traffic
+        # Compiled before traffic, and for one kind of batch.
+        self._settle = bound(
+            settle, self._messages, self._control, self._gaps, rest=(empty(1), 0, 0, 0, 0)
+        )
         for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
             try:
                 sock.setsockopt(_SOL_SOCKET, option, 1)
@@ -209,16 +210,7 @@ class RawReceiver:
             if isinstance(error, BlockingIOError | InterruptedError):
                 return 0
             raise error
-        kept, rejected, self._lost, gaps = settle(
-            out,
-            self._messages,
-            self._control,
-            self._gaps,
-            count,
-            bus,
-            time.time_ns(),
-            self._lost,
-        )
+        kept, rejected, self._lost, gaps = self._settle(out, count, bus, time.time_ns(), self._lost)
         if gaps:
             self.losses = [(int(at), int(lost)) for at, lost in self._gaps[:gaps]]
             self._statistics.overflow += sum(lost for _, lost in self.losses)

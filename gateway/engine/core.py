@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from gateway.engine import loop
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
-from gateway.jit import COMPILED
+from gateway.jit import bound
 from gateway.monitors.bus_health import COUNTED
 from gateway.monitors.shape import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
@@ -67,9 +66,7 @@ class Engine:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
         for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):
             handler["entry"] = instance.monitor.entry
-        run: Any = loop.run
-        examples = (_NO_FRAMES, _NO_CELLS, 0, NEVER)
-        self._run = run.bind(self.tables, rest=examples) if COMPILED else partial(run, self.tables)
+        self._run = bound(loop.run, self.tables, rest=(_NO_FRAMES, _NO_CELLS, 0, NEVER))
 
     def _first_run(self, *arguments: Any) -> int:
         self.warm()

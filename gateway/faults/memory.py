@@ -236,6 +236,11 @@ class FaultMemory(Readable):
         evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
         return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
 
+    @property
+    def room(self) -> bool:
+        """Whether an entry has gone since the refused ones were tried again."""
+        return self._room
+
     def admit_refused(self, t_ns: int) -> list[DtcChange]:
         """Enter failures that a full memory refused, or whose entries gave way, if there is room for them now.
 

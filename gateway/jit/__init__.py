@@ -11,11 +11,11 @@ is compiled once for all engines.
 """
 
 from gateway.jit.intrinsics import call_entry, lowest_bit
-from gateway.jit.kernels import Kernel, entry_point, kernel
+from gateway.jit.kernels import Kernel, bound, entry_point, kernel
 from gateway.jit.records import f8, i1, i2, i4, i8, record, record_at, u1, u4
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 
 __all__ = [
-    "BOUNDSCHECK", "COMPILED", "Kernel", "cache_directory", "call_entry", "entry_point", "f8",
+    "BOUNDSCHECK", "COMPILED", "Kernel", "bound", "cache_directory", "call_entry", "entry_point", "f8",
     "i1", "i2", "i4", "i8", "kernel", "lowest_bit", "record", "record_at", "u1", "u4",
 ]  # fmt: skip

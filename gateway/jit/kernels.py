@@ -13,6 +13,7 @@ import inspect
 import struct
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -21,7 +22,20 @@ from gateway import progress
 from gateway.errors import KernelError
 from gateway.jit import cache, shipped
 from gateway.jit.closure import Closure
-from gateway.jit.forms import Form, Rec, Tup, code_of, form_of, parse_results, put, take, text_of
+from gateway.jit.forms import (
+    INT,
+    Arr,
+    Form,
+    Rec,
+    Tup,
+    code_of,
+    form_of,
+    parse_results,
+    put,
+    put_array,
+    take,
+    text_of,
+)
 from gateway.jit.intrinsics import PYTHON_ENTRIES
 from gateway.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
 
@@ -91,10 +105,20 @@ class Entry:
         pack = struct.Struct("=" + "".join(self._codes[len(first) :])).pack
         run = self._run
 
+        arrays = [isinstance(form, Arr) for form in forms]
+        plain = all(array or form == INT for array, form in zip(arrays, forms, strict=True))
+
         def call(*rest: Any) -> Any:
             more: list[Any] = []
-            for form, value in zip(forms, rest, strict=True):
-                put(form, value, more)
+            if plain:  # the short way of what is called for each batch of frames
+                for array, value in zip(arrays, rest, strict=True):
+                    if array:
+                        put_array(value, more)
+                    else:
+                        more.append(value)
+            else:
+                for form, value in zip(forms, rest, strict=True):
+                    put(form, value, more)
             return run(head + pack(*more))
 
         call.__dict__["kept"] = first
@@ -192,11 +216,11 @@ class Kernel:
             return None
         if not shipped.unchanged(found) and self._key(signature) != found["key"]:
             return None
-        here = machine.architecture()
-        code = shipped.code(found, here)
-        if code is not None:
-            return code
-        name, key = self._file(), f"{found['key'][:16]}-{here}"
+        for level in machine.levels():
+            code = shipped.code(found, level)
+            if code is not None:
+                return code
+        name, key = self._file(), f"{found['key'][:16]}-{machine.levels()[0]}"
         code = cache.read(name, key)
         if code is None:
             code = shipped.bitcode(found)
@@ -216,7 +240,7 @@ class Kernel:
         from gateway.jit import machine  # noqa: PLC0415
 
         key = self._key(signature)
-        tools = f"{version('numba')} {version('llvmlite')} {machine.architecture()} {BOUNDSCHECK}"
+        tools = f"{version('numba')} {version('llvmlite')} {machine.levels()[0]} {BOUNDSCHECK}"
         full = hashlib.blake2b(f"{key} {tools}".encode(), digest_size=8).hexdigest()
         name = self._file()
         code = cache.read(name, full)
@@ -240,14 +264,18 @@ class Kernel:
             module, result = lower(self, arguments, symbol_of(key), lowered)
             return machine.optimise(module), text_of(result)
 
-    def bind(self, *first: Any, rest: tuple[Any, ...]) -> Callable[..., Any]:
-        """Return a function of the remaining arguments, for calls that must be short.
 
-        Args:
-            first: the leading arguments; their arrays must stay where they are.
-            rest: examples of the remaining ones: each call must have arguments of these forms.
-        """
-        return self.entry(tuple(map(form_of, (*first, *rest)))).bound(first)
+def bound(function: Callable[..., Any], *first: Any, rest: tuple[Any, ...]) -> Callable[..., Any]:
+    """Return a function of a kernel's remaining arguments, for calls that must be short.
+
+    Args:
+        function: the kernel.
+        first: its leading arguments; their arrays must stay where they are.
+        rest: examples of the remaining ones: each call must have arguments of these forms.
+    """
+    if not COMPILED:
+        return partial(function, *first)
+    return cast(Kernel, function).entry(tuple(map(form_of, (*first, *rest)))).bound(first)
 
 
 def symbol_of(key: str) -> str:

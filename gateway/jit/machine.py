@@ -1,7 +1,7 @@
 """LLVM: modules are optimised and translated, objects are loaded.
 
-Code is made for the baseline of an architecture, not for the processor at hand: the same source gives the same bytes on
-every machine, and IEEE arithmetic the same results (nothing is fused or reordered).
+Code is made for levels of an architecture, not for the processor at hand: the same source gives the same bytes on every
+machine, and IEEE arithmetic the same results (nothing is fused or reordered, whatever the level).
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ import llvmlite.binding as llvm
 
 from gateway.errors import KernelError
 
-#: Processor for which code is made, by architecture.
-BASELINES = {"x86_64": "x86-64", "aarch64": "generic"}
+#: Processor for which code is made, by level; those of one architecture, the best last.
+LEVELS = {"x86_64": "x86-64", "x86_64_v3": "x86-64-v3", "aarch64": "generic"}
+
+#: What a processor of level x86_64_v3 has (psABI x86-64, micro-architecture levels).
+_V3 = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "sse4.2", "popcnt")
 
 #: Symbols that numba gives to compiled code; it must be loaded before code that uses them.
 _OF_NUMBA = ("numba_", "NRT_")
@@ -29,24 +32,34 @@ def architecture() -> str:
 
 
 @cache
+def levels() -> tuple[str, ...]:
+    """Return the levels whose code this machine can run, the best first."""
+    here = architecture()
+    if here != "x86_64":
+        return (here,)
+    features = llvm.get_host_cpu_features()
+    return ("x86_64_v3", here) if all(features.get(name) for name in _V3) else (here,)
+
+
+@cache
 def _target(name: str) -> Any:
-    """Return the target machine of an architecture's baseline."""
-    if name == architecture():
+    """Return the target machine of a level."""
+    if name.startswith(architecture()):
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         triple = llvm.get_process_triple()
     else:
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
-        triple = f"{name}-unknown-linux-gnu"
+        triple = f"{name.removesuffix('_v3')}-unknown-linux-gnu"
     return llvm.Target.from_triple(triple).create_target_machine(
-        cpu=BASELINES.get(name, ""), features="", opt=3, jit=True, reloc="static",
+        cpu=LEVELS.get(name, ""), features="", opt=3, jit=True, reloc="static",
         codemodel="jitdefault",
     )  # fmt: skip
 
 
 def optimise(module: Any) -> bytes:
-    """Optimise a module for this architecture's baseline; returns its bitcode."""
+    """Optimise a module for this architecture, whatever the level; returns its bitcode."""
     target = _target(architecture())
     module.triple = target.triple
     module.data_layout = str(target.target_data)
@@ -71,8 +84,8 @@ def externals(bitcode: bytes) -> tuple[str, ...]:
 
 
 def translate(bitcode: bytes, name: str = "") -> bytes:
-    """Return the object code of bitcode for an architecture (this machine's)."""
-    target = _target(name or architecture())
+    """Return the object code of bitcode for a level (this machine's best)."""
+    target = _target(name or levels()[0])
     module = llvm.parse_bitcode(bitcode)
     module.triple = target.triple
     module.data_layout = str(target.target_data)

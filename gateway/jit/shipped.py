@@ -59,9 +59,9 @@ def survey() -> tuple[int, int]:
     return len(entries), sum(not unchanged(found) for found in entries)
 
 
-def code(found: dict[str, Any], architecture: str) -> Code | None:
-    """Return the object code of an entry, None if there is none for this architecture, or it is damaged."""
-    return _read(found, f"{architecture}/{found['name']}.o", found["objects"].get(architecture))
+def code(found: dict[str, Any], level: str) -> Code | None:
+    """Return the object code of an entry, None if there is none for this level, or it is damaged."""
+    return _read(found, f"{level}/{found['name']}.o", found["objects"].get(level))
 
 
 def bitcode(found: dict[str, Any]) -> Code | None:

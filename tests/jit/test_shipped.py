@@ -110,8 +110,8 @@ def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
 
 
 def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
-    shutil.rmtree(copy / "gateway/precompiled/x86_64")
-    shutil.rmtree(copy / "gateway/precompiled/aarch64")
+    for level in ("x86_64", "x86_64_v3", "aarch64"):
+        shutil.rmtree(copy / "gateway/precompiled" / level)
     cache = tmp_path / "cache"
     ended = run(MADE_READY, root=copy, cache=cache, GATEWAY_KERNELS="shipped")
     assert ended.returncode == 0, ended.stderr
@@ -145,5 +145,5 @@ def test_every_entry_that_is_shipped_is_there_for_both_architectures():
     assert len(index["entries"]) > 20
     for found in index["entries"].values():
         assert shipped.bitcode(found) is not None
-        for architecture in ("x86_64", "aarch64"):
+        for architecture in ("x86_64", "x86_64_v3", "aarch64"):
             assert shipped.code(found, architecture) is not None
