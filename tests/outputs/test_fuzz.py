@@ -128,7 +128,6 @@ def grown(work, rounds):
     return after - before
 
 
-@pytest.mark.timeout(600)
 def test_mutated_requests(rig):
     seed = 77
     print(f"seed {seed}")
@@ -174,7 +173,6 @@ def isotp_frames(rng):
     return frames
 
 
-@pytest.mark.timeout(600)
 def test_mutated_frames(rig):
     """ISO-TP and J1939 frames, through the outputs as the gateway calls them."""
     seed = 78

@@ -232,7 +232,7 @@ def scan(target, folder, *arguments):
     """Run a scan; returns what it reports as results, and what it complains of."""
     made = subprocess.run(
         [*gallia_command(), "scan", "uds", *arguments, "--no-dumpcap", "--target", target],
-        env=quiet_environment(folder), capture_output=True, text=True, timeout=200, check=False,
+        env=quiet_environment(folder), capture_output=True, text=True, timeout=1000, check=False,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr[-3000:]
     text = re.sub(r"\x1b\[[0-9;]*m", "", made.stderr + made.stdout)
