@@ -1,21 +1,25 @@
 """How much of the tests is run: GATEWAY_TESTS=small, nothing, or full.
 
 ``small``: for every edit, and where all kernels run once more as plain Python or with bounds checks. Tests marked
-``long`` and ``system`` are left out (tests/conftest.py), loops over random cases are short.
+``long`` and ``system`` are left out (tests/conftest.py), loops over random cases are short. Kernels as plain Python are
+hundreds of times slower: with them it is always small.
 Nothing: what CI runs; studies are sampled. ``full``: every case of every study, by hand.
 """
 
 import os
 
+from gateway.jit import COMPILED
+
 SIZES = ("small", "", "full")
 SIZE = os.environ.get("GATEWAY_TESTS", "")
 if SIZE not in SIZES:
     raise SystemExit(f"GATEWAY_TESTS = {SIZE!r}: small, full, or not set")
-FULL, SMALL = SIZE == "full", SIZE == "small"
+SMALL = SIZE == "small" or not COMPILED
+FULL = SIZE == "full" and not SMALL
 
 
-def amount(whole: int, part: int | None = None, small: int | None = None) -> int:
-    """Return how many cases to try.
+def amount(whole, part=None, small=None):
+    """Return how many cases to try, or how long something lasts.
 
     Args:
         whole: with GATEWAY_TESTS=full.
@@ -27,3 +31,8 @@ def amount(whole: int, part: int | None = None, small: int | None = None) -> int
     if part is None:
         part = whole // 5
     return small if SMALL and small is not None else part
+
+
+def examples(count):
+    """Return how many examples hypothesis is to try."""
+    return min(count, 15) if SMALL else count

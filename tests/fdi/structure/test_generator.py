@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import truck_data
+from amount import amount
 from residual_runner import Runner, close
 
 from gateway.engine.tables import table
@@ -15,9 +16,8 @@ from gateway.fdi.structure.generator.realisation import realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
 from gateway.fdi.structure.model import Equation, Loop, Model, Quantity, Solvable, differential
 from gateway.fdi.structure.relation import Relation
-from gateway.jit import COMPILED
 
-SECONDS = 60 if COMPILED else 5
+SECONDS = amount(60, 60, 5)
 
 
 def of_truck(truck, name):

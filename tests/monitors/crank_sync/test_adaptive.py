@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import amount
 
 from gateway.evaluate.crank.cases import healthy
 from gateway.evaluate.crank.follow import follower
@@ -90,7 +91,7 @@ def test_a_healthy_engine_makes_no_report():
 )
 def test_wheels_of_all_kinds(wheel):
     """Gaps, several gaps, added teeth: no report, every label right, sync at the first gap."""
-    times, teeth = engine(wheel, seconds=6.0 if COMPILED else 1.5)
+    times, teeth = engine(wheel, seconds=amount(6.0, 6.0, 1.5))
     result = followed(times, wheel)
     assert len(result.fault) == 0
     assert wrong(result, teeth) == 0
@@ -197,7 +198,7 @@ def test_runout(amplitude, found):
     places = np.array(wheel.positions) / wheel.turn
     places = places + amplitude / (2 * np.pi) * np.sin(2 * np.pi * places)
     rng = np.random.default_rng(SEED)
-    turns = 60 if COMPILED else 12
+    turns = amount(60, 60, 12)
     times = (np.arange(turns)[:, None] + places).ravel() * 40_000 + rng.normal(0, 3, turns * 58)
     result = followed(times)
     assert set(result.fault.tolist()) == ({RUNOUT} if found else set())
