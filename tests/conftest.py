@@ -12,7 +12,10 @@ from gateway import log
 for _name, _repeated in (("local", False), ("ci", True)):
     settings.register_profile(_name, deadline=None, print_blob=True, derandomize=_repeated)
     settings.register_profile(
-        f"{_name}-small", settings.get_profile(_name), max_examples=examples(100), stateful_step_count=20
+        f"{_name}-small",
+        settings.get_profile(_name),
+        max_examples=examples(100),
+        stateful_step_count=20,
     )
 settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if SMALL else ""))
 

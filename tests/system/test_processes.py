@@ -110,7 +110,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
         storm = stack.enter_context(
             process("simulate", _storm(tmp_path), "--bus", uri, cwd=tmp_path, ready="seed")
         )
-        while kills < amount(50, 20):
+        while kills < amount(50, 8):
             started = subprocess.Popen(
                 [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
                 cwd=tmp_path,
