@@ -130,6 +130,7 @@ def _flood(address, count):
             bus.send(part)
 
 
+@pytest.mark.long
 def test_many_frames_between_processes_keep_their_order(hub):
     count = 10_000
     with join(hub) as ours:

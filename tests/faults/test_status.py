@@ -222,6 +222,7 @@ class MemoryAgainstModel(RuleBasedStateMachine):
                 assert status & Status.CONFIRMED_DTC
 
 
+@pytest.mark.long
 def test_random_lives_agree_with_the_model():
     """100 000 steps if all of it is run."""
     MemoryAgainstModel.steps = 0

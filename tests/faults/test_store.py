@@ -105,6 +105,7 @@ for k in range(10**9):
 """
 
 
+@pytest.mark.long
 def test_kill_9_at_random_moments_loses_nothing_that_was_committed(tmp_path):
     rng = random.Random(41)
     print("seed 41")

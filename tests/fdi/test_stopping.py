@@ -74,6 +74,7 @@ def test_chi_square_is_a_sliding_sum(x, window):
         assert level[k] == pytest.approx(float((part**2).sum()) / 4.0, abs=1e-9)
 
 
+@pytest.mark.long
 def test_chi_square_of_white_noise_alarms_as_often_as_asked():
     rng = np.random.default_rng(5)
     window, share, n = 20, 0.01, 200_000

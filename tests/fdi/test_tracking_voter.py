@@ -350,6 +350,7 @@ def test_a_lost_third_channel_does_not_make_an_offset_a_mismatch():
     assert result["isolated"][-1] == 0b001
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="1000 runs")
 def test_an_offset_where_the_pedal_turns_is_seldom_taken_for_the_turn():
     """Onsets from 4 samples before the sharp turn of the paper's stroke to 5 after it, 100 seeds each."""

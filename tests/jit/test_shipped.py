@@ -36,6 +36,7 @@ def run(program, *arguments, root=ROOT, cache="/dev/null/none", **environment):
 COMMAND = "import sys; from gateway.cli import main; sys.exit(main())"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scenario",
     ["crank_missed_tooth", "pedal_faults", "steering_healthy", "aircraft_faults", "hybrid_mass"],
@@ -46,11 +47,13 @@ def test_the_demos_compile_nothing_and_need_no_cache(scenario):
     assert ended.stderr == ""
 
 
+@pytest.mark.long
 def test_the_daemon_s_kernels_and_the_structural_analysis_compile_nothing():
     assert run(COMMAND, "warmup", GATEWAY_KERNELS="shipped").returncode == 0
     assert run(COMMAND, "structure", "example_1", GATEWAY_KERNELS="shipped").returncode == 0
 
 
+@pytest.mark.long
 def test_numba_is_not_imported_where_nothing_is_compiled():
     program = COMMAND.replace(
         "sys.exit(main())", "\ntry: main()\nfinally: print('numba' in sys.modules)"
@@ -84,6 +87,7 @@ def edit(file, old, new):
     file.write_text(text.replace(old, new, 1))
 
 
+@pytest.mark.long
 def test_a_comment_compiles_nothing(copy):
     edit(copy / "gateway/cli/bus.py", '"""', '# a comment\n"""')
     edit(copy / "gateway/monitors/brake_pedal/diagnosis.py", '"""', '# a comment\n"""')

@@ -3,7 +3,7 @@
 import cantools
 import numpy as np
 import pytest
-from amount import SMALL, amount, examples
+from amount import SMALL, amount
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -239,7 +239,7 @@ def test_frames_lost_on_the_bus_are_no_fault():
     assert seen.failed() == []
 
 
-@settings(max_examples=examples(25))
+@settings(max_examples=amount(25, 25, 2))
 @given(st.integers(0, 2**16), st.lists(st.integers(1, 700), min_size=1, max_size=8))
 def test_live_is_replay(seed, cuts):
     """Any cutting into batches gives the same events and the same frames."""

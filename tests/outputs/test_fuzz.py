@@ -129,6 +129,7 @@ def grown(work, rounds):
     return after - before
 
 
+@pytest.mark.long
 def test_mutated_requests(rig):
     seed = 77
     print(f"seed {seed}")
@@ -174,6 +175,7 @@ def isotp_frames(rng):
     return frames
 
 
+@pytest.mark.long
 def test_mutated_frames(rig):
     """ISO-TP and J1939 frames, through the outputs as the gateway calls them."""
     seed = 78

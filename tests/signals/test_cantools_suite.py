@@ -91,6 +91,7 @@ def suite(tmp_path_factory, request):
     return done
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["dbc", "kcd", "sym", "arxml"])
 def test_every_database_of_the_suite(suite, kind):
     print(f"seed {SEED}")

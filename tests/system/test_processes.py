@@ -13,6 +13,7 @@ import cantools
 import pytest
 from amount import amount
 from processes import GATEWAY, bus, gateway, process
+from scenario_runs import unhurried
 
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
@@ -21,6 +22,7 @@ from gateway.resources import shipped
 pytestmark = pytest.mark.system
 
 
+@pytest.mark.chain
 def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):
     with ExitStack() as stack:
         uri = stack.enter_context(bus(tmp_path))
@@ -28,7 +30,8 @@ def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):
             process("run", shipped("gateway.toml"), "--bus", uri, "--json", "--record", "r.log",
                     "--memory", "f.sqlite", cwd=tmp_path, ready="monitoring")
         )  # fmt: skip
-        good = gateway("simulate", "crank_missed_tooth", "--check", "--bus", uri, cwd=tmp_path)
+        scenario = unhurried(shipped("scenarios/crank_missed_tooth.toml"), tmp_path)
+        good = gateway("simulate", scenario, "--check", "--bus", uri, cwd=tmp_path)
         assert good.returncode == 0, good.stdout + good.stderr
         assert "P0336-29 set at" in good.stdout
         assert "healed" in good.stdout

@@ -116,6 +116,7 @@ HEALTHY = {
 }
 
 
+@pytest.mark.long
 @compiled
 def test_without_a_fault_its_residuals_are_small():
     """The plant is the structural model: no term is missing, and no sign is wrong."""
@@ -125,6 +126,7 @@ def test_without_a_fault_its_residuals_are_small():
         assert residuals(rows, test) < HEALTHY[test], test
 
 
+@pytest.mark.long
 @compiled
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_excites_the_residuals_of_its_signature(fault):

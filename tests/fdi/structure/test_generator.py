@@ -191,6 +191,7 @@ BOTH = (frozenset({"e1", "e2"}), frozenset({"a", "b"}))
 SET = frozenset(["e1", "e2", "e3"])
 
 
+@pytest.mark.long
 def test_loops_are_refused_or_solved_as_declared():
     with pytest.raises(NotSolvableError, match=r"algebraic loop \{e1, e2\} .*: not declared"):
         realise(loop_model(), SET, "e3")

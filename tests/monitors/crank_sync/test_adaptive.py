@@ -43,6 +43,7 @@ def wrong(result, teeth):
     return int((result.proven & (result.teeth != teeth[1:])).sum())
 
 
+@pytest.mark.long
 @compiled
 def test_every_fault_is_named_and_every_label_right():
     """Fixed seed, 5 runs a cell: 13 regular cells, 3 wheels, 6 kinds; peers see the same trains."""
@@ -68,6 +69,7 @@ def test_every_fault_is_named_and_every_label_right():
         assert np.mean([s.labelled for s in theirs if s.kind == "missed"]) < 0.8
 
 
+@pytest.mark.long
 @compiled
 def test_a_healthy_engine_makes_no_report():
     print("seed 12")

@@ -143,6 +143,7 @@ def test_no_message_is_sent_unless_asked():
     assert len(sent) == 0
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
 @pytest.mark.parametrize("form", ["classic", "fd"])
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.05, 0.2])
@@ -172,6 +173,7 @@ def test_bus_loss_at_6000_rpm(form, share):
     assert wrong <= 3e-4 * told
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
 @pytest.mark.parametrize("form", ["classic", "fd"])
 def test_bus_loss_from_the_first_frame_is_not_blamed_on_the_sensor(form):

@@ -128,6 +128,7 @@ def test_hypotheses_never_exceed_their_room():
         assert all(np.isfinite(tr["banks"][first + k]["period"]) for k in range(len(costs)))
 
 
+@pytest.mark.long
 def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     """10 % ripple while cranking, none at twice the speed: a quarter is believed at once, then less."""
     wheel = Wheel.parse("36-1")

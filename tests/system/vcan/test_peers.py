@@ -16,6 +16,7 @@ import pytest
 from bench_config import beat, write_config
 from kernel_can import can_frame, candump, daemon, events_in, raw, wait_for
 from processes import GATEWAY
+from scenario_runs import unhurried
 
 from gateway.bus.candump import parse
 from gateway.bus.frames import payload
@@ -97,13 +98,14 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
     """Daemon and virtual ECU as processes; then candump's log of it to a second daemon, played by canplayer."""
     live, again = tmp_path / "live", tmp_path / "again"
     live.mkdir()
+    scenario = unhurried(shipped("scenarios/crank_missed_tooth.toml"), tmp_path)
     again.mkdir()
     with (
         candump("-L", "vcan0", log=live / "all.log"),
         daemon(shipped("gateway.toml"), cwd=live) as running,
     ):
         drive = subprocess.run(
-            [*GATEWAY, "simulate", "crank_missed_tooth", "--bus", "socketcan:vcan0", "--check",
+            [*GATEWAY, "simulate", str(scenario), "--bus", "socketcan:vcan0", "--check",
              "--wait", "120"],
             capture_output=True, text=True, timeout=1000, check=False,
         )  # fmt: skip
