@@ -79,7 +79,7 @@ def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
                     cwd=tmp_path, ready="monitoring")
         )  # fmt: skip
         seen = []
-        limit = time.monotonic() + 10
+        limit = time.monotonic() + 120
         while time.monotonic() < limit and "U0100-87" not in seen:
             got = tester.recv(1)
             if got is not None and got.arbitration_id == message.frame_id:
@@ -124,7 +124,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
             line = said_last = ""
             while "monitoring" not in line:
                 line = started.stderr.readline()
-                assert line, (kills, said_last, started.wait(5))
+                assert line, (kills, said_last, started.wait(60))
                 said_last = line
             while tester.recv(0) is not None:
                 pass
@@ -133,7 +133,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
             while (rest := limit - time.monotonic()) > 0:
                 _note(tester.recv(rest), message, said)
             os.kill(started.pid, signal.SIGKILL)
-            started.wait(10)
+            started.wait(60)
             started.stderr.close()
             time.sleep(0.02)
             while (got := tester.recv(0)) is not None:

@@ -48,7 +48,10 @@ def test_an_observer_that_cannot_be_designed_is_named():
         design(PLANT, noise(), poles)
 
 
-@pytest.mark.parametrize("poles", [None, tuple(np.exp(0.1 * np.array(example.POLES)))])
+@pytest.mark.parametrize(
+    "poles",
+    [None, pytest.param(tuple(np.exp(0.1 * np.array(example.POLES))), marks=pytest.mark.long)],
+)
 def test_the_bank_s_step_is_the_equation(poles):
     found = design(PLANT, noise(), poles)
     s, c = table(1, bank.STATE), table(1, bank.CONST)

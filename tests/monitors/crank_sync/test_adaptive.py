@@ -141,6 +141,7 @@ def test_a_broken_tooth_is_missed_at_its_place_every_turn():
     assert wrong(result, teeth[~gone]) == 0
 
 
+@pytest.mark.long
 def test_a_bent_tooth_is_no_pulse_fault():
     times, teeth = engine(seconds=3.0)
     bent = times + np.where((teeth == 20) & (np.arange(len(teeth)) > 58 * 20), 0.25 * 667, 0.0)
@@ -168,12 +169,14 @@ def test_doubled_edges_while_running_keep_sync(share):
     assert (result.fault == ADDED).sum() < 80
 
 
+@pytest.mark.long
 def test_doubled_edges_from_the_start_are_named():
     times, _ = engine(seconds=1.0)
     result = followed(np.sort(np.concatenate([times, times + 0.12 * 667])))
     assert set(result.fault.tolist()) == {DOUBLED}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["split", "none"])
 def test_a_gap_that_never_comes_is_the_wiring_fault_it_is(kind):
     times, teeth = engine(seconds=1.5)
@@ -187,6 +190,7 @@ def test_a_gap_that_never_comes_is_the_wiring_fault_it_is(kind):
     assert not result.proven.any()
 
 
+@pytest.mark.long
 def test_the_wrong_wheel_never_synchronises():
     times, _ = engine("36-1", seconds=1.5)
     result = followed(times, "60-2")

@@ -74,6 +74,7 @@ def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     assert state["index"] == sent % w.pulses
 
 
+@pytest.mark.long
 def test_slow_teeth_lost_on_the_bus_are_put_right_by_the_base_frame():
     """At 150 rpm a frame leaves before it is full: how many pulses went with it only CTW_BASE tells."""
     w = Wheel.parse("60-2")
@@ -94,6 +95,7 @@ def test_slow_teeth_lost_on_the_bus_are_put_right_by_the_base_frame():
     assert top["count"] == (len(times) - 1) % 65536
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["classic", "fd"])
 def test_an_ecu_that_restarts_is_followed_again(form):
     w = Wheel.parse("60-2")
@@ -110,6 +112,7 @@ def test_an_ecu_that_restarts_is_followed_again(form):
     assert state["index"] == (len(times) - 1) % w.pulses
 
 
+@pytest.mark.long
 def test_engine_sync_tells_angle_and_speed_in_the_same_batch():
     w = Wheel.parse("36-1")
     times = tooth_times(w, [(0, 3000)], 2.0, rng=np.random.default_rng(1))
@@ -137,6 +140,7 @@ def test_engine_sync_tells_angle_and_speed_in_the_same_batch():
     assert (spacing < 10_000_000).sum() <= 4
 
 
+@pytest.mark.long
 def test_no_message_is_sent_unless_asked():
     times = tooth_times(Wheel.parse("60-2"), [(0, 3000)], 1.0, rng=np.random.default_rng(1))
     _, sent = feed(engine_of(), tooth_frames(times, "classic"))
