@@ -13,7 +13,8 @@ CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
 ENGINE = ("engine", "bus/test_adapters.py", "signals/test_random_databases.py", "signals/test_crc_and_codec.py")  # fmt: skip
 MONITORS = ("monitors", "--ignore=monitors/crank_sync")
 
-pytestmark = pytest.mark.long
+# Whether something hangs is seen by the limit of each test inside.
+pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
 @pytest.mark.parametrize(
