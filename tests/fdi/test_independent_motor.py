@@ -11,7 +11,10 @@ from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import COMPILED
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="30000 steps of five filters")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not COMPILED, reason="30000 steps of five filters"),
+]
 
 TAU, STEPS = 1e-4, 30_000
 MOTOR = Motor()
@@ -119,7 +122,6 @@ def inverse_park_all(d, q, theta):
     return d * c - q * s, d * s + q * c
 
 
-@pytest.mark.long
 def test_the_filter_follows_a_motor_of_other_make():
     rms = {
         (per, noise): np.degrees(

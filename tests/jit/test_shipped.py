@@ -95,6 +95,7 @@ def test_a_comment_compiles_nothing(copy):
     assert ended.stdout.strip().endswith("[]")
 
 
+@pytest.mark.long
 def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
     edit(
         copy / "gateway/monitors/linear_observer.py", "s.samples > c.start", "s.samples >= c.start"
@@ -104,6 +105,7 @@ def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
     assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
 
 
+@pytest.mark.long
 def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
     for path in (copy / "gateway/precompiled").glob("*/monitors.linear_observer.*"):
         path.write_bytes(path.read_bytes()[:-1] + b"x")
@@ -112,6 +114,7 @@ def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
     assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
 
 
+@pytest.mark.long
 def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
     shutil.rmtree(copy / "gateway/precompiled/x86_64")
     shutil.rmtree(copy / "gateway/precompiled/aarch64")

@@ -24,7 +24,7 @@ PEDAL = shipped("dbc/pedal.dbc")
 VOTED = cantools.database.load_file(PEDAL)
 MESSAGES = {"brake": "PED_Brake", "brake_3": "PED_Brake3", "accelerator": "PED_Accelerator"}
 #: Where faults begin and end [s]; shorter where kernels are not compiled.
-BEGIN, END, LENGTH = (1.0, 2.0, 3.0) if not SMALL else (0.2, 0.5, 0.75)
+BEGIN, END, LENGTH = (1.0, 2.0, 3.0) if COMPILED else (0.2, 0.5, 0.75)
 
 
 def engine_of(preset="brake", send=False, **params):
