@@ -3,37 +3,36 @@
 import os
 
 import pytest
+from amount import SMALL, examples
 from hypothesis import settings
 
 from gateway import log
 
 # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
-settings.register_profile("local", deadline=None, print_blob=True)
-settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
-settings.load_profile("ci" if os.environ.get("CI") else "local")
+for _name, _repeated in (("local", False), ("ci", True)):
+    settings.register_profile(_name, deadline=None, print_blob=True, derandomize=_repeated)
+    settings.register_profile(
+        f"{_name}-small",
+        settings.get_profile(_name),
+        max_examples=examples(100),
+        stateful_step_count=20,
+    )
+settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if SMALL else ""))
 
 
-def _dealt(items, workers):
-    """Begin with what takes longest: each worker takes a part of the list, and steals when it is done.
-
-    Test kernels run in real time and mostly wait: one after the other on two workers they take longer than all else.
-    """
-    slow = [item for item in items if "test_guest" in item.nodeid]
-    plain = [item for item in items if "test_plain_python" in item.nodeid]
-    rest = [item for item in items if item not in slow and item not in plain]
-    first = [slow[0::2], slow[1::2], plain] if workers >= 3 else [slow + plain]
-    size = -(-len(items) // workers)
-    dealt = []
-    for mine in first:
-        share = max(size - len(mine), 0)
-        dealt += mine + rest[:share]
-        rest = rest[share:]
-    return dealt + rest
-
-
-def pytest_collection_modifyitems(items):
-    """Put the tests into an order in which no worker is left with the longest at the end."""
-    items[:] = _dealt(items, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+def pytest_collection_modifyitems(config, items):
+    """With GATEWAY_TESTS=small leave out what is long and what needs several processes, but for one chain of each."""
+    if not SMALL:
+        return
+    chain, left_out = [], []
+    for item in items:
+        if item.get_closest_marker("chain"):
+            chain.append(item)
+        elif item.get_closest_marker("long") or item.get_closest_marker("system"):
+            left_out.append(item)
+    config.hook.pytest_deselected(items=left_out)
+    gone = {id(item) for item in (*chain, *left_out)}
+    items[:] = chain + [item for item in items if id(item) not in gone]
 
 
 @pytest.fixture(autouse=True)

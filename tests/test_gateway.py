@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +23,9 @@ from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 
 SCENARIOS = sorted(path.stem for path in shipped("scenarios").glob("*.toml"))
+
+#: The one that is also run with GATEWAY_TESTS=small.
+CHAIN = pytest.mark.chain
 
 
 def build(name, seed=None):
@@ -57,7 +61,13 @@ def replayed(config, batches):
     return events, summary
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=CHAIN if name == "crank_missed_tooth" else pytest.mark.long)
+        for name in SCENARIOS
+    ],
+)
 def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_path):
     """Event for event, time stamp for time stamp, whatever the chunks of the replay."""
     for seed in (1,):
@@ -72,8 +82,11 @@ def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_
         assert len(events) > 0
 
 
+@pytest.mark.long
 @settings(
-    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(12),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(seed=st.integers(0, 2**31), data=st.data())
 def test_live_equals_replay_for_any_seed_and_any_chunks(seed, data):
@@ -171,6 +184,7 @@ def test_a_hundred_thousand_random_frames(config):
     gateway.close()
 
 
+@pytest.mark.long
 def test_a_damaged_configuration_is_one_clear_error(tmp_path):
     whole = shipped("gateway.toml").read_text().replace('"dbc/', f'"{shipped("dbc")}/')
     path = tmp_path / "gateway.toml"

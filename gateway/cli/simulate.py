@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import signal
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,10 @@ from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, load_scenario
 
 INSIDE = "inside"
+#: Who is later than this [s] stops the scenario's clock for as long.
+LATE_S = 0.02
+#: What is told of that [s].
+TOLD_S = 0.1
 
 
 def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
@@ -171,7 +176,7 @@ def simulate(
         tester = _Tester(buses, judge)
         if check:
             tester.wait_for_gateway(wait, stop)
-        _play(player, buses, tester, writer, stop)
+        _play(player, buses, tester, writer, stop, patient=check)
     if stop():
         return _stopped(scenario, stop) if check else 0
     return _verdict(judge, json=json, check=check) if check else 0
@@ -194,6 +199,11 @@ class _Tester:
         for bus in buses:
             bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
+
+    @property
+    def waits_until_s(self) -> float:
+        """The last deadline of what has not come yet [s of the scenario]."""
+        return self._judge.waits_until_s
 
     def listen(self, timeout_s: float) -> int:
         """Take what comes within so long [s]; returns how many DTC frames."""
@@ -242,24 +252,40 @@ def _play(
     buses: list[Bus],
     tester: _Tester,
     writer: LogWriter | None,
-    stop: Ending,
+    stop: Callable[[], bool],
+    *,
+    patient: bool,
 ) -> None:
-    """Send the scenario in real time, listening meanwhile; then listen half a second more."""
-    tester.begun = begun = time.monotonic()
+    """Send the scenario in real time, listening meanwhile; then half a second more, or to the last deadline.
+
+    Whoever gets no turn on a busy machine does not catch up: the frames that are due would leave all at once, faster
+    than any ECU sends, fill queues, and shorten faults. The scenario's clock stands still instead.
+    """
+    tester.begun = time.monotonic()
+    stood_s = 0.0
     for until, frames in player.batches(player.step_ns):
         if stop():
             return
+        late = time.monotonic() - tester.begun - until / 1e9
+        if late > LATE_S:
+            tester.begun += late
+            stood_s += late
         # A step's frames leave at its end; within a step they follow each other at once.
         # Who is late listens, too: what is heard is dated when it is heard.
         tester.listen(0.0)
-        while (rest := begun + until / 1e9 - time.monotonic()) > 0:
+        while (rest := tester.begun + until / 1e9 - time.monotonic()) > 0:
             tester.listen(rest)
         _send(buses, frames)
         if writer is not None:
             writer.write(frames)
-    limit = time.monotonic() + 0.5
-    while (rest := limit - time.monotonic()) > 0:
-        tester.listen(rest)
+    if stood_s > TOLD_S:
+        say(f"this machine was busy: the scenario stood still for {stood_s:.1f} s")
+    begun, least = tester.begun, time.monotonic() + 0.5
+    while not stop():
+        limit = max(least, begun + tester.waits_until_s) if patient else least
+        if (rest := limit - time.monotonic()) <= 0:
+            return
+        tester.listen(min(rest, 0.1))
 
 
 def _send(buses: list[Bus], frames: Frames) -> None:

@@ -60,6 +60,20 @@ class Judge:
             seen.healed_s.append(t_s)
         seen.occurrence, seen.failed = occurrence, failed
 
+    @property
+    def waits_until_s(self) -> float:
+        """The last deadline [s] of a DTC that was not set, or has not healed; 0: all came."""
+        last = 0.0
+        for line in self._scenario.expect:
+            if line.absent:
+                continue
+            seen = self._seen.get(line.dtc)
+            if seen is None or not any(t >= line.after_s for t in seen.set_s):
+                last = max(last, line.by_s or 0.0)
+            elif line.healed_by_s is not None and seen.failed:
+                last = max(last, line.healed_by_s)
+        return last
+
     def findings(self) -> list[Finding]:
         """Return the verdict, line by line."""
         found = []

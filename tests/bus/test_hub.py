@@ -42,7 +42,7 @@ def python_can(hub, name="can0"):
     return can.Bus(interface="socketcand", host=host, port=port, channel=name)
 
 
-def take(bus, count, timeout=5.0):
+def take(bus, count, timeout=120.0):
     out = empty(count)
     got = 0
     limit = time.monotonic() + timeout
@@ -130,6 +130,7 @@ def _flood(address, count):
             bus.send(part)
 
 
+@pytest.mark.long
 def test_many_frames_between_processes_keep_their_order(hub):
     count = 10_000
     with join(hub) as ours:
@@ -168,7 +169,7 @@ def test_malformed_input_is_answered_counted_and_harmless(hub):
     rng = random.Random(23)
     print("seed 23")
     bad = socket.create_connection(hub.address)
-    bad.settimeout(5)
+    bad.settimeout(120)
     good = [b"< open can0 >", b"< rawmode >", b"< send 123 2 11 22 >", b"< x 00000123 - 0 11 >"]
     with join(hub) as ours:
         for k in range(3000):
@@ -194,7 +195,7 @@ def test_malformed_input_is_answered_counted_and_harmless(hub):
             b"junk >",
         ):
             other = socket.create_connection(hub.address)
-            other.settimeout(5)
+            other.settimeout(120)
             assert other.recv(64) == b"< hi >"
             other.sendall(b"< open can0 >")
             assert other.recv(64) == b"< ok >"
@@ -206,7 +207,7 @@ def test_malformed_input_is_answered_counted_and_harmless(hub):
         with join(hub) as a:
             a.send(frames_of((0x7AB, b"ok", 0)))
             got = empty(0)
-            limit = time.monotonic() + 5
+            limit = time.monotonic() + 120
             while not len(got) and time.monotonic() < limit:
                 # Room for all that may be waiting: what is left inside no descriptor tells of.
                 part = take(ours, 4096, 0.5)

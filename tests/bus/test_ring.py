@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,7 +27,7 @@ def numbers_of(segment):
     return [line for line in segment.read_text().splitlines() if line]
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(
     st.lists(st.integers(1, 200), min_size=1, max_size=40),
     st.sampled_from([0.002, 0.01]),

@@ -76,6 +76,7 @@ def by_hand(logs):
     return nu, largest
 
 
+@pytest.mark.long
 @compiled
 def test_nu_and_the_largest_t_are_those_of_a_cusum_by_hand(healthy):
     path, logs = healthy
@@ -105,6 +106,7 @@ def test_the_noise_is_learned_and_what_was_too_low_is_told(healthy):
     assert "P1A1F-62" in found.failed
 
 
+@pytest.mark.long
 @compiled
 def test_they_are_written_and_the_diagnosis_works_with_them(healthy, truck, tmp_path):
     path, logs = healthy

@@ -76,6 +76,7 @@ def healthy(tmp_path_factory):
     return config, logs
 
 
+@pytest.mark.long
 @compiled
 def test_healthy_drives_set_thresholds(healthy):
     path, logs = healthy
@@ -110,6 +111,7 @@ def test_they_are_written_and_all_else_stays(healthy):
     path.write_text(before)
 
 
+@pytest.mark.long
 @compiled
 def test_the_command_says_how_far_the_data_carry(healthy):
     path, logs = healthy

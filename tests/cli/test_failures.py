@@ -46,6 +46,7 @@ def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
     assert "gateway --debug" in line
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["option", "variable"])
 def test_the_traceback_is_there_for_who_asks(tmp_path, how):
     code = (
@@ -131,6 +132,7 @@ main()
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize(
     ("arguments", "module", "name", "code"),

@@ -217,6 +217,7 @@ def test_a_log_cut_off_is_told_and_shown_up_to_there(replay, tmp_path, suffix):
     assert "cut off" in meant.out
 
 
+@pytest.mark.long
 def test_a_cut_mf4_is_one_line(replay, tmp_path):
     path = written(tmp_path, ".mf4")
     whole = path.read_bytes()
@@ -317,6 +318,7 @@ PACK = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("packed", sorted(PACK))
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".csv", ".mf4"])
 def test_compressed_logs(replay, tmp_path, suffix, packed):

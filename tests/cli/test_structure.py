@@ -118,6 +118,7 @@ def test_sensor_places():
     assert "none: the model has enough" in run("example_1", "--sensors", "all")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -142,6 +143,7 @@ def test_mistakes(arguments, said):
     assert re.search(said, ended.stderr), ended.stderr
 
 
+@pytest.mark.long
 def test_picture_shows_the_numbers(tmp_path):
     """The SVG has a bar of each colour for each set: as high as the set's counts."""
     path = tmp_path / "truck.svg"
@@ -172,6 +174,7 @@ def test_picture_shows_the_numbers(tmp_path):
         ), colour
 
 
+@pytest.mark.long
 def test_picture_of_many_sets(tmp_path):
     model = load_model(shipped("models/hybrid_truck.toml")).with_sensors(["U_b", "omega_w"])
     path = draw(tmp_path / "many.png", analyse(model))

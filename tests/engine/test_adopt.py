@@ -1,6 +1,7 @@
 """An engine that takes over from another one: the same configuration changes nothing, a changed one only what changed."""
 
 import pytest
+from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -48,7 +49,7 @@ def frame(kind, t_ms, value, tools):
 
 
 @pytest.mark.parametrize("timed", [False, True])
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(

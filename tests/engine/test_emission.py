@@ -4,6 +4,7 @@ import cantools
 import crccheck
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -131,7 +132,7 @@ def test_nothing_is_sent_unless_asked(made):
     assert engine.readout()["l"]["steps"] == 0
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.lists(st.integers(-300, 300), min_size=1, max_size=60), st.data())
 def test_batches_change_neither_frames_nor_events(tmp_path_factory, values, data):
     path = tmp_path_factory.mktemp("e") / "a.dbc"

@@ -1,6 +1,7 @@
 """The health of a bus: error frames and the condition of the interface become verdicts."""
 
 import pytest
+from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -197,7 +198,7 @@ def test_each_bus_has_dtcs_of_its_own():
     assert bus_health.codes_of([usual, asked, usual]) == ["U0028", "U0001", "U0037"]
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.integers(0, 700), st.integers(0, 0x3FF), st.binary(min_size=8, max_size=8)),

@@ -14,6 +14,7 @@ from gateway.evaluate.crank.table import GRACE, judge, monte_carlo
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.crank_sync.constant_speed import displacement
 
+pytestmark = pytest.mark.long
 DELTA = BETA - ALPHA
 
 #: r / delta from the first non-zero sample on, as derived from (4), (5), (6), (8) with D = 0.6.

@@ -22,7 +22,10 @@ from gateway.monitors.hybrid_powertrain.isolation import TESTS
 from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.vecu.truck_params import TruckFault
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of sets")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of sets"),
+]
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -19,6 +19,7 @@ from gateway.evaluate.pi_bank.holdout import FIRST_SEED, holdout, masked
 from gateway.jit import COMPILED
 from gateway.vecu.linear_params import LinearFault
 
+pytestmark = pytest.mark.long
 compiled = pytest.mark.skipif(not COMPILED, reason="hundreds of runs of a whole bank")
 END = inf
 #: Case -> r_a1, r_a2, and the faulted sensor's r_s; the note's table, by (16) over all k.

@@ -27,7 +27,7 @@ from gateway.evaluate.steering.table import (
 from gateway.fdi.stopping import RULES, assured
 from gateway.jit import COMPILED
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of runs of 24 s")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="hundreds of runs of 24 s")]
 
 
 @pytest.fixture(scope="module")

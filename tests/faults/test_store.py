@@ -105,6 +105,7 @@ for k in range(10**9):
 """
 
 
+@pytest.mark.long
 def test_kill_9_at_random_moments_loses_nothing_that_was_committed(tmp_path):
     rng = random.Random(41)
     print("seed 41")
@@ -200,7 +201,7 @@ def test_clearing_beside_a_daemon_is_done_by_the_daemon(tmp_path):
     client = threading.Thread(target=lambda: answers.append(service.clear(path, "P0301-11")))
     client.start()
     cleared = []
-    limit = time.monotonic() + 5
+    limit = time.monotonic() + 120
     while client.is_alive() and time.monotonic() < limit:
         cleared += memory.serve_requests()
         time.sleep(0.005)

@@ -4,6 +4,7 @@ from math import atan2, pi
 
 import numpy as np
 import pytest
+from amount import examples
 from filterpy.common import van_loan_discretization
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from hypothesis import given, settings
@@ -274,7 +275,7 @@ def test_process_noise_is_van_loans():
     assert s["started"] == 0
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.integers(2, 5), st.integers(0, 2**31))
 def test_corrections_equal_filterpy(n, seed):
     rng = np.random.default_rng(seed)
@@ -297,7 +298,7 @@ def test_corrections_equal_filterpy(n, seed):
     close(flat.reshape(n, n), one.P, 1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.floats(-300, 300), st.floats(-30, 30), st.floats(0, 6.0), st.booleans())
 def test_feedforward_finds_the_rotor_from_the_paper_s_own_equations(omega, i_q, theta0, printed):
     """(17), (18) with a current on q that turns with the rotor: the angle comes out, modulo half a turn."""

@@ -11,7 +11,10 @@ from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import COMPILED
 
-pytestmark = pytest.mark.skipif(not COMPILED, reason="30000 steps of five filters")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not COMPILED, reason="30000 steps of five filters"),
+]
 
 TAU, STEPS = 1e-4, 30_000
 MOTOR = Motor()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,7 @@ def run(x, rule, threshold=np.inf, **options):
     return np.array([f[0] for f in found]), [f[1] for f in found], s[0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(values)
 def test_direct_and_moving_average(x):
     level, _, s = run(x, "direct")
@@ -34,7 +35,7 @@ def test_direct_and_moving_average(x):
     np.testing.assert_allclose(run(x, "gma", forget=0.9)[0], expected, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(values, st.floats(0, 2))
 def test_cusum_is_page_s_two_sided(x, drift):
     """The level is the largest sum of any stretch that ends here, of x - nu or of -x - nu."""
@@ -47,7 +48,7 @@ def test_cusum_is_page_s_two_sided(x, drift):
         assert level[k] == pytest.approx(max(sums), abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(values, st.floats(0.1, 2), st.floats(0.1, 2))
 def test_the_sprt_that_starts_anew_at_zero_is_cusum(x, shift, sigma):
     weight = shift / sigma**2
@@ -64,7 +65,7 @@ def test_the_sprt_takes_its_time_to_accept():
     assert max(level) >= 0.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(values, st.integers(1, 64))
 def test_chi_square_is_a_sliding_sum(x, window):
     level, _, _ = run(x, "chi_square", window=window, sigma=2.0)
@@ -73,6 +74,7 @@ def test_chi_square_is_a_sliding_sum(x, window):
         assert level[k] == pytest.approx(float((part**2).sum()) / 4.0, abs=1e-9)
 
 
+@pytest.mark.long
 def test_chi_square_of_white_noise_alarms_as_often_as_asked():
     rng = np.random.default_rng(5)
     window, share, n = 20, 0.01, 200_000
@@ -82,7 +84,7 @@ def test_chi_square_of_white_noise_alarms_as_often_as_asked():
     assert (level >= threshold).mean() == pytest.approx(share, rel=0.2)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(values, st.sampled_from(stopping.RULES), st.floats(0.01, 5))
 def test_the_threshold_changes_no_level(x, rule, threshold):
     level, alarm, _ = run(x, rule, threshold)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import amount, examples
 from filterpy.kalman import KalmanFilter
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -121,7 +122,7 @@ readings = st.lists(
 )
 
 
-@settings(max_examples=300 if COMPILED else 20)
+@settings(max_examples=examples(300))
 @given(readings, st.sampled_from([2, 3]), st.sampled_from([0.0, NOISE]), st.floats(0.5, 200))
 @example([[np.nan] * 3] * 5 + [[1.0, 2.0, np.nan]] * 5, 3, 0.0, 1.0)
 def test_the_output_is_in_the_span_and_says_whose_it_is(rows, channels, noise, dt):
@@ -138,7 +139,7 @@ def test_the_output_is_in_the_span_and_says_whose_it_is(rows, channels, noise, d
         assert int(s["source"]) in range(7)
 
 
-@settings(max_examples=200 if COMPILED else 10)
+@settings(max_examples=examples(200))
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(1, 400),
@@ -166,12 +167,12 @@ def test_it_is_back_within_five_samples_of_agreement(seed, length, channels, lev
     assert result["used"][-1] > 0
 
 
-@settings(max_examples=100 if COMPILED else 5)
+@settings(max_examples=examples(100))
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 3.0), st.sampled_from([2, 3]))
 def test_healthy_channels_are_never_isolated(seed, hertz, channels):
     """Also where they are as far apart as good sensors are."""
     rng = np.random.default_rng(seed)
-    _, y = wave(1500 if COMPILED else 200, rng, channels, hertz)
+    _, y = wave(amount(1500, 1500, 200), rng, channels, hertz)
     gains = 1 + rng.uniform(-0.002, 0.002, channels)
     y = digitised(y * gains + rng.uniform(-0.008, 0.008, channels))
     result = run(*voter(channels), y)
@@ -266,7 +267,7 @@ def test_a_dead_channel_from_the_start_is_found_by_the_other_that_moves():
 def test_a_true_constant_is_not_frozen():
     """10 bit without noise on a plateau, the other channel with impulses."""
     rng = np.random.default_rng(7)
-    y = np.full((3000 if COMPILED else 300, 2), 4.4922)
+    y = np.full((amount(3000, 3000, 300), 2), 4.4922)
     hit = rng.random(len(y)) < 0.15
     y[:, 1] += np.where(hit, rng.uniform(-0.5, 0.5, len(y)), 0)
     result = run(*voter(noise=0.0, step=5 / 1024), digitised(y, 5 / 1024))
@@ -277,7 +278,7 @@ def test_a_true_constant_is_not_frozen():
 def test_a_channel_that_often_repeats_itself_is_given_more_time():
     """Noise declared six times too large: silence is not taken for a failure by a channel used to it."""
     rng = np.random.default_rng(8)
-    _, y = wave(2000 if COMPILED else 300, rng, hertz=0.01, noise=0.0006)
+    _, y = wave(amount(2000, 2000, 300), rng, hertz=0.01, noise=0.0006)
     result = run(*voter(noise=0.0036), digitised(y))
     assert not result["isolated"].any()
 
@@ -349,6 +350,7 @@ def test_a_lost_third_channel_does_not_make_an_offset_a_mismatch():
     assert result["isolated"][-1] == 0b001
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="1000 runs")
 def test_an_offset_where_the_pedal_turns_is_seldom_taken_for_the_turn():
     """Onsets from 4 samples before the sharp turn of the paper's stroke to 5 after it, 100 seeds each."""

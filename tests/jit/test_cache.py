@@ -110,6 +110,7 @@ def test_the_newest_of_a_kernel_are_kept(folder):
     assert cache.read("a.c", "1") == CODE
 
 
+@pytest.mark.long
 def test_the_second_process_loads_what_the_first_has_compiled(tmp_path):
     assert run(tmp_path) == "1 []"
     assert run(tmp_path) == "0 []"
@@ -119,6 +120,7 @@ def test_the_second_process_loads_what_the_first_has_compiled(tmp_path):
     assert run(tmp_path) == "0 []"
 
 
+@pytest.mark.long
 def test_a_comment_compiles_nothing_and_an_edit_compiles(tmp_path, monkeypatch):
     assert run(tmp_path) == "1 []"
     monkeypatch.setattr(sys.modules[__name__], "MINE", MINE + "# a comment\n")
@@ -127,6 +129,7 @@ def test_a_comment_compiles_nothing_and_an_edit_compiles(tmp_path, monkeypatch):
     assert run(tmp_path) == "1 []"
 
 
+@pytest.mark.long
 def test_many_processes_at_once_compile_the_same(tmp_path):
     (tmp_path / "mine.py").write_text(MINE)
     environment = {
@@ -151,6 +154,7 @@ def test_many_processes_at_once_compile_the_same(tmp_path):
     assert run(tmp_path) == "0 []"
 
 
+@pytest.mark.long
 def test_code_of_other_libraries_is_not_loaded(tmp_path):
     assert run(tmp_path) == "1 []"
     newer = "import importlib.metadata as m\nold = m.version\n"

@@ -3,6 +3,7 @@
 import cantools
 import numpy as np
 import pytest
+from amount import SMALL, amount
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -82,7 +83,7 @@ def fault(kind, channel=(1,), **options):
 
 @pytest.mark.parametrize("preset", ["brake", "brake_3", "accelerator"])
 def test_a_healthy_pedal_has_no_fault(preset):
-    seen, engine = found(drive(preset=preset, seconds=20.0 if COMPILED else 0.5), preset)
+    seen, engine = found(drive(preset=preset, seconds=amount(20.0, 20.0, 0.5)), preset)
     assert seen.failed() == []
     assert engine.readout()["pedal"]["quality"] == AGREED
 
@@ -208,7 +209,7 @@ def test_every_voter_can_be_chosen(voter):
         off.append(abs(float(state["value"]) - float(state["tracking"]["value"])))
     assert seen.failed() == []
     if voter in ("kalman", "predictive"):
-        assert not COMPILED or max(off) > 3, "held up by its own noise, as the paper's scheme is"
+        assert SMALL or max(off) > 3, "held up by its own noise, as the paper's scheme is"
     else:
         assert max(off[20:]) < 1.0
     assert (max(off) == 0) == (voter == "tracking")
@@ -232,13 +233,13 @@ def test_the_value_is_invalid_when_samples_stay_away():
 
 
 def test_frames_lost_on_the_bus_are_no_fault():
-    frames = drive(seconds=10.0 if COMPILED else 0.5)
+    frames = drive(seconds=amount(10.0, 10.0, 0.5))
     kept = np.random.default_rng(2).random(len(frames)) > 0.1
     seen, _ = found(frames[kept])
     assert seen.failed() == []
 
 
-@settings(max_examples=25 if COMPILED else 2)
+@settings(max_examples=amount(25, 25, 2))
 @given(st.integers(0, 2**16), st.lists(st.integers(1, 700), min_size=1, max_size=8))
 def test_live_is_replay(seed, cuts):
     """Any cutting into batches gives the same events and the same frames."""

@@ -195,6 +195,7 @@ def test_a_frame_that_comes_twice_is_taken_once():
     assert not any(failed.values())
 
 
+@pytest.mark.long
 @compiled
 def test_the_paper_s_own_logic_pulses():
     faults = (LinearFault(kind="output_offset", place=2, from_s=15.0, size=0.7),)
@@ -236,6 +237,7 @@ def test_frames_lost_on_the_bus_cause_no_false_fault():
     assert not [e for e in events if e["event"] == "dtc" and e["fault"].startswith("aircraft.")]
 
 
+@pytest.mark.long
 @compiled
 @pytest.mark.parametrize("rule", ["direct", "cusum"])
 def test_one_observer_detects_at_the_rate_it_promises(rule):

@@ -3,6 +3,7 @@
 import struct
 
 import pytest
+from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rig import Rig, dtc_text, write_config
@@ -96,7 +97,9 @@ def test_the_availability_mask_hides_bits_everywhere(uds):
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(
     steps=st.lists(st.tuples(st.integers(0, 4), st.sampled_from("fhc")), max_size=12),

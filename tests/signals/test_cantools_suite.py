@@ -76,7 +76,7 @@ def suite(tmp_path_factory, request):
             [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:",
              "--dest", str(scratch), f"cantools=={version('cantools')}"],
             check=True,
-            timeout=240,
+            timeout=1000,
         )  # fmt: skip
         with tarfile.open(next(scratch.glob("cantools-*.tar.gz"))) as archive:
             archive.extractall(scratch, filter="data")
@@ -91,6 +91,7 @@ def suite(tmp_path_factory, request):
     return done
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["dbc", "kcd", "sym", "arxml"])
 def test_every_database_of_the_suite(suite, kind):
     print(f"seed {SEED}")

@@ -3,6 +3,7 @@
 import cantools.database.can as can_database
 import numpy as np
 import pytest
+from amount import examples
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
@@ -51,7 +52,7 @@ def encoded(message, values):
     return words.tobytes()[: message.length]
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(layouts(), st.data())
 def test_encoding_is_cantools(message, data):
     """Any raw value of up to 53 bits (float64 carries no more), any layout, both byte orders."""

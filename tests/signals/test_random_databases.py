@@ -4,6 +4,7 @@ import math
 
 import cantools.database.can as can_database
 import numpy as np
+from amount import examples
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.errors import DecodeError
@@ -109,7 +110,7 @@ def same(ours, theirs):
     return abs(theirs) > 2**53 and math.isclose(ours, theirs, rel_tol=4e-16)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(messages(), st.data())
 def test_decoding_equals_cantools(message, data):
     plan = compile_plan([(3, Database([(message, None)]))])
@@ -144,7 +145,7 @@ def test_decoding_equals_cantools(message, data):
     assert all(same(there[name], expected[name]) for name in expected), (there, expected)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(messages(), st.data())
 def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
     """Strictness about multiplexers must not depend on the signals that somebody asked for."""

@@ -1,6 +1,7 @@
 """Peers on the kernel's CAN: raw sockets, can-utils, ip; and the daemon beside them."""
 
 import json
+import re
 import socket
 import struct
 import subprocess
@@ -36,18 +37,25 @@ def drops_of(sock):
     return struct.unpack("=9I", words)[DROPS]
 
 
+def listeners():
+    """Return how many filters the kernel has of all sockets of this network namespace."""
+    text = Path("/proc/net/can/stats").read_text()
+    return int(re.search(r"(\d+) current receive list entries", text)[1])
+
+
 @contextmanager
-def candump(*filters, log):
-    """Log frames with candump."""
+def candump(*arguments, log):
+    """Write what candump prints to a file; it listens already."""
     with Path(log).open("wb") as file:
-        dump = subprocess.Popen(["candump", "-L", *filters], stdout=file)
+        before = listeners()
+        dump = subprocess.Popen(["candump", *arguments], stdout=file)
         try:
-            time.sleep(0.3)  # it says nothing when it listens
+            wait_for(lambda: listeners() > before)
             yield dump
         finally:
             time.sleep(0.2)
             dump.terminate()
-            dump.wait(10)
+            dump.wait(60)
 
 
 @contextmanager
@@ -67,8 +75,8 @@ def events_in(cwd):
     return [json.loads(line) for line in lines if line.endswith("}")]
 
 
-def wait_for(what, *, seconds=10.0):
-    """Wait until a condition holds; returns what it returned."""
+def wait_for(what, *, seconds=120.0):
+    """Wait until a condition holds; returns what it returned. The limit is for what hangs, not for what is slow."""
     limit = time.monotonic() + seconds
     while not (found := what()):
         assert time.monotonic() < limit, what

@@ -10,7 +10,7 @@ from pathlib import Path
 GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
 
 
-def gateway(*arguments, cwd, timeout=120, **options):
+def gateway(*arguments, cwd, timeout=1200, **options):
     return subprocess.run(
         [*GATEWAY, *map(str, arguments)],
         cwd=cwd,
@@ -36,7 +36,7 @@ def process(*arguments, cwd, ready):
         line = ""
         while ready not in line:
             line = started.stderr.readline()
-            assert line, f"{arguments} ended with {started.wait(5)}"
+            assert line, f"{arguments} ended with {started.wait(60)}"
         started.said = line
         started.log = []
         drain = threading.Thread(target=started.log.extend, args=(started.stderr,), daemon=True)
@@ -45,9 +45,9 @@ def process(*arguments, cwd, ready):
     finally:
         if started.poll() is None:
             started.terminate()
-        started.code = started.wait(20)
+        started.code = started.wait(300)
         if hasattr(started, "log"):
-            drain.join(5)
+            drain.join(60)
 
 
 @contextmanager

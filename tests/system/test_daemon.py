@@ -41,7 +41,7 @@ class Manager:
         self.path = str(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(self.path)
-        self._socket.settimeout(20)
+        self._socket.settimeout(300)
         self.heard = []
 
     def wait(self, wanted):
@@ -91,7 +91,7 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
         assert "lost 1 times" in ill.stdout
         port = uri.rpartition(":")[2]
         with process("bus", f"127.0.0.1:{port}", cwd=tmp_path, ready="serving"):
-            wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 0), seconds=5)
+            wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 0))
             with ecu_on(uri) as send:
                 for k in range(9, 70):
                     send(k)
@@ -100,7 +100,7 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
             well = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
             assert well.returncode == 0, well.stdout
             running.terminate()
-            running.wait(20)
+            running.wait(300)
         assert not doctor(tmp_path)["running"]
     assert running.code == 0
     assert [json.loads(line)["event"] for line in running.log] == ["bus lost", "bus is back"]
@@ -133,7 +133,7 @@ def test_a_reload_under_traffic_loses_no_frame_no_memory_and_no_state(tmp_path):
                     time.sleep(0.002)
 
             def until(count):
-                limit = time.monotonic() + 20
+                limit = time.monotonic() + 120
                 while len(configs(running)) < count:
                     say(10)
                     assert time.monotonic() < limit
@@ -263,7 +263,7 @@ def test_the_recording_keeps_what_came_before_kill_9(tmp_path):
                 time.sleep(0.0005)
             wait_for(lambda: newest(tmp_path / "ring") == 1199 % 256)
             running.kill()
-            running.wait(20)
+            running.wait(300)
         size = sum(path.stat().st_size for path in segments(tmp_path / "ring"))
         assert size <= 0.024e6, "the bound, and what was begun meanwhile"
         frames = [f for batch in read_recording(tmp_path / "ring") for f in batch]

@@ -131,7 +131,7 @@ def code(k):
 def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, client):
     bench.send(0, struct.pack("<H", 25) + bytes(6))
     bench.fail(*range(COUNT))
-    limit = time.monotonic() + 10
+    limit = time.monotonic() + 120
     while len(numbers(client.get_dtc_by_status_mask(0x08))) < COUNT and time.monotonic() < limit:
         time.sleep(0.05)
     everything = sorted(code(k) for k in range(COUNT))
@@ -182,7 +182,7 @@ def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, clie
 
     bench.heal(2)
     bench.send(2, b"\x01")
-    limit = time.monotonic() + 5
+    limit = time.monotonic() + 120
     counters = []
     while not counters and time.monotonic() < limit:
         counters = client.get_dtc_fault_counter().service_data.dtcs
@@ -232,7 +232,7 @@ def scan(target, folder, *arguments):
     """Run a scan; returns what it reports as results, and what it complains of."""
     made = subprocess.run(
         [*gallia_command(), "scan", "uds", *arguments, "--no-dumpcap", "--target", target],
-        env=quiet_environment(folder), capture_output=True, text=True, timeout=200, check=False,
+        env=quiet_environment(folder), capture_output=True, text=True, timeout=1000, check=False,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr[-3000:]
     text = re.sub(r"\x1b\[[0-9;]*m", "", made.stderr + made.stdout)
@@ -297,7 +297,7 @@ def test_can_j1939_receives_our_dm1(bench, client):
     wanted = [{"spn": 100 + k, "fmi": 3, "oc": 1} for k in (7, 8, 9)]
     with open_can(bench.uri) as listener:
         bench.fail(7, 8, 9)
-        limit = time.monotonic() + 10
+        limit = time.monotonic() + 120
         while time.monotonic() < limit and not (heard and heard[-1][2] == wanted):
             frame = listener.recv(0.2)
             if frame is not None and frame.is_extended_id:
@@ -314,7 +314,7 @@ def test_all_outputs_show_the_same_memory(bench, client):
     failing, healed = {11, 14, 17}, {20, 21}
     bench.fail(*failing, *healed)
     bench.heal(*healed)
-    limit = time.monotonic() + 10
+    limit = time.monotonic() + 120
     expected = {code(k): 0xAF for k in failing} | {code(k): 0xAE for k in healed}
 
     def by_uds():
@@ -340,7 +340,7 @@ def test_all_outputs_show_the_same_memory(bench, client):
 
     message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
     by_frame, packets, active = {}, [], None
-    limit = time.monotonic() + 10
+    limit = time.monotonic() + 120
     while (by_frame != expected or active is None) and time.monotonic() < limit:
         frame = listener.recv(0.2)
         if frame is None:

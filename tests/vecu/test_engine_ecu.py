@@ -6,6 +6,7 @@ import cantools
 import crccheck
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -340,7 +341,7 @@ def test_too_few_teeth_make_no_frames():
     assert len(tooth_frames(np.array([5]), "classic")) == len(empty(0))
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.sampled_from(["60-2", "36-1", "36-2-1", "12+1", "29*1,3", "1,1,1,0.5,2.5"]))
 def test_wheels_begin_behind_their_largest_gap(text):
     w = Wheel.parse(text)

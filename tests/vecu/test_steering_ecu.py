@@ -3,6 +3,7 @@
 import crccheck
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -141,7 +142,7 @@ def test_every_fault_changes_its_own_message_from_its_time_on(kind):
     assert none == []
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.floats(0.0, 2.0), st.integers(0, 2**31))
 def test_lash_is_passed_through(lash, seed):
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import amount, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -115,6 +116,7 @@ HEALTHY = {
 }
 
 
+@pytest.mark.long
 @compiled
 def test_without_a_fault_its_residuals_are_small():
     """The plant is the structural model: no term is missing, and no sign is wrong."""
@@ -124,6 +126,7 @@ def test_without_a_fault_its_residuals_are_small():
         assert residuals(rows, test) < HEALTHY[test], test
 
 
+@pytest.mark.long
 @compiled
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_excites_the_residuals_of_its_signature(fault):
@@ -172,7 +175,7 @@ def test_disturbances_act(change, quantity, sign):
 
 def test_frames_carry_the_drive():
     """Decoded with cantools: each signal within half a step, counters and CRCs as protect makes them."""
-    seconds = 20.0 if COMPILED else 0.5
+    seconds = amount(20.0, 20.0, 0.5)
     params = TRUCK.model_copy(update={"start_s": 40.0, "noise_factor": 0.0})
     driven = drive(params, (), seconds)
     frames = frames_of(params, driven, bus=3, rng=np.random.default_rng(1))
@@ -201,7 +204,7 @@ def test_frames_carry_the_drive():
                     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.data())
 def test_packed_frames_are_those_of_cantools(data):
     name = data.draw(st.sampled_from(MESSAGES))
@@ -237,7 +240,7 @@ def test_what_cannot_be_packed_is_said():
 
 def test_noise_is_that_of_the_sensors():
     params = TRUCK.model_copy(update={"start_s": 0.0})
-    seconds = 15.0 if COMPILED else 2.0
+    seconds = amount(15.0, 15.0, 2.0)
     frames, truth = truck_frames(
         params,
         (TruckFault(kind="battery_short", from_s=1.0),),
@@ -282,7 +285,7 @@ kind = "{kind}"
 from_s = 0.1
 """
     path = tmp_path / "truck.toml"
-    path.write_text(text.format(seconds=3.0 if COMPILED else 0.5, kind="machine_voltage_sensor"))
+    path.write_text(text.format(seconds=amount(3.0, 3.0, 0.5), kind="machine_voltage_sensor"))
     player = Player(load_scenario(path), {"powertrain": 2})
     assert set(player.frames["can_id"]) == {0x100, 0x101, 0x110, 0x111}
     assert set(player.frames["bus"]) == {2}

@@ -79,6 +79,7 @@ def test_no_filter_where_nothing_drives_what_grows_unseen():
         from_noise(np.diag([1.2, 0.5]), np.array([[0.0, 1.0]]), np.eye(2), np.eye(1))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "poles",
     [

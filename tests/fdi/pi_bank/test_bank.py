@@ -48,7 +48,10 @@ def test_an_observer_that_cannot_be_designed_is_named():
         design(PLANT, noise(), poles)
 
 
-@pytest.mark.parametrize("poles", [None, tuple(np.exp(0.1 * np.array(example.POLES)))])
+@pytest.mark.parametrize(
+    "poles",
+    [None, pytest.param(tuple(np.exp(0.1 * np.array(example.POLES))), marks=pytest.mark.long)],
+)
 def test_the_bank_s_step_is_the_equation(poles):
     found = design(PLANT, noise(), poles)
     s, c = table(1, bank.STATE), table(1, bank.CONST)
@@ -67,6 +70,7 @@ def test_the_bank_s_step_is_the_equation(poles):
             np.testing.assert_allclose(s[0]["z"][k][:6], z[k], atol=1e-9)
 
 
+@pytest.mark.long
 def test_every_observer_has_the_poles_asked_for():
     poles = tuple(np.exp(0.1 * np.array(example.POLES)))
     phi = augmented(PLANT)
@@ -210,6 +214,7 @@ def test_two_sensors_at_once_are_not_isolated_and_said_to_be_so():
     assert not found.unexplained[-50:].any()
 
 
+@pytest.mark.long
 @compiled
 def test_a_sample_that_is_missing_is_predicted():
     s, c = records(5.0, known=False)

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -270,7 +271,7 @@ def expressions():
     return st.recursive(leaf, extend, max_leaves=6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(expressions(), st.tuples(numbers, numbers, numbers))
 def test_generated_code_computes_what_is_written(text, values):
     """An equation through algebra and code generation against Python's own evaluation of the text."""
@@ -311,7 +312,7 @@ def test_shipped_models_are_found():
         assert shipped(f"models/{name}.toml").exists()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     st.one_of(
         st.text(max_size=30),

@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_models import random_model
@@ -59,7 +60,7 @@ matrices = st.integers(2, 8).flatmap(
 ).map(np.array)  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(matrices)
 def test_msos_are_those_of_brute_force(dense):
     structure = counted(structure_of(dense))
@@ -68,7 +69,7 @@ def test_msos_are_those_of_brute_force(dense):
     assert len({row.tobytes() for row in found}) == len(found)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(matrices, st.data())
 def test_overdetermined_part_is_that_of_brute_force(dense, data):
     """An equation is in M+ if the rank stays the same without it."""
@@ -79,7 +80,7 @@ def test_overdetermined_part_is_that_of_brute_force(dense, data):
     assert list(np.flatnonzero(overdetermined(counted(structure_of(dense)), there))) == expected
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(matrices)
 def test_parts_cover_the_model(dense):
     model = structure_of(dense)
@@ -236,7 +237,7 @@ def test_the_limit_says_what_to_do():
     assert len(find_msos(counted(model), limit=count)) == count
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=1, max_size=7).map(np.array)
 )
@@ -254,7 +255,7 @@ def test_fewest_tests_are_those_of_brute_force(signature):
         assert not as_good(rows) or len(chosen) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(st.frozensets(st.integers(0, 6), min_size=1, max_size=3), max_size=4))
 def test_minimal_sets_are_those_of_brute_force(ways):
     """Enough is what contains one of ``ways``."""

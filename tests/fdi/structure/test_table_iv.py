@@ -141,6 +141,7 @@ def test_every_loop_is_needed(truck, msos, k, status):
     assert (classify(replace(truck, loops=tuple(loops)), msos).table == TABLE_IV) is same
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variables", [{"T_mj", "eta_gb"}, {"T_gbl", "eta_gb"}])
 def test_efficiency_loop_must_not_be_solvable(truck, msos, variables):
     loop = replace(
@@ -149,6 +150,7 @@ def test_efficiency_loop_must_not_be_solvable(truck, msos, variables):
     assert classify(replace(truck, loops=(*truck.loops, loop)), msos).table != TABLE_IV
 
 
+@pytest.mark.long
 def test_e5_must_not_be_inverted(truck, msos):
     table = classify(solvable(truck, "e5", "SoC", Solvable.UNIQUE), msos).table
     assert table["modified"]["unique"]["SDI"][1] == 1388

@@ -55,6 +55,7 @@ def theirs(rows):
     return {frozenset(int(i) for i in row) for row in rows}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", range(6))
 @pytest.mark.parametrize("explicit", [False, True])
 def test_msos_of_the_truck(truck, count, explicit):
@@ -66,6 +67,7 @@ def test_msos_of_the_truck(truck, count, explicit):
     assert sets(found) == theirs(toolbox(model).MSO())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(20))
 def test_random_models(seed):
     model = random_model(seed, 8 + seed, 2 + seed % 4, states=seed % 3)
@@ -110,6 +112,7 @@ def test_fewer_tests_than_theirs(truck):
     assert len(chosen) == 4 < len(other.TestSelection(rows, method="aminc"))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="thousands of decompositions")
 @pytest.mark.parametrize("fallible", [False, True])
 def test_sensor_placement(truck, fallible):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import amount
 
 from gateway.evaluate.crank.cases import healthy
 from gateway.evaluate.crank.follow import follower
@@ -42,6 +43,7 @@ def wrong(result, teeth):
     return int((result.proven & (result.teeth != teeth[1:])).sum())
 
 
+@pytest.mark.long
 @compiled
 def test_every_fault_is_named_and_every_label_right():
     """Fixed seed, 5 runs a cell: 13 regular cells, 3 wheels, 6 kinds; peers see the same trains."""
@@ -67,6 +69,7 @@ def test_every_fault_is_named_and_every_label_right():
         assert np.mean([s.labelled for s in theirs if s.kind == "missed"]) < 0.8
 
 
+@pytest.mark.long
 @compiled
 def test_a_healthy_engine_makes_no_report():
     print("seed 12")
@@ -90,7 +93,7 @@ def test_a_healthy_engine_makes_no_report():
 )
 def test_wheels_of_all_kinds(wheel):
     """Gaps, several gaps, added teeth: no report, every label right, sync at the first gap."""
-    times, teeth = engine(wheel, seconds=6.0 if COMPILED else 1.5)
+    times, teeth = engine(wheel, seconds=amount(6.0, 6.0, 1.5))
     result = followed(times, wheel)
     assert len(result.fault) == 0
     assert wrong(result, teeth) == 0
@@ -138,6 +141,7 @@ def test_a_broken_tooth_is_missed_at_its_place_every_turn():
     assert wrong(result, teeth[~gone]) == 0
 
 
+@pytest.mark.long
 def test_a_bent_tooth_is_no_pulse_fault():
     times, teeth = engine(seconds=3.0)
     bent = times + np.where((teeth == 20) & (np.arange(len(teeth)) > 58 * 20), 0.25 * 667, 0.0)
@@ -165,12 +169,14 @@ def test_doubled_edges_while_running_keep_sync(share):
     assert (result.fault == ADDED).sum() < 80
 
 
+@pytest.mark.long
 def test_doubled_edges_from_the_start_are_named():
     times, _ = engine(seconds=1.0)
     result = followed(np.sort(np.concatenate([times, times + 0.12 * 667])))
     assert set(result.fault.tolist()) == {DOUBLED}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["split", "none"])
 def test_a_gap_that_never_comes_is_the_wiring_fault_it_is(kind):
     times, teeth = engine(seconds=1.5)
@@ -184,6 +190,7 @@ def test_a_gap_that_never_comes_is_the_wiring_fault_it_is(kind):
     assert not result.proven.any()
 
 
+@pytest.mark.long
 def test_the_wrong_wheel_never_synchronises():
     times, _ = engine("36-1", seconds=1.5)
     result = followed(times, "60-2")
@@ -197,7 +204,7 @@ def test_runout(amplitude, found):
     places = np.array(wheel.positions) / wheel.turn
     places = places + amplitude / (2 * np.pi) * np.sin(2 * np.pi * places)
     rng = np.random.default_rng(SEED)
-    turns = 60 if COMPILED else 12
+    turns = amount(60, 60, 12)
     times = (np.arange(turns)[:, None] + places).ravel() * 40_000 + rng.normal(0, 3, turns * 58)
     result = followed(times)
     assert set(result.fault.tolist()) == ({RUNOUT} if found else set())

@@ -3,12 +3,12 @@
 import cantools
 import numpy as np
 import pytest
+from amount import amount
 
 from gateway.bus.frames import payload
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.evaluate.crank.cases import healthy
 from gateway.fdi.wheel import Wheel
-from gateway.jit import COMPILED
 from gateway.monitors.crank_sync import MONITOR
 from gateway.monitors.crank_sync.faults import CAM_CORRELATION, CAM_SILENT, FAULTS
 from gateway.monitors.crank_sync.monitor import Params
@@ -22,7 +22,7 @@ GATEWAY_DBC = shipped("dbc/gateway.dbc")
 SYNC = cantools.database.load_file(GATEWAY_DBC).get_message_by_name("GW_EngineSync")
 HALF_MOON = ((100.0, 1), (460.0, 0))
 SPEED = [(0.0, 900.0), (2.0, 2500.0)]
-SECONDS = 4.0 if COMPILED else 1.0
+SECONDS = amount(4.0, 4.0, 1.0)
 
 
 def run(form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=None, tooth_0=0.0):

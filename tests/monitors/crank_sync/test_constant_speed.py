@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -69,7 +70,7 @@ def test_a_displaced_gap_has_the_papers_residual_and_names_direction_and_count(c
     np.testing.assert_allclose(residuals, sign * np.array(SHAPES[count]), atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @example("36-1", -1, 0.6875, 0, 7).via("a residual of just the threshold")
 @given(
     st.sampled_from(["60-2", "36-1", "30-2"]),

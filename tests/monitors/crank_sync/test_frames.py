@@ -3,6 +3,7 @@
 import cantools
 import numpy as np
 import pytest
+from amount import SMALL, amount
 
 from gateway.bus.frames import payload
 from gateway.engine.build import MonitorInstance, build_engine
@@ -57,7 +58,7 @@ def state_of(engine, method="adaptive"):
 def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     """A lost frame is known by its counter; its pulses were there."""
     w = Wheel.parse("60-2")
-    times = tooth_times(w, [(0, 1500)], 20.0 if COMPILED else 1.5, rng=np.random.default_rng(4))
+    times = tooth_times(w, [(0, 1500)], amount(20.0, 20.0, 1.5), rng=np.random.default_rng(4))
     frames = tooth_frames(times, form)
     rng = np.random.default_rng(6)
     print("seeds 4, 6")
@@ -65,7 +66,7 @@ def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     lost[: len(frames) // 5] = lost[-1] = False
     engine = engine_of(form, method=method)
     failed, _ = feed(engine, frames[~lost])
-    assert lost.sum() > 3 or not COMPILED
+    assert lost.sum() > 3 or SMALL
     assert failed == []
     _, state = state_of(engine, method)
     # Interval k of the train is interval k % 58 of the wheel, lost frames or not.
@@ -73,6 +74,7 @@ def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     assert state["index"] == sent % w.pulses
 
 
+@pytest.mark.long
 def test_slow_teeth_lost_on_the_bus_are_put_right_by_the_base_frame():
     """At 150 rpm a frame leaves before it is full: how many pulses went with it only CTW_BASE tells."""
     w = Wheel.parse("60-2")
@@ -93,6 +95,7 @@ def test_slow_teeth_lost_on_the_bus_are_put_right_by_the_base_frame():
     assert top["count"] == (len(times) - 1) % 65536
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["classic", "fd"])
 def test_an_ecu_that_restarts_is_followed_again(form):
     w = Wheel.parse("60-2")
@@ -109,6 +112,7 @@ def test_an_ecu_that_restarts_is_followed_again(form):
     assert state["index"] == (len(times) - 1) % w.pulses
 
 
+@pytest.mark.long
 def test_engine_sync_tells_angle_and_speed_in_the_same_batch():
     w = Wheel.parse("36-1")
     times = tooth_times(w, [(0, 3000)], 2.0, rng=np.random.default_rng(1))
@@ -136,12 +140,14 @@ def test_engine_sync_tells_angle_and_speed_in_the_same_batch():
     assert (spacing < 10_000_000).sum() <= 4
 
 
+@pytest.mark.long
 def test_no_message_is_sent_unless_asked():
     times = tooth_times(Wheel.parse("60-2"), [(0, 3000)], 1.0, rng=np.random.default_rng(1))
     _, sent = feed(engine_of(), tooth_frames(times, "classic"))
     assert len(sent) == 0
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
 @pytest.mark.parametrize("form", ["classic", "fd"])
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.05, 0.2])
@@ -171,6 +177,7 @@ def test_bus_loss_at_6000_rpm(form, share):
     assert wrong <= 3e-4 * told
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
 @pytest.mark.parametrize("form", ["classic", "fd"])
 def test_bus_loss_from_the_first_frame_is_not_blamed_on_the_sensor(form):

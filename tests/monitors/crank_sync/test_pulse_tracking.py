@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amount import examples
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,7 +36,7 @@ def test_prediction_is_exact_under_constant_torque(period, growth, span):
     assert q == pytest.approx(period / times[-1], rel=1e-12)
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(st.data())
 def test_correction_is_filterpys(data):
     """Gain, covariance and state of one step, at constant speed, where the model is linear."""
@@ -82,7 +83,7 @@ def test_the_variance_over_a_gap_is_the_predicted_one():
     assert spread(h, 3.0, 1e4) == pytest.approx(expected, rel=1e-12)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(
     st.sampled_from(["60-2", "36-1", "30-2", "36-2-1", "36-2-2-2", "12+1"]),
     st.integers(0, 200),
@@ -127,6 +128,7 @@ def test_hypotheses_never_exceed_their_room():
         assert all(np.isfinite(tr["banks"][first + k]["period"]) for k in range(len(costs)))
 
 
+@pytest.mark.long
 def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     """10 % ripple while cranking, none at twice the speed: a quarter is believed at once, then less."""
     wheel = Wheel.parse("36-1")

@@ -51,6 +51,7 @@ def internal(samples, volts, *, printed):
     return np.array(rows)
 
 
+@pytest.mark.long
 def test_the_internal_form_of_the_voltage_sensors_fault():
     """The window of 110 s that begins at 203 s, most of it in gear 12: within 5 % of the
     largest residual; as printed far from it."""
@@ -73,6 +74,7 @@ def test_the_internal_form_of_the_voltage_sensors_fault():
     assert printed > 3.0 * largest
 
 
+@pytest.mark.long
 def test_with_noise_only_41_stays_above_its_threshold():
     """Noise five times, J_1 = 6000 As (4000 is less than this noise): share of the drive with T_norm > 1."""
     noisy = TRUCK.model_copy(update={"noise_factor": NOISE})

@@ -24,6 +24,7 @@ def right(events, dtc, onset):
     return dtc in codes and codes <= {dtc, UNISOLATED} and min(t for _, t in failed) >= onset
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("onset", [0.0, 400.0, 840.0, 1200.0])
 @pytest.mark.parametrize(("fault", "dtc", "paper", "robust"), TABLE)
 def test_exactly_the_tests_of_the_signature_fire(fault, dtc, paper, robust, onset):
@@ -33,6 +34,7 @@ def test_exactly_the_tests_of_the_signature_fire(fault, dtc, paper, robust, onse
         assert right(events, dtc, onset), (seed, events)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["ICDS", "MCDS"])
 @pytest.mark.parametrize(("fault", "dtc"), [row[:2] for row in TABLE[:: amount(1, 2)]])
 def test_the_papers_systems_name_the_fault(fault, dtc, system):
@@ -41,6 +43,7 @@ def test_the_papers_systems_name_the_fault(fault, dtc, system):
         assert right(run(driven(fault, 400.0), seed, config)[2], dtc, 400.0), seed
 
 
+@pytest.mark.long
 def test_no_alarm_without_a_fault():
     """FTP75, seeds that set no threshold; the largest T_norm of all quantities of all systems."""
     worst = 0.0
@@ -75,6 +78,7 @@ def test_one_test_alone_is_an_ambiguity_group_and_the_second_isolates(system, bi
     gateway.close()
 
 
+@pytest.mark.long
 def test_a_fault_that_goes_heals():
     """T does not grow beyond a limit, so that it comes down again; T7 follows the truth."""
     for kind, dtc in (("machine_voltage_sensor", "P1A14-64"), ("machine_efficiency", "P1A12-64")):
@@ -86,6 +90,7 @@ def test_a_fault_that_goes_heals():
         assert last.get(UNISOLATED, 0) == 0
 
 
+@pytest.mark.long
 def test_missing_frames_are_stepped_over_and_gaps_begin_anew():
     """1 % of the frames lost: sets without one are skipped, and nothing fires. Ten seconds of silence change nothing."""
     rng = np.random.default_rng(8)

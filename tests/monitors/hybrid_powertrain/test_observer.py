@@ -42,6 +42,7 @@ def records():
     return s[0]["observer"], c[0]["observer"], table(1, t7.STATE)[0], c[0]["t7"]
 
 
+@pytest.mark.long
 def test_the_filter_is_filterpys():
     """The same samples, as the state (omega_w, p) of a Kalman filter that knows its F, Q, H and R."""
     rng = np.random.default_rng(5)
@@ -116,6 +117,7 @@ def test_a_new_window_keeps_the_errors_and_forgets_the_speed():
     np.testing.assert_array_equal(s["P"][1:, 1:], np.eye(7) + 0.1)
 
 
+@pytest.mark.long
 def test_sensitivities_are_the_derivatives_of_the_model():
     """What each error does, against the generated code's acceleration with that error put in."""
     s, c, _, q = records()
@@ -213,6 +215,7 @@ def test_it_finds_road_load_and_engine_and_the_machines_fault():
     assert after[GENERATOR] == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.long
 @compiled
 @pytest.mark.parametrize("name", list(OURS)[:: amount(1, 2)])
 def test_a_truck_that_differs_is_diagnosed_with_the_same_thresholds(name):
@@ -239,6 +242,7 @@ def test_beyond_what_was_asked_it_is_silent_too(name):
     assert max(peak[test] for test in ("T1", "T2", "T5", "T6", "T7")) < 0.9
 
 
+@pytest.mark.long
 @compiled
 def test_the_papers_systems_do_not_stand_it():
     """What is told as a limit: with thresholds of the undisturbed truck ICDS alarms at 2 % torque, MCDS at 0.3 % slope."""

@@ -57,6 +57,7 @@ def test_long_pauses_blame_no_part(seed):
     assert [dtc for _, dtc in failed if not dtc.startswith("U")] == []
 
 
+@pytest.mark.long
 @compiled
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["steering_parts", "steering_angle"])

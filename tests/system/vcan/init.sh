@@ -1,5 +1,5 @@
 #!/bin/bash
-# First process of the test kernel: CAN modules, vcan0 to vcan2, then the command, then power off.
+# First process of the test kernel: CAN modules, then the lanes beside each other, then power off.
 # The host's files are this kernel's files; GUEST_* comes on the kernel's command line.
 mount -t proc proc /proc
 mount -t sysfs sysfs /sys
@@ -34,13 +34,22 @@ for name in (
             raise SystemExit(f"{name}: {os.strerror(ctypes.get_errno())}")
 PYTHON
 
-ip link set lo up
-for interface in vcan0 vcan1 vcan2; do
-  ip link add dev "$interface" type vcan
-  ip link set "$interface" mtu 72 up
-done
+# A lane has interfaces, and a view of them in /sys, of its own.
+run_lane() {
+  mount -t sysfs sysfs /sys
+  ip link set lo up
+  for interface in vcan0 vcan1 vcan2; do
+    ip link add dev "$interface" type vcan
+    ip link set "$interface" mtu 72 up
+  done
+  bash "$1/command" > "$1/output" 2>&1 < /dev/null
+  echo $? > "$1/status"
+}
+export -f run_lane
 
-bash ./command > ./output 2>&1 < /dev/null
-echo $? > ./status
+for lane in lane*/; do
+  unshare --net --mount bash -c 'run_lane "$0"' "$PWD/${lane%/}" &
+done
+wait
 sync
 busybox poweroff -f

@@ -16,6 +16,7 @@ import pytest
 from bench_config import beat, write_config
 from kernel_can import can_frame, candump, daemon, events_in, raw, wait_for
 from processes import GATEWAY
+from scenario_runs import unhurried
 
 from gateway.bus.candump import parse
 from gateway.bus.frames import payload
@@ -25,7 +26,8 @@ from gateway.resources import shipped
 pytestmark = pytest.mark.vcan
 
 MESSAGE = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
-CANGEN_S = 60
+#: Random frames that the storm has at least.
+STORM = 4000
 
 
 def packets(interface):
@@ -34,7 +36,7 @@ def packets(interface):
 
 @pytest.fixture(scope="module", autouse=True)
 def storm(tmp_path_factory):
-    """A minute of random frames of every kind on vcan1, with a daemon that takes them all, beside the other tests."""
+    """Thousands of random frames of every kind on vcan1, with a daemon that takes them all, beside the other tests."""
     folder = tmp_path_factory.mktemp("storm")
     config = write_config(folder, more=f'[record]\nfolder = "{folder}/ring"\nsegment_mb = 0.1\n')
     before = packets("vcan1")
@@ -43,13 +45,12 @@ def storm(tmp_path_factory):
             ["cangen", "vcan1", "-g", "8", "-I", "r", "-L", "r", "-D", "r", "-m", "-i"],
             stderr=subprocess.PIPE,
         )
-        limit = time.monotonic() + CANGEN_S
         yield
         assert cangen.poll() is None, cangen.stderr.read()
-        time.sleep(max(limit - time.monotonic(), 0))
+        wait_for(lambda: packets("vcan1") - before > STORM, seconds=600)
         assert running.poll() is None, "still there"
         cangen.terminate()
-        cangen.wait(10)
+        cangen.wait(60)
         time.sleep(0.5)
         sent = packets("vcan1") - before
     # Between this count and its end the daemon goes on with what it sends each second, and hears it.
@@ -57,9 +58,9 @@ def storm(tmp_path_factory):
     assert running.code == 0
     assert not [line for line in running.log if "Traceback" in line]
     (end,) = [e for e in running.events() if e["event"] == "bus" and e["state"] == "closed"]
-    assert sent > 4000
+    assert sent > STORM
     heard = end["received"] + end["overflow"]
-    assert sent <= heard <= most <= sent + 20, "theirs and our own, which came back"
+    assert sent <= heard <= most <= sent + 200, "theirs and our own, which came back"
     assert end["rejected"] == 0
     recorded = [frame for batch in read_recording(folder / "ring") for frame in batch]
     conditions = sum(int(frame["can_id"]) == 0x20000000 for frame in recorded)
@@ -75,7 +76,7 @@ def ask(request):
         stack.start()
         try:
             stack.send(bytes.fromhex(request))
-            answer = stack.recv(block=True, timeout=20)
+            answer = stack.recv(block=True, timeout=120)
         finally:
             stack.stop()
     return "" if answer is None else answer.hex()
@@ -97,15 +98,16 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
     """Daemon and virtual ECU as processes; then candump's log of it to a second daemon, played by canplayer."""
     live, again = tmp_path / "live", tmp_path / "again"
     live.mkdir()
+    scenario = unhurried(shipped("scenarios/crank_missed_tooth.toml"), tmp_path)
     again.mkdir()
     with (
-        candump("vcan0", log=live / "all.log"),
+        candump("-L", "vcan0", log=live / "all.log"),
         daemon(shipped("gateway.toml"), cwd=live) as running,
     ):
         drive = subprocess.run(
-            [*GATEWAY, "simulate", "crank_missed_tooth", "--bus", "socketcan:vcan0", "--check",
+            [*GATEWAY, "simulate", str(scenario), "--bus", "socketcan:vcan0", "--check",
              "--wait", "120"],
-            capture_output=True, text=True, timeout=200, check=False,
+            capture_output=True, text=True, timeout=1000, check=False,
         )  # fmt: skip
         answers = [ask(request) for request in ("3e00", "190208", "03")]
     assert drive.returncode == 0, drive.stdout + drive.stderr
@@ -131,10 +133,10 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
         )
     )
     with (
-        candump("vcan0", log=again / "all.log"),
+        candump("-L", "vcan0", log=again / "all.log"),
         daemon(shipped("gateway.toml"), cwd=again) as running,
     ):
-        subprocess.run(["canplayer", "-I", str(ecu_only)], check=True, timeout=60)
+        subprocess.run(["canplayer", "-I", str(ecu_only)], check=True, timeout=1000)
         wait_for(lambda: len(reports(again / "all.log")) == 2)
     assert running.code == 0
     assert reports(again / "all.log") == seen
@@ -145,7 +147,7 @@ def test_cansend_feeds_and_python_can_sees(tmp_path):
     with daemon(config, cwd=tmp_path) as running, can.Bus("vcan0", interface="socketcan") as tester:
         for k in (0, 1, 3, 5, 7, 9):
             subprocess.run(["cansend", "vcan0", f"300#{beat(k).hex()}"], check=True)
-        limit = time.monotonic() + 10
+        limit = time.monotonic() + 120
         seen = set()
         while "U0401-82" not in seen and time.monotonic() < limit:
             got = tester.recv(1)
@@ -188,11 +190,11 @@ def test_the_kernels_j1939_receives_dm1_by_bam_and_asks_for_dm2(tmp_path):
     ):
         tester.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         tester.bind(("vcan0", no_name, no_pgn, 0x20))
-        tester.settimeout(5)
+        tester.settimeout(120)
         for k in (0, 2, 4, 6, 8):
             ecu.send(can_frame(0x300, beat(k)))
         wait_for(lambda: dtcs(running) == {"U0401-82": 1, "U0100-87": 1})
-        limit = time.monotonic() + 20
+        limit = time.monotonic() + 240
         dm1 = b""
         while len(dm1) != 10 and time.monotonic() < limit:
             data, (_, _, pgn, address) = tester.recvfrom(256)

@@ -1,0 +1,42 @@
+"""Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent
+PLAIN = {"NUMBA_DISABLE_JIT": "1"}
+CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
+ENGINE = ("engine", "bus/test_adapters.py", "signals/test_random_databases.py", "signals/test_crc_and_codec.py")  # fmt: skip
+MONITORS = ("monitors", "--ignore=monitors/crank_sync")
+
+# Whether something hangs is seen by the limit of each test inside.
+pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
+
+
+@pytest.mark.parametrize(
+    ("setting", "parts"),
+    [
+        pytest.param(PLAIN, ENGINE, id="plain-engine"),
+        pytest.param(PLAIN, ("monitors/crank_sync",), id="plain-crank_sync"),
+        pytest.param(PLAIN, MONITORS, id="plain-monitors"),
+        pytest.param(PLAIN, ("fdi",), id="plain-fdi"),
+        pytest.param(CHECKED, (*ENGINE, "monitors", "fdi", "vecu"), id="checked"),
+    ],
+)
+def test_the_smallest_cases_pass(setting, parts):
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist",
+         "-W", "error::RuntimeWarning", "--durations=15", *parts],
+        cwd=TESTS,
+        env={**os.environ, "GATEWAY_TESTS": "small", **setting},
+        capture_output=True,
+        text=True,
+        check=False,
+    )  # fmt: skip
+    print(ended.stdout)
+    assert ended.returncode == 0, ended.stdout[-3000:] + ended.stderr[-1000:]
+    assert " passed" in ended.stdout
