@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gateway.app import Gateway, prepare
 from gateway.bus.ring import Ring
-from gateway.bus.uri import open_bus
 from gateway.config import Config, load_config
 from gateway.errors import GatewayError, InputError
-from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
+from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
 from gateway.log import get_logger
@@ -32,7 +30,7 @@ class Daemon:
         tell: takes the events of the JSON contract.
         taps: take every frame besides the configured recording.
         notifier: the service manager.
-        clock: the engine's; default: this machine's, with the configured tolerance.
+        machine: clocks, buses and threads; its clock gets the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
 
     Attributes:
@@ -52,17 +50,18 @@ class Daemon:
         tell: Callable[[dict[str, Any]], None],
         taps: Sequence[Tap] = (),
         notifier: Notifier | None = None,
-        clock: Clock | None = None,
+        machine: Machine | None = None,
         on_built: Callable[[], None] = lambda: None,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._tell, self._given_taps = tell, list(taps)
         self._notifier = notifier or Notifier({})
         config = self._load()
-        self._clock = clock or Clock()
+        self._machine = machine or Machine()
+        self._clock = self._machine.clock
         self._clock.tolerance_ns = _tolerance_ns(config)
         self._ring: Ring | None = None
-        self.reloader = Reloader(self._prepare)
+        self.reloader = Reloader(self._prepare, self._machine.begin_thread)
         parts = prepare(config, path)
         parts.engine.warm()
         on_built()
@@ -76,7 +75,15 @@ class Daemon:
                 links.append(self._new_link(entry.uri, index, entry.name))
                 links[-1].start()
             gateway.start(self._clock.now())
-            self._live = Live(gateway, links, tell, taps=self._taps(), clock=self._clock)
+            self._live = Live(
+                gateway,
+                links,
+                tell,
+                taps=self._taps(),
+                clock=self._clock,
+                tick_s=self._machine.tick_s,
+                monotonic=self._machine.monotonic,
+            )
         except BaseException:
             for link in links:
                 link.close()
@@ -126,8 +133,8 @@ class Daemon:
         return config.model_copy(update={"bus": (entry.model_copy(update={"uri": self._bus}),)})
 
     def _new_link(self, uri: str, index: int, name: str) -> Link:
-        opener = partial(open_bus, patience_s=0.0)
-        return Link(uri, index, name, opener, self._clock)
+        machine = self._machine
+        return Link(uri, index, name, machine.open_bus, machine.clock, monotonic=machine.monotonic)
 
     def _new_ring(self, config: Config) -> Ring | None:
         if config.record is None:
