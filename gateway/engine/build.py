@@ -310,6 +310,7 @@ def _prepare_check(
         p.counter is not None,
         p.crc is not None,
         p.length,
+        p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
     )
     slots: list[FaultSlot] = []
     for kind, wanted in enumerate(asked):

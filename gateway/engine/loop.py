@@ -29,7 +29,16 @@ from gateway.jit import call_entry, kernel
 from gateway.monitors.bus_health import disproved, elapsed, watch_clock
 from gateway.monitors.communication import ACCEPT, REJECT
 from gateway.monitors.shape import FAILED, TIMER
-from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
+from gateway.signals.decode import (
+    INVALID_VALUE,
+    OK,
+    TOO_SHORT,
+    UNKNOWN_MUX,
+    commit,
+    decode,
+    invalid_value,
+    lookup,
+)
 
 _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
 
@@ -173,10 +182,18 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         clock.too_short += 1
     elif status == UNKNOWN_MUX:
         clock.unknown_mux += 1
+    bad = -1  # place of a signal that carries no value
+    if status == OK and T.messages[row].floats == 1:
+        bad = invalid_value(row, T.messages, T.signals, T.values, T.present)
+        if bad >= 0:
+            clock.invalid_values += 1
+            status = INVALID_VALUE
     verdict = ACCEPT if status == OK else REJECT
     if v.check >= 0:
-        verdict = judge(T, t_ns, T.checks[v.check], words, length, status)
+        verdict = judge(T, t_ns, T.checks[v.check], words, length, status, bad)
     if verdict == REJECT:
+        if status == INVALID_VALUE:
+            v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
         for k in range(v.first, v.first + v.count):
             skip(T, t_ns, T.handlers[T.triggers[k]])
         return

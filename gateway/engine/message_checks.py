@@ -14,11 +14,12 @@ from gateway.monitors.communication import (
     LENGTH,
     REJECT,
     TIMEOUT,
+    VALUE,
     check_crc,
     counter_step,
 )
 from gateway.monitors.shape import NOT_TESTED
-from gateway.signals.decode import OK, TOO_SHORT
+from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
 
 
 @kernel
@@ -61,7 +62,7 @@ def start_anew(T: Any, t_ns: int, bus: int, condition: int) -> None:
 
 
 @kernel
-def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> int:
+def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int, bad: int) -> int:
     """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
 
     Args:
@@ -71,6 +72,7 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
         words: payload, 8 little-endian uint64.
         length: payload length [byte].
         status: of the decoder.
+        bad: place of a signal that carries no value, -1: none.
     """
     clock = T.clock[0]
     if c.timeout_ns > 0:
@@ -81,7 +83,7 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
     if c.fault[LENGTH] >= 0:
         place = tested(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
         witness(T, c.fault[LENGTH], place, 0, length)
-    if status != OK:
+    if status not in (OK, INVALID_VALUE):
         c.unread += 1
         return REJECT
     if c.fault[CRC] >= 0:
@@ -108,4 +110,9 @@ def judge(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int) -> in
         if step_by == 0:
             clock.repeated += 1
             return REJECT
-    return ACCEPT
+    if c.fault[VALUE] >= 0:
+        value = T.values[bad] if bad >= 0 else 0.0
+        place = tested(T, t_ns, c.fault[VALUE], bad >= 0, value, 0.0)
+        witness(T, c.fault[VALUE], place, 0, bad)
+        witness(T, c.fault[VALUE], place, 1, value)
+    return ACCEPT if status == OK else REJECT

@@ -64,6 +64,7 @@ CLOCK = record(
     clock_steps=i8,
     too_short=i8,
     unknown_mux=i8,
+    invalid_values=i8,
     crc_failed=i8,
     repeated=i8,
     timeouts=i8,

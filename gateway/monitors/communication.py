@@ -1,4 +1,4 @@
-"""Communication monitor: timeout, alive counter, CRC and length of each watched message.
+"""Communication monitor: timeout, alive counter, CRC, length and values of each watched message.
 
 It stands beside the decoder and judges the frame itself, before any other monitor sees its signals:
 a frame that is too short, fails its CRC or repeats its alive counter never reaches the mailbox, so
@@ -6,7 +6,7 @@ that corrupt data cannot look like a physical fault. A jump of the counter (fram
 but the frame's data are good and are used (AUTOSAR E2E: OKSOMELOST against REPEATED).
 
 Failure type bytes (SAE J2012): 87 missing message, 82 alive counter incorrect, 83 protection
-calculation incorrect, 81 invalid serial data received.
+calculation incorrect, 81 invalid serial data received, 29 signal invalid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gateway.monitors.shape import Debounce, Fault, MonitorParams
 from gateway.signals.crc import crc8
 from gateway.tomlfile import StrictModel
 
-TIMEOUT, COUNTER, CRC, LENGTH = range(4)
+TIMEOUT, COUNTER, CRC, LENGTH, VALUE = range(5)
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -62,6 +62,14 @@ FAULTS = (
         Debounce(failed_after=2, passed_after=50),
         remedy="check the sender's software against the database",
     ),
+    Fault(
+        "value",
+        "U0401-29",
+        "a floating-point signal is no number, or far outside of its range in the database",
+        ("signal's place in the message", "received"),
+        Debounce(failed_after=2, passed_after=50),
+        remedy="check what the sender computes; and the type of the signal in the database",
+    ),
 )
 
 
@@ -98,6 +106,10 @@ class Params(MonitorParams):
     counter: CounterCheck | None = None
     crc: CrcCheck | None = None
     length: bool = Field(True, description="judge frames shorter than the message")
+    value: bool = Field(
+        True,
+        description="judge floating-point signals that somebody uses: NaN, infinite, far outside of their range",
+    )
     lost: BaseCode = Field(
         "U0100", description="base code of the timeout's DTC: lost communication, U01xx"
     )

@@ -14,16 +14,19 @@ import numpy as np
 
 from gateway.jit import f8, i2, i4, kernel, record, u1, u4
 
-OK, TOO_SHORT, UNKNOWN_MUX = 0, 1, 2
+OK, TOO_SHORT, UNKNOWN_MUX, INVALID_VALUE = 0, 1, 2, 3
 
 UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 
 #: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there),
 #: present when its value is one of ``mux_ids[first_id:+ids]``; a multiplexer's own known values are
-#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that nobody asked for.
+#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that nobody asked for. A floating-point signal is valid
+#: between ``low`` and ``high``.
 SIGNAL = record(
     scale=f8,
     offset=f8,
+    low=f8,
+    high=f8,
     slot=i4,
     first_id=i4,
     ids=i4,
@@ -38,8 +41,9 @@ SIGNAL = record(
     kind=u1,
 )
 
-#: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity.
-MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, bus=u1)
+#: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity, and whether floating-point
+#: signals are among them.
+MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, bus=u1, floats=u1)
 
 _PGN = np.uint64(1 << 40)  # marks keys that match by PGN
 
@@ -200,6 +204,21 @@ def decode(
         if s.known > 0 and not among(int(values[j]), mux_ids, s.first_known, s.known):
             return UNKNOWN_MUX
     return OK
+
+
+@kernel
+def invalid_value(row: int, messages: Any, signals: Any, values: Any, present: Any) -> int:
+    """Return the place of a message's first floating-point signal that carries no value, -1 if all do.
+
+    NaN, an infinity, or a magnitude that no sensor has would stay in the state of a monitor for ever. Integers
+    cannot carry them.
+    """
+    m = messages[row]
+    for j in range(m.count):
+        s = signals[m.first + j]
+        if s.kind >= FLOAT16 and present[j] == 1 and not s.low <= values[j] <= s.high:
+            return j
+    return -1
 
 
 @kernel

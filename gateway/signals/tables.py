@@ -33,6 +33,10 @@ NEVER_LONG_ENOUGH = 255
 
 _FLOATS = {16: FLOAT16, 32: FLOAT32, 64: FLOAT64}
 
+#: Largest magnitude of a floating-point signal whose database gives no range: beyond it a number of 64 bits does not
+#: resolve one unit, so that nothing can have been measured.
+LARGEST = 1e15
+
 
 class SignalRef(NamedTuple):
     """Names a signal: index of its bus, message, signal."""
@@ -141,6 +145,15 @@ def _sticks_out(message: Message, signal: Signal) -> bool:
     return start + signal.length > 8 * message.length
 
 
+def _valid_range(signal: Signal) -> tuple[float, float]:
+    """Return between which values a floating-point signal is valid: its range, and as much again on each side."""
+    low, high = signal.minimum, signal.maximum
+    if low is None or high is None or not float(low) < float(high):
+        return -LARGEST, LARGEST
+    span = float(high) - float(low)
+    return max(float(low) - span, -LARGEST), min(float(high) + span, LARGEST)
+
+
 def _fill(row: Any, signal: Signal) -> None:
     if signal.byte_order == "big_endian":
         first = 8 * (signal.start // 8) + 7 - signal.start % 8
@@ -153,6 +166,7 @@ def _fill(row: Any, signal: Signal) -> None:
     row["spill"] = int(row["shift"]) + signal.length > 64
     if signal.is_float:
         row["kind"] = _FLOATS[signal.length]
+        row["low"], row["high"] = _valid_range(signal)
     else:
         row["kind"] = SIGNED if signal.is_signed else UNSIGNED
     row["scale"], row["offset"] = signal.scale, signal.offset
@@ -249,6 +263,7 @@ def compile_plan(
         table[row]["length"] = NEVER_LONG_ENOUGH if broken else message.length
         table[row]["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         table[row]["bus"] = bus
+        table[row]["floats"] = any(signal.is_float for signal in needed)
         for j, signal in enumerate(needed):
             entry = np.zeros(1, SIGNAL)[0]
             _fill(entry, signal)

@@ -91,6 +91,7 @@ STATE = record(
     older_theta=f8,
     older_valid=i8,
     motor=f8,
+    angle_ns=i8,
     parity=f8,
     electrics=electrics.STATE,
     kinematics=kinematics.STATE,
@@ -304,7 +305,7 @@ def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
 @kernel
 def _angle_frame(s: Any, c: Any, u: Any) -> None:
     """Take a frame with motor and pinion angle."""
-    s.motor = u.delta_m
+    s.motor, s.angle_ns = u.delta_m, u.t_ns
     k = s.kinematics
     at_ns = clock.sampled_at(k.angle_clock, u.t_ns, s.angle_counter, c.kinematics.angle_ns)
     if k.angle_clock.since_ns == u.t_ns:
@@ -330,7 +331,9 @@ def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
         decision.note_parity(d, k.parity, s.motor)
         if d.alarm[decision.PARITY] == 0:
             k.watched = 1
-    if c.road_wheel.points > 0 and u.valid_v > 0.0 and s.motor == s.motor:
+    # Where the pinion's angle is of long ago, nobody knows where the road wheels are.
+    known = s.motor == s.motor and u.t_ns - s.angle_ns <= c.kinematics.stale_ns
+    if c.road_wheel.points > 0 and u.valid_v > 0.0 and known:
         tested = road_wheel.check(s.road_wheel, c.road_wheel, u.delta_g, u.delta_s, u.v_x)
         if tested:
             off, limit = abs(s.road_wheel.off), c.road_wheel.tolerance
