@@ -78,7 +78,9 @@ def write_config(folder, *, other=False):
                 faults += f'[fault."{name}.M{k}.{kind}"]\ndtc = "U{number:04X}-{failure:02X}"\n'
                 faults += f'freeze_frame = ["{name}.M{k}.Value"]\n'
                 if k < 2 and kind != "timeout":  # at once, and back at once
-                    faults += "debounce = { failed_after = 1, passed_after = 1, jump_down = true }\n"
+                    faults += (
+                        "debounce = { failed_after = 1, passed_after = 1, jump_down = true }\n"
+                    )
     path = folder / "ecus.toml"
     path.write_text('name = "injected"\n' + toml + MONITOR + faults + OUTPUTS)
     return path
@@ -130,7 +132,12 @@ class Ecus:
 
     def _samples(self, times):
         frames = empty(len(times))
-        frames["t_ns"], frames["can_id"], frames["length"], frames["flags"] = times, PLANT_ID, 12, FD
+        frames["t_ns"], frames["can_id"], frames["length"], frames["flags"] = (
+            times,
+            PLANT_ID,
+            12,
+            FD,
+        )
         values = np.ones((len(times), 3), "<f4")
         values[:, 1:] += self._rng.normal(0, 0.02, (len(times), 2))
         if self.no_value is not None:

@@ -136,7 +136,7 @@ class Run:
             self._disturb()
             self._traffic()
             self._must(self.tester.turn())
-            self._overflow()
+            self._before_reading()
             self._each(self)
             yield False
             self._look()
@@ -208,7 +208,6 @@ class Run:
         amounts = {key: item.amount for key, item in active.items()}
         bench.disk.slow_ns = amounts.get(("disk_slow", ""), 0) * MS
         bench.writer_late_ns = amounts.get(("writer_late", ""), 0) * MS
-        bench.cut = {bus for kind, bus in active if kind == "cut"}
         bench.room = {bus: n for (kind, bus), n in amounts.items() if kind == "queue_full"}
         for uri, ecus in self._ecus.items():
             ecus.jumps, ecus.short = amounts.get(("jumps", uri), 0), amounts.get(("short", uri), 0)
@@ -223,8 +222,9 @@ class Run:
             frames = self._received(uri, ecus.frames(begin, end, count))
             self.bench.put(uri, frames)
 
-    def _overflow(self):
-        """Lose what has come last, before anybody has read it."""
+    def _before_reading(self):
+        """Do what happens while frames wait in the queues."""
+        self.bench.cut = {bus for kind, bus in self._active if kind == "cut"}
         for (kind, bus), (_, item) in list(self._active.items()):
             if kind == "overflow":
                 del self._active[kind, bus]
