@@ -129,7 +129,8 @@ class Run:
             raise Broken(wrong)
 
     def _script(self):
-        for self.turns in range(self._turns):
+        for turn in range(self._turns):
+            self.turns = turn
             self.bench.now_ns += TURN_NS
             for tally in self.bench.tallies.values():
                 tally.sent_this_turn = 0
