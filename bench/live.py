@@ -113,6 +113,7 @@ def our_side(
 ) -> None:
     """Run the gateway's live loop in this process."""
     gateway = Gateway(load_config(config), memory)
+    gateway.write_beside()
     clock = Clock()
     link = Link("test:live", 0, "b", opener, clock)
     link.start()

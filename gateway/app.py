@@ -7,6 +7,7 @@ tests all drive this same class.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +31,18 @@ from gateway.engine.events import (
 from gateway.errors import GatewayError, InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
-from gateway.faults.memory import FaultMemory, Observed
+from gateway.faults.failures import Observed
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
-from gateway.faults.store import Store
 from gateway.log import get_logger
 from gateway.monitors.shape import FAILED, PASSED
 from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
 from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA
 from gateway.resources import shipped
+from gateway.upkeep import PATIENCE_S, Noted, Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -77,12 +80,12 @@ class Gateway:
         *,
         file: Path | None = None,
         parts: Parts | None = None,
-        store: Store | None = None,
+        store: KeptStore | None = None,
     ) -> None:
         self.config = config
         self._parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
-        self.store = Store(memory_path) if store is None else store
+        self.store = KeptStore(memory_path) if store is None else store
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
         self._recorder = None if recording is None else Recorder(recording, names)
@@ -106,8 +109,9 @@ class Gateway:
         self._heard = self._identifiers_of_outputs()
         self._emitted = self.engine.emitted
         self._listeners: list[Listener] = []
-        self._changes: list[DtcChange] = []
-        self._uncommitted = False
+        self._changes: list[DtcChange] = []  # not told yet, nor are these events
+        self._untold: list[dict[str, Any]] = []
+        self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self.event_count = 0
 
     def finish(self, t_ns: int) -> Frames:
@@ -121,7 +125,7 @@ class Gateway:
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
-        self.memory.commit()
+        self.memory.commit(self.engine.now_ns)
         return sent
 
     def succeed(self, old: Gateway) -> None:
@@ -134,6 +138,9 @@ class Gateway:
             old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: what
                 it does after that is lost.
         """
+        self.memory.succeed(old.memory)
+        self._upkeep.succeed(old._upkeep)
+        self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {
             k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
@@ -167,22 +174,46 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
-        self.memory.commit()
+        self._settle(t_ns, final=True)
+        if self.memory.unsaved:
+            log.error(
+                "the fault memory was not written at the end; what it had not stored is lost",
+                file=str(self.store.path),
+                reason=self.memory.outage.reason,
+                changes=self.memory.unsaved,
+            )
+
+    @property
+    def stored(self) -> bool:
+        """Whether all that is known is in the fault memory's file."""
+        return not self.memory.unsaved
+
+    def write_beside(
+        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
+    ) -> None:
+        """Have a thread write the fault memory: frames come whether a disk is slow or not.
+
+        Args:
+            executor: of one thread, which is shut down when the gateway closes; None: a new one.
+            patience_s: how long a single change is waited for, before other things are done [s].
+        """
+        self._upkeep.write_beside(executor, patience_s)
 
     def close(self) -> None:
         """Close the fault memory."""
+        self._upkeep.close()
         self.store.close()
 
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames; returns the frames to send.
 
-        What the returned frames say is in the fault memory before they are returned.
+        What the returned frames say is stored before they are returned, unless it cannot be (see ``upkeep``).
         """
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         sent: list[Frames] = []
         for piece, last, wanting in self._pieces(frames):
-            sent.append(self._emit(self._process(piece)))
+            sent.append(self._emit(self._process(piece), asked=bool(wanting)))
             for k in wanting:
                 output = self._outputs[k]
                 made = output.on_frame(last, self.engine.now_ns)
@@ -270,10 +301,14 @@ class Gateway:
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
+        self._upkeep.look(self.engine.now_ns)
         self.controls.forget(self.memory.serve_requests())
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
+        if self.store.detached or self.memory.outage.reason:
+            return  # that has been told
+        self.memory.join()
         try:
             self.store.save_buses(states)
         except GatewayError as error:
@@ -298,14 +333,19 @@ class Gateway:
                 self._on_step(event)
                 continue
             changes = self.memory.apply(events_of(event), self._observe)
-            self._uncommitted = self._uncommitted or bool(changes)
-            told = [change for change in changes if change.concerns_fault]
-            self._changes += told
-            for change in told:
-                self._record(change)
-                self._tell(self._dtc_event(change, int(event["bus"])))
+            told = self._note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._tell(self._monitor_event(event))
+                self._untold.append(self._monitor_event(event))
+
+    def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
+        """Keep changes to be told when they are stored; returns whether there are any worth it."""
+        told = [change for change in changes if change.concerns_fault]
+        self._changes += told
+        for change in told:
+            self._record(change)
+            bus = self.engine.faults[self._index[change.definition.id]].bus
+            self._untold.append(self._dtc_event(change, bus))
+        return bool(told)
 
     def _record(self, change: DtcChange) -> None:
         if (
@@ -321,7 +361,7 @@ class Gateway:
             self.controls.begin(name, t_ns)
         else:
             self.controls.end(name, t_ns)
-        self._tell(
+        self._untold.append(
             {
                 "event": "cycle",
                 "t_ns": t_ns,
@@ -333,24 +373,25 @@ class Gateway:
         )
 
     def _on_step(self, event: np.void) -> None:
-        self._tell(clock_event(int(event["t_ns"]), float(event["value"])))
+        self._untold.append(clock_event(int(event["t_ns"]), float(event["value"])))
 
     def _bus_name(self, bus: int) -> str:
         """Return the name of a bus; the gateway's own faults are of none."""
         return "" if bus == NO_BUS else self.config.bus[bus].name
 
-    def _emit(self, sent: Frames) -> Frames:
-        """Return the frames to send: the monitors' own, then what the outputs have to say."""
+    def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
+        """Return the frames to send: the monitors' own, then what the outputs have to say.
+
+        Args:
+            sent: by the monitors.
+            asked: whether somebody asks for what there is now.
+        """
         now = self.engine.now_ns
         if self._recorder is not None and self._recorder.busy:
-            made = self._recorder.on_time(now)
-            self.memory.add_recordings(made)
-            self._uncommitted = self._uncommitted or bool(made)
-        if self._uncommitted:
-            self.memory.commit()
-            self._uncommitted = False
+            self.memory.add_recordings(self._recorder.on_time(now))
+        self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
         frames = [sent] if self.controls.send else [empty(0)]
-        changes, self._changes = self._changes, []
+        changes = self._settle(now, asked=asked)
         if changes:
             for k, output in enumerate(self._outputs):
                 frames.append(self._allowed(output, output.on_changes(changes, now)))
@@ -358,6 +399,25 @@ class Gateway:
         if now >= self._next_due:
             frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
+
+    def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
+        """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.
+
+        What is wrong with the memory itself is told before what it could not store.
+        """
+        waiting, self._changes = self._changes, []
+        noted = Noted(len(waiting), len(self._untold))
+        may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)
+        own, self._changes = self._changes, waiting[may.changes :]
+        events = len(self._untold) if may == noted else may.events
+        told, self._untold = self._untold[:events], self._untold[events:]
+        stored = self._upkeep.stored
+        for event in told:
+            if event["event"] == "dtc":
+                event["stored"] = stored
+                self._upkeep.not_stored += not stored
+            self._tell(event)
+        return own + waiting[: may.changes]
 
     def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
         frames = []
@@ -439,6 +499,8 @@ class Gateway:
         for output in self._outputs:
             for name, count in output.counters().items():
                 counters[name] = counters.get(name, 0) + count
+        counters["memory_not_stored"] = self._upkeep.not_stored
+        counters["memory_write_failures"] = self._upkeep.failures
         if self._recorder is not None:
             counters["recordings_refused"] = self._recorder.refused
         buses = {

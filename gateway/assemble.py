@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -11,12 +11,13 @@ from cantools.database.can import Message
 
 from gateway.config import Config, MonitorConfig, monitor_of
 from gateway.engine.build import BusInstance, CheckInstance, MonitorInstance, build_engine
-from gateway.engine.core import Engine
+from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.gate import Condition, CycleWatch, Gate
 from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, debounce_of, define
 from gateway.faults.memory import FaultMemory
-from gateway.faults.settings import ConditionSettings, FaultOverride
+from gateway.faults.settings import POWER, ConditionSettings, FaultOverride
+from gateway.monitors import memory_health
 from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
@@ -155,7 +156,7 @@ def _emission(
     raise InputError("no database has this message", key=key, value=name)
 
 
-def _gate(names: _Names, fault: str, settings: FaultOverride) -> Gate:
+def _gate(names: _Names, fault: str, settings: FaultOverride, cycles: Sequence[str]) -> Gate:
     at = settings.freeze_frame_at
     return Gate(
         tuple(
@@ -165,6 +166,7 @@ def _gate(names: _Names, fault: str, settings: FaultOverride) -> Gate:
         settings.caused_by,
         settings.when_disabled == "reset",
         at if isinstance(at, int) else 0,
+        -1 if settings.cycle == POWER else cycles.index(settings.cycle),
     )
 
 
@@ -239,6 +241,22 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
         )
 
 
+def _own_faults(config: Config) -> list[FaultSlot]:
+    """Return the faults of the gateway itself, on its first bus."""
+    watched = memory_health.FAULTS if config.memory.watched else ()
+    return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
+
+
+def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
+    """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
+    settings = config.fault.get(slot.id)
+    if slot.fault not in memory_health.FAULTS:
+        return settings
+    asked = {} if settings is None else settings.model_dump(exclude_unset=True)
+    own = {"emission_related": False, "priority": memory_health.PRIORITY}
+    return FaultOverride.model_validate({**own, **asked})
+
+
 def assemble(config: Config) -> Parts:
     """Build everything that needs no fault memory.
 
@@ -260,7 +278,7 @@ def assemble(config: Config) -> Parts:
     gates = _caused_by_buses(config)
     for fault, settings in config.fault.items():
         roots = settings.caused_by or gates.get(fault, Gate()).roots
-        gates[fault] = replace(_gate(names, fault, settings), roots=roots)
+        gates[fault] = replace(_gate(names, fault, settings, tuple(config.cycle)), roots=roots)
     cycles = [
         CycleWatch(
             names.condition(cycle.begins, f"cycle.{name}.begins"),
@@ -279,11 +297,12 @@ def assemble(config: Config) -> Parts:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=[BusInstance(bus.name, bus.health) for bus in config.bus],
         clock=config.clock,
+        reported=_own_faults(config),
     )
     _refuse_unknown(config, engine)
     catalogue = Catalogue(
         replace(
-            define(slot.id, slot.fault, config.fault.get(slot.id)),
+            define(slot.id, slot.fault, _settings(config, slot)),
             caused_by=gates.get(slot.id, Gate()).roots,
         )
         for slot in engine.faults

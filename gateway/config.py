@@ -92,6 +92,11 @@ class MemoryConfig(StrictModel):
     entries: int | None = Field(
         None, ge=1, le=10_000, description="entries there is room for; default: for every fault"
     )
+    watched: bool = Field(
+        True,
+        description="false: no DTC when it cannot be written, or was damaged; log, events and counters"
+        " tell it in any case",
+    )
     recording: RecorderParams | None = Field(
         None, description="frames kept around each failure; none: nothing is recorded"
     )

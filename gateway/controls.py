@@ -52,7 +52,11 @@ class Controls:
         return math.nan if slot is None else self._engine.value(slot)
 
     def clear(self, group: int) -> bool:
-        """Clear one DTC or a group, durable on return; False if there is no such DTC or group."""
+        """Clear one DTC or a group, durable on return; False if there is no such DTC or group.
+
+        Raises:
+            StoreError: it could not be written; nothing was cleared.
+        """
         if not self._memory.knows(group):
             return False
         self.forget(self._memory.clear(group))
@@ -90,7 +94,7 @@ class Controls:
     def go_on(self) -> None:
         """Take over in the middle of an operation cycle: what fails in the memory is there."""
         for fault, index in self._index.items():
-            failing = self._memory.status(fault) & Status.TEST_FAILED
+            failing = self._memory.status_now(fault) & Status.TEST_FAILED
             self._engine.set_active(index, bool(failing))
 
     def restart_cycle(self) -> None:
@@ -115,4 +119,5 @@ class Controls:
         Raises:
             GatewayError: it is damaged, or cannot be written.
         """
+        self._memory.join()
         self._store.compact()

@@ -67,6 +67,8 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
         print("no gateway has run here yet (no fault memory)")
         return
     print(f"gateway of {daemon['memory']}: {'running' if daemon['running'] else 'not running'}")
+    if not daemon["stored"]:
+        print("  it cannot write its fault memory: free the disk, or see its log for the reason")
     for bus in daemon["buses"]:
         print(
             f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received,"
@@ -112,11 +114,12 @@ def _told(kernels: dict[str, Any]) -> str:
 def doctor(
     config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool
 ) -> int:
-    """Report; returns the exit code: with ``running`` 1 unless a gateway runs and its buses are open."""
+    """Report; returns the exit code: with ``running`` 1 unless a gateway runs, its buses are open and its memory written."""
     daemon = _daemon(config, memory)
     healthy = (
         daemon is not None
         and daemon["running"]
+        and daemon["stored"]
         and all(bus["state"] == "open" for bus in daemon["buses"])
     )
     code = 1 if running and not healthy else 0

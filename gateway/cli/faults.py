@@ -6,9 +6,10 @@ import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
-from gateway.cli.present import find_config, print_json, status_text, table_of, wide_console
+from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config import load_config
 from gateway.faults import service
+from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
 
 #: Columns from which a list has the descriptions, too.
@@ -32,10 +33,19 @@ def _second(t_ns: int | None) -> str:
     return _time(t_ns)[:19] if t_ns is not None and t_ns >= 10**17 else _time(t_ns)
 
 
+def _say_if_behind(path: Path) -> None:
+    if is_unsaved(path):
+        say(
+            f"{path}: stored: false - the gateway that keeps this memory cannot write it at present;"
+            " it knows more than is shown here (its log and events say why)"
+        )
+
+
 def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List the entries; returns the exit code."""
     path = _path(config, memory)
     entries = service.list_entries(path)
+    _say_if_behind(path)
     if json:
         print_json(entries)
         return 0
@@ -63,7 +73,9 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
 
 def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
     """Show one entry; returns the exit code."""
-    entry = service.show(_path(config, memory), dtc)
+    path = _path(config, memory)
+    _say_if_behind(path)
+    entry = service.show(path, dtc)
     if json:
         print_json(entry)
         return 0

@@ -93,6 +93,8 @@ class EventPrinter:
             self._bus(event)
         elif event["event"] == "clock":
             self._clock(event)
+        elif event["event"] == "memory":
+            self._memory(event)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "log":
@@ -110,7 +112,7 @@ class EventPrinter:
         self._console.print(
             f"{self._time(event)}  [{colour}]DTC {event['dtc']} {word}[/]  {event['fault']}"
             f"  status 0x{event['status']:02X}  fdc {event['fdc']:+d}"
-            f"  occurrence {event['occurrence']}"
+            f"  occurrence {event['occurrence']}{'' if event['stored'] else '  NOT STORED'}"
         )
         if failed:
             shown = "  ".join(
@@ -124,6 +126,14 @@ class EventPrinter:
         self._console.print(
             f"{self._time(event)}  [bold red]clock set[/] by {event['step_s']:+.6f} s"
         )
+
+    def _memory(self, event: dict[str, Any]) -> None:
+        colour = "green" if event["state"] == "written" else "bold red"
+        text = f"{self._time(event)}  fault memory [{colour}]{event['state']}[/]  "
+        aside = f"; put aside: {event['aside']}" if event.get("aside") else ""
+        from rich.markup import escape  # noqa: PLC0415 - slow to load
+
+        self._console.print(text + escape(f"{event['file']} {event['reason']}{aside}".rstrip()))
 
     def _bus(self, event: dict[str, Any]) -> None:
         if event["state"] in ("open", "lost"):
@@ -153,6 +163,17 @@ class EventPrinter:
             if counts:
                 print_(f"bus {name}: " + "  ".join(f"{k} {n}" for k, n in counts.items()))
         print_("DTCs: " + (", ".join(event["dtcs"]) or "none"))
+
+
+def say_unless_stored(stored: bool, memory: Path | None) -> int:
+    """Say at the end that the fault memory could not be written; returns the exit code for it."""
+    if stored:
+        return 0
+    say(
+        f"error: {memory}: the fault memory could not be written; what it had not stored is lost."
+        " Free the disk, or name another one with --memory"
+    )
+    return 2
 
 
 def find_config(path: Path | None) -> Path:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import Recorded, read_recording
-from gateway.cli.present import EventPrinter, find_config
+from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.config import Config, channels_of, load_config
 from gateway.errors import InputError, InputErrors
 from gateway.replay import contents
@@ -65,6 +65,8 @@ def replay(
         gateway.close()
     if found.wrong:
         raise InputErrors(found.wrong)
+    if lost := say_unless_stored(gateway.stored, memory):
+        return lost
     return 1 if fail_on_dtc and printer.failures else 0
 
 

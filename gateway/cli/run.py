@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Self
 
 from gateway.bus.logs import open_writer
-from gateway.cli.present import EventPrinter, find_config, say
+from gateway.cli.present import EventPrinter, find_config, say, say_unless_stored
 from gateway.config import load_config
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
@@ -107,4 +107,7 @@ def run(
         begun = time.monotonic()
         daemon.run(ending.after(duration))
         printer(daemon.gateway.summary(time.monotonic() - begun))
+        lost = say_unless_stored(daemon.gateway.stored, daemon.gateway.store.path)
+    if lost:
+        return lost
     return 1 if fail_on_dtc and printer.failures else 0

@@ -15,7 +15,16 @@ from gateway.engine.debounce import DEBOUNCE, configure
 from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT, NO_BUS
 from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
-from gateway.engine.tables import CLOCK, HANDLER, NEVER, VECTOR, Tables, table
+from gateway.engine.tables import (
+    CLOCK,
+    HANDLER,
+    MOST_REPORTS,
+    NEVER,
+    REPORT,
+    VECTOR,
+    Tables,
+    table,
+)
 from gateway.errors import InputError
 from gateway.monitors import bus_health, communication
 from gateway.monitors.bus_health import HEALTH
@@ -87,6 +96,7 @@ def build_engine(
     pgn: Collection[int] = (),
     buses: Sequence[BusInstance] = (),
     clock: ClockParams | None = None,
+    reported: Sequence[FaultSlot] = (),
     ring: int = 4096,
 ) -> Engine:
     """Compile everything into one engine.
@@ -102,6 +112,7 @@ def build_engine(
         pgn: buses whose extended identifiers match by J1939 PGN.
         buses: whose health is judged, in the order of their indices.
         clock: how the gateway's own clock is judged; None: it is not.
+        reported: faults that nobody tests in the loop; their results are told by :meth:`Engine.report`.
         ring: events that one pass of the loop can hold.
 
     Returns:
@@ -180,6 +191,7 @@ def build_engine(
         faults += _prepare_health(health[k], bus, k, code, len(faults))
     faults += _prepare_own(health[-1], clock, len(faults))
 
+    faults += reported
     debounces = table(len(faults), DEBOUNCE)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
     for k, (slot, gate) in enumerate(zip(faults, own_gates, strict=True)):
@@ -230,6 +242,7 @@ def build_engine(
         outbox_cells,
         table(ring, EVENT),
         health,
+        table(MOST_REPORTS, REPORT),
         clock_row,
     )
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))

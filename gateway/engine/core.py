@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -124,6 +124,35 @@ class Engine:
         """Identifiers (with EXTENDED) of the messages that monitors send."""
         return [int(can_id) for can_id in self.tables.emits["can_id"]]
 
+    def report(
+        self,
+        fault: int,
+        failed: bool,
+        value: float,
+        limit: float,
+        evidence: Sequence[float],
+        sink: Sink,
+    ) -> None:
+        """Take a test result that is none of a monitor's, at the time it is.
+
+        Args:
+            fault: index in :attr:`faults`.
+            failed: the verdict.
+            value: what was tested.
+            limit: what it was tested against, same unit.
+            evidence: values by the names of the fault's evidence.
+            sink: called with the events.
+        """
+        clock = self.tables.clock[0]
+        row = self.tables.reports[int(clock["reported"])]
+        row["fault"], row["failed"] = fault, failed
+        row["value"], row["limit"] = value, limit
+        row["evidence"][:] = 0.0
+        row["evidence"][: len(evidence)] = evidence
+        clock["reported"] += 1
+        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, NEVER)
+        self._drain(sink)
+
     def _drain(self, sink: Sink) -> None:
         clock = self.tables.clock[0]
         count = int(clock["events"])
@@ -193,7 +222,7 @@ class Engine:
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "timed", "held"}
-        hidden |= {"events", "sent", "fed", "taken"}
+        hidden |= {"events", "sent", "fed", "taken", "reported"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def error_counters(self, bus: int) -> dict[str, int]:

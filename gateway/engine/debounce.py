@@ -26,7 +26,7 @@ NEVER = int(np.iinfo(np.int64).max)
 
 #: Debounce of one fault. Constants: thresholds (results, or ns if ``timed``), steps, jumps, the counter at
 #: which the freeze frame is wanted (0: never), what becomes of it while held (``resets``), and the gate:
-#: enable conditions and root causes, as places in the tables. State: counter, last result, last verdict;
+#: operation cycle (-1: the gateway's run), enable conditions and root causes, as places in the tables. State: counter, last result, last verdict;
 #: of a time debounce where it runs to and since when; whether the fault is there (``active``, like
 #: testFailed); the greatest counter and the near misses since :func:`fold`.
 DEBOUNCE = record(
@@ -37,6 +37,7 @@ DEBOUNCE = record(
     jump_up_to=i8,
     jump_down_to=i8,
     trigger=i8,
+    cycle=i4,
     first_condition=i4,
     conditions=i4,
     first_root=i4,

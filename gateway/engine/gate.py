@@ -1,8 +1,8 @@
 """Gates: whether a fault's test results count, and what begins and ends an operation cycle.
 
-A gate is closed while an enable condition is not met, its signal is unknown or overdue, or while a root cause
-is there or on its way (its fault detection counter above 0): so a broken sensor's own fault comes first, and the
-faults of what is computed from it stay quiet.
+A gate is closed while the fault's operation cycle has not begun or is over, while an enable condition is not met, its
+signal is unknown or overdue, or while a root cause is there or on its way (its fault detection counter above 0): so a
+broken sensor's own fault comes first, and the faults of what is computed from it stay quiet.
 """
 
 from __future__ import annotations
@@ -45,12 +45,14 @@ class Gate:
         roots: ids of faults that may cause this one.
         resets: whether closing resets what was counted; else it is frozen.
         trigger_fdc: fault detection counter at which the freeze frame is wanted, 0: at a verdict only.
+        cycle: index of the operation cycle outside of which they do not count, -1: they do in any.
     """
 
     conditions: tuple[Condition, ...] = ()
     roots: tuple[str, ...] = ()
     resets: bool = False
     trigger_fdc: int = 0
+    cycle: int = -1
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,8 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     """
     if T.clock[0].held == 1:
         return True
+    if d.cycle >= 0 and T.cycles[d.cycle] == 0:
+        return True
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
         if not reached(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
@@ -105,7 +109,8 @@ def prepare_gates(
     for row, gate in zip(debounces, gates, strict=True):
         row["first_condition"], row["conditions"] = len(conditions), len(gate.conditions)
         row["first_root"], row["roots"] = len(roots), len(gate.roots)
-        row["gated"] = bool(gate.conditions or gate.roots)
+        row["cycle"] = gate.cycle
+        row["gated"] = bool(gate.conditions or gate.roots or gate.cycle >= 0)
         row["resets"] = gate.resets
         conditions += gate.conditions
         roots += [ids[name] for name in gate.roots]

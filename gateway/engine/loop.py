@@ -211,6 +211,18 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
 
 
 @kernel
+def take_reports(T: Any) -> None:
+    """Debounce the results that the gateway reports of itself, at the time it is."""
+    clock = T.clock[0]
+    for k in range(clock.reported):
+        r = T.reports[k]
+        place = tested(T, clock.now_ns, r.fault, r.failed == 1, r.value, r.limit)
+        for e in range(r.evidence.shape[0]):
+            witness(T, r.fault, place, e, r.evidence[e])
+    clock.reported = 0
+
+
+@kernel
 def advance(T: Any, t_ns: int) -> None:
     """Move the clock to ``t_ns``, running the timers on the way; starts it at the first call."""
     clock = T.clock[0]
@@ -244,6 +256,10 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     """
     clock = T.clock[0]
     clock.stop = 0
+    if clock.reported > 0:
+        take_reports(T)
+        if clock.stop == 1:
+            return start
     room = T.ring.shape[0] // 2
     outbox_room = T.outbox.shape[0] // 2
     i = start

@@ -8,9 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.engine.debounce import NEVER
-from gateway.jit import COMPILED, i4, i8, record, u1
+from gateway.jit import COMPILED, f8, i4, i8, record, u1
+from gateway.monitors.shape import EVIDENCE
 
-__all__ = ["CLOCK", "HANDLER", "NEVER", "VECTOR", "Tables", "table"]
+__all__ = [
+    "CLOCK",
+    "HANDLER",
+    "MOST_REPORTS",
+    "NEVER",
+    "REPORT",
+    "VECTOR",
+    "Tables",
+    "table",
+]
 
 #: One row of the vector table, for each message of the decode plan: the monitors it triggers
 #: (``handlers[first:first + count]``, by priority), its communication check (-1: none), the operation
@@ -42,9 +52,16 @@ HANDLER = record(
     skipped=i8,
 )
 
+#: A test result that is none of a monitor's: of the gateway itself (see Engine.report).
+REPORT = record(fault=i4, failed=u1, value=f8, limit=f8, evidence=(f8, EVIDENCE))
+#: So many of them wait at most.
+MOST_REPORTS = 16
+
 #: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline; ``timed`` tells whether a
-#: fault is debounced by time, ``held`` whether test results count at present. ``offset_ns`` is what the wall clock is
-#: ahead of the engine's: it changes where the wall clock is set (``clock_steps`` times), so that ``now_ns`` goes on evenly. Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
+#: fault is debounced by time, ``held`` whether test results count at present; ``reported`` of the results in ``reports``
+#: wait. ``offset_ns`` is what the wall clock is ahead of the engine's: it changes where the wall clock is set
+#: (``clock_steps`` times), so that ``now_ns`` goes on evenly. Of the outbox's ``sent`` frames the first ``fed`` went
+#: through the engine themselves, the first ``taken`` have left.
 CLOCK = record(
     now_ns=i8,
     offset_ns=i8,
@@ -53,6 +70,7 @@ CLOCK = record(
     stop=u1,
     timed=u1,
     held=u1,
+    reported=i8,
     events=i8,
     events_lost=i8,
     frames=i8,
@@ -85,6 +103,7 @@ class Tables(NamedTuple):
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
+    Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
 
@@ -118,6 +137,7 @@ class Tables(NamedTuple):
     outbox_cells: NDArray[np.uint64]
     ring: NDArray[np.void]
     health: NDArray[np.void]
+    reports: NDArray[np.void]
     clock: NDArray[np.void]
 
 

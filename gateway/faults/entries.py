@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
 from gateway.faults.records import FreezeFrame, Record
-from gateway.faults.status import NOT_COMPLETED, Status
+from gateway.faults.status import NOT_COMPLETED, STATUS, Status
+
+#: The bits that tell of the fault.
+_TOLD = 0xFF & ~int(NOT_COMPLETED)
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class DtcChange:
     @property
     def concerns_fault(self) -> bool:
         """Whether more changed than that the test is complete now."""
-        return bool((self.old_status ^ self.new_status) & ~NOT_COMPLETED)
+        return bool((int(self.old_status) ^ int(self.new_status)) & _TOLD)
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def entry_of(record: Record) -> Entry:
     return Entry(
         Dtc(record.dtc),
         record.id,
-        Status(record.status),
+        STATUS[record.status],
         record.occurrence,
         record.first_ns,
         record.last_ns,

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import fcntl
 import os
+import struct
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from gateway.errors import InputError
 
 #: Longer than :func:`is_kept` takes [s].
 LOOK_S = 0.02
+#: struct flock (fcntl(2)): type, whence, start, length, process.
+_FLOCK = "@hhqqi0q"
 
 
 class InUseError(InputError):
@@ -30,6 +34,60 @@ def is_kept(path: Path) -> bool:
     finally:
         os.close(lock)
     return False
+
+
+def _flock(kind: int) -> bytes:
+    return struct.pack(_FLOCK, kind, os.SEEK_SET, 0, 1, 0)
+
+
+def mark_unsaved(lock: int, unsaved: bool) -> None:
+    """Let other processes see whether the writer holds changes that its file does not have.
+
+    A second lock on the same file says so, because that can still be told when nothing can be written.
+
+    Args:
+        lock: from :func:`take_lock`.
+        unsaved: whether there are such changes.
+    """
+    kind = fcntl.F_WRLCK if unsaved else fcntl.F_UNLCK
+    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _flock(kind))
+
+
+def is_unsaved(path: Path) -> bool:
+    """Tell whether the process that keeps this fault memory has changes that the file does not have."""
+    try:
+        lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        # Whether a lock for reading would be refused.
+        found = fcntl.fcntl(lock, fcntl.F_OFD_GETLK, _flock(fcntl.F_RDLCK))
+    finally:
+        os.close(lock)
+    return bool(struct.unpack(_FLOCK, found)[0] != fcntl.F_UNLCK)
+
+
+def mark(lock: int) -> None:
+    """Note in the lock's file that there was a fault memory beside it."""
+    with suppress(OSError):  # a full disk
+        if not os.fstat(lock).st_size:
+            os.pwrite(lock, b"kept\n", 0)
+
+
+def is_marked(path: Path) -> bool:
+    """Tell whether there was a fault memory under this name before (see :func:`mark`)."""
+    try:
+        return Path(f"{path.resolve()}-lock").stat().st_size > 0
+    except OSError:
+        return False
+
+
+def is_in_place(path: Path, lock: int) -> bool:
+    """Tell whether a lock is still that of the path: nobody has deleted its file."""
+    try:
+        return os.path.samestat(os.fstat(lock), Path(f"{path.resolve()}-lock").stat())
+    except OSError:
+        return False
 
 
 def take_lock(path: Path) -> int:

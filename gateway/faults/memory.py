@@ -1,50 +1,54 @@
 """The fault memory: qualified verdicts become status bytes, entries, freeze frames, permanent DTCs.
 
 Changes take effect in two steps: :meth:`FaultMemory.apply` and its like change the memory,
-:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told.
+:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: what is read of the memory is as it
+was last written. While the file cannot be written there is a third state, told as such: known here, not stored.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from dataclasses import replace
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
+from gateway.errors import InputError
 from gateway.faults import freeze_frames
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
 from gateway.faults.dtc import ALL_DTCS, Dtc, in_group
-from gateway.faults.entries import DtcChange, Entry, entry_of
-from gateway.faults.permanent import PermanentDtcs
-from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults.entries import DtcChange
+from gateway.faults.failures import (
+    Failure,
+    Observed,
+    Snapshot,
+    failure_of,
+    finite,
+    known,
+    latest_signals,
+)
+from gateway.faults.ledger import OVERFLOW, Ledger
+from gateway.faults.outage import Outage
+from gateway.faults.reading import Readable
+from gateway.faults.records import Cycle, FreezeFrame, Record, Recording
 from gateway.faults.settings import POWER
-from gateway.faults.status import CLEARED, Cycles, Status
-from gateway.faults.store import Store
+from gateway.faults.status import CLEARED, STATUS, Cycles, Status
+from gateway.faults.store import Store, StoreError
 
 #: The occurrence counter stops here.
 MOST_OCCURRENCES = 255
 
-#: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
-SEQUENCE, OVERFLOW = "sequence", "overflow"
+_TEST_FAILED, _CONFIRMED = int(Status.TEST_FAILED), int(Status.CONFIRMED_DTC)
+#: The bit that stores a freeze frame when it rises; a counter's value stands for testFailed.
+_FREEZE_FRAME_AT: dict[str | int, int] = {
+    "pending": int(Status.PENDING_DTC),
+    "confirmed": _CONFIRMED,
+}
 
 
-class Observed(NamedTuple):
-    """What is seen at a failure: the signals of its freeze frame, the inputs of its monitor."""
-
-    frame: Mapping[str, float] = {}
-    inputs: Mapping[str, float] = {}
-
-
-#: Takes a fault, returns what is seen of it now.
-Snapshot = Callable[[FaultDefinition], Observed]
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
 Statistics = Callable[[int], tuple[int, int]]
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
 
 
 def _cycles(record: Record) -> Cycles:
@@ -57,7 +61,7 @@ def _set(record: Record, status: Status, cycles: Cycles) -> None:
     record.aged_cycles = cycles.aged
 
 
-class FaultMemory:
+class FaultMemory(Readable):
     """Status, entries and freeze frames of every fault of a catalogue.
 
     Entries of faults that are no longer in the catalogue are kept and listed until cleared.
@@ -80,33 +84,44 @@ class FaultMemory:
         statistics: Statistics | None = None,
     ) -> None:
         self.catalogue = catalogue
-        self._store = store
         self._size = size
         self._statistics = statistics
-        self._records = {record.id: record for record in store.load()}
-        self._definitions = {definition.id: definition for definition in catalogue}
-        for definition in catalogue:
-            record = self._records.setdefault(
-                definition.id, Record(definition.id, definition.dtc.value, int(CLEARED))
-            )
-            record.dtc = definition.dtc.value
+        self._held = Ledger(store, recordings)
+        self._records = self._held.records
+        self._prestored: dict[str, FreezeFrame] = {}
+        self._refused: dict[str, Failure] = {}
+        self._room = False  # whether an entry has gone since the refused ones were tried again
+        self._now_ns = 0
+        self._define()
+        self.identifiers = self._held.identifiers
+        self._asked = store.watch()
+
+    def _define(self) -> None:
+        """Have a definition and a record of every fault, monitored or only stored."""
+        self._definitions = {definition.id: definition for definition in self.catalogue}
+        for definition in self.catalogue:
+            if definition.id not in self._records:
+                self._held.add(Record(definition.id, definition.dtc.value, int(CLEARED)))
+            for view in (self._records, self._held.shown):
+                view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(
                 record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored")
             )
-        self._cycles = store.cycles()
-        self._facts = store.facts()
-        self._permanent = PermanentDtcs(store.permanent())
-        self.identifiers = store.identifiers()
-        self._prestored: dict[str, FreezeFrame] = {}
-        self._dirty: set[str] = set()
-        self._pending = Changes(kept_recordings=recordings)
-        self._asked = store.watch()
+
+    def succeed(self, old: FaultMemory) -> None:
+        """Go on with what another memory of the same store knows, written or not."""
+        self._held.succeed(old._held)
+        self._prestored |= old._prestored
+        self._refused |= old._refused
+        self._room = True  # there may be more of it now
+        self._now_ns = old._now_ns
+        self._define()
 
     # Operation cycles
 
     def start_cycle(self, t_ns: int, name: str = POWER) -> None:
-        """Start an operation cycle; one that was never ended (power loss, kill -9) is ended first.
+        """Start an operation cycle at a time of the wall clock; one that was never ended (kill -9) is ended first.
 
         The start of the power cycle ends whatever the last process left open.
         """
@@ -116,10 +131,11 @@ class FaultMemory:
             self._end(t_ns, name)
         for record in self._records.values():
             if self._definitions[record.id].cycle == name:
-                record.status = int(transition.on_cycle_start(Status(record.status)))
-                self._dirty.add(record.id)
-        last = self._cycles.get(name)
-        self._note_cycle(name, Cycle(last.number + 1 if last else 1, True, t_ns))
+                record.status = int(transition.on_cycle_start(STATUS[record.status]))
+                self._held.touch(record.id)
+                self._refused.pop(record.id, None)  # it is tested again
+        last = self._held.cycles.get(name)
+        self._held.note_cycle(name, Cycle(last.number + 1 if last else 1, True, t_ns))
         self.commit()
 
     def end_cycle(self, t_ns: int, name: str = POWER) -> None:
@@ -131,10 +147,18 @@ class FaultMemory:
         self.commit()
 
     def _is_open(self, name: str) -> bool:
-        return name in self._cycles and self._cycles[name].open
+        return name in self._held.cycles and self._held.cycles[name].open
+
+    def _counts(self, definition: FaultDefinition) -> bool:
+        """Tell whether a result of a fault counts: its operation cycle has begun, and is not over.
+
+        The power cycle is there from the start, also where nobody begins it.
+        """
+        name = definition.cycle
+        return self._is_open(name) or (name == POWER and not self.cycle_number())
 
     def _end_all(self, t_ns: int) -> None:
-        for name in sorted(self._cycles, key=lambda name: name == POWER):
+        for name in sorted(self._held.cycles, key=lambda name: name == POWER):
             if self._is_open(name):
                 self._end(t_ns, name)
 
@@ -145,33 +169,32 @@ class FaultMemory:
             rules = definition.rules
             if definition.aging_cycle == name and record.occurrence:
                 status, cycles, aged = transition.on_aging_cycle_end(
-                    Status(record.status), _cycles(record), rules
+                    STATUS[record.status], _cycles(record), rules
                 )
                 _set(record, status, cycles)
-                self._dirty.add(record.id)
+                self._held.touch(record.id)
                 if aged:
                     self._remove_entry(record)
             if definition.cycle == name:
                 status, cycles = transition.on_cycle_end(
-                    Status(record.status), _cycles(record), rules
+                    STATUS[record.status], _cycles(record), rules
                 )
                 _set(record, status, cycles)
-                self._dirty.add(record.id)
-                self._note_permanent(self._permanent.on_cycle_end(definition, status))
-        self._note_cycle(name, Cycle(self._cycles[name].number, False, t_ns))
-
-    def _note_cycle(self, name: str, cycle: Cycle) -> None:
-        self._cycles[name] = cycle
-        self._pending.cycles = {**self._pending.cycles, name: cycle}
+                self._held.touch(record.id)
+                self._held.note_permanent(self._held.permanent.on_cycle_end(definition, status))
+        self._held.note_cycle(name, Cycle(self._held.cycles[name].number, False, t_ns))
 
     def cycle_number(self, name: str = POWER) -> int:
         """Return the number of an operation cycle, from 1; 0 before the first."""
-        return self._cycles[name].number if name in self._cycles else 0
+        return self._held.cycles[name].number if name in self._held.cycles else 0
 
     # Verdicts
 
     def apply(self, events: Events, snapshot: Snapshot) -> list[DtcChange]:
         """Take events in order; those that are neither verdicts nor reach for a freeze frame are passed over.
+
+        So are those of a fault outside its operation cycle (AUTOSAR DEM: results of a cycle that is not started do
+        not count).
 
         Args:
             events: shape (n,) of EVENT.
@@ -182,139 +205,188 @@ class FaultMemory:
         """
         changes = []
         for event in events:
-            if event["kind"] not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
+            kind = int(event["kind"])
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
                 continue
             definition = self.catalogue[int(event["fault"])]
+            if not self._counts(definition):
+                continue
             record = self._records[definition.id]
-            old = Status(record.status)
-            if event["kind"] == FDC_REACHED:
-                content = _finite(snapshot(definition).frame)
+            old = STATUS[record.status]
+            if kind == FDC_REACHED:
+                content = finite(snapshot(definition).frame)
                 self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
-            elif event["kind"] == QUALIFIED_FAILED:
-                self._fail(definition, record, event, snapshot)
+            elif kind == QUALIFIED_FAILED:
+                self._fail(definition, record, failure_of(definition, event, snapshot))
             else:
                 record.status = int(transition.on_passed(old))
                 self._prestored.pop(definition.id, None)
-            new = Status(record.status)
-            if new != old:
-                self._dirty.add(record.id)
-                changes.append(
-                    DtcChange(
-                        definition,
-                        old,
-                        new,
-                        int(event["fdc"]),
-                        record.occurrence,
-                        int(event["t_ns"]),
-                        dict(record.evidence) if new & Status.TEST_FAILED else {},
-                    )
-                )
+                self._refused.pop(definition.id, None)
+            changes += self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
         return changes
 
-    def _fail(
-        self, definition: FaultDefinition, record: Record, event: Any, snapshot: Snapshot
-    ) -> None:
+    def _changed(
+        self, definition: FaultDefinition, record: Record, old: Status, fdc: int, t_ns: int
+    ) -> list[DtcChange]:
+        """Return the change of a status byte, if it has changed."""
+        new = STATUS[record.status]
+        if new == old:
+            return []
+        self._held.touch(record.id)
+        evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
+        return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
+
+    def admit_refused(self, t_ns: int) -> list[DtcChange]:
+        """Enter failures that a full memory refused, or whose entries gave way, if there is room for them now.
+
+        The most important come first, of these the oldest; a fault that has passed meanwhile, or whose operation cycle
+        is over, is not entered.
+
+        Returns:
+            the status bytes that changed. They are durable after :meth:`commit`.
+        """
+        if not self._room:
+            return []
+        self._room = False
+        changes = []
+        waiting = [(self._definitions[fault], failure) for fault, failure in self._refused.items()]
+        for definition, failure in sorted(waiting, key=lambda w: (w[0].priority, w[1].t_ns)):
+            if not self._has_room():
+                break
+            if not self._counts(definition):
+                continue
+            record = self._records[definition.id]
+            old = STATUS[record.status]
+            del self._refused[definition.id]
+            self._fail(definition, record, failure)
+            changes += self._changed(definition, record, old, 127, t_ns)
+        return changes
+
+    def _fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
         """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
-        old = Status(record.status)
+        old = STATUS[record.status]
+        if not record.occurrence:  # what was refused earlier in this cycle has not been counted
+            old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
         status, cycles = transition.on_failed(old, _cycles(record), definition.rules)
         if not record.occurrence and not self._make_room(definition):
             _set(record, transition.on_displaced(status), Cycles())
+            seen = failure.observe()
+            self._refused[record.id] = replace(failure, observe=lambda: seen)
             return
         _set(record, status, cycles)
-        risen = status & ~old
-        t_ns = int(event["t_ns"])
-        if risen & Status.TEST_FAILED or not record.occurrence:
-            self._note_failure(definition, record, event, snapshot)
-            risen |= Status.TEST_FAILED
-        if risen & Status.CONFIRMED_DTC:
-            record.last_confirmed = self._next_in_order()
+        risen = int(status) & ~int(old)
+        if risen & _TEST_FAILED:
+            self._note_failure(record, failure)
+        if risen & _CONFIRMED:
+            record.last_confirmed = self._held.next_in_order()
             if record.first_confirmed is None:
                 record.first_confirmed = record.last_confirmed
-        at = definition.freeze_frame_at
-        wanted = {"pending": Status.PENDING_DTC, "confirmed": Status.CONFIRMED_DTC}
-        if risen & wanted.get(str(at), Status.TEST_FAILED):
+        if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
             prestored = self._prestored.pop(definition.id, None)
-            frame = prestored or FreezeFrame(0, t_ns, _finite(snapshot(definition).frame))
+            frame = prestored or FreezeFrame(0, failure.t_ns, finite(failure.observe().frame))
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
-        self._note_permanent(self._permanent.on_failed(definition, status, t_ns))
+        became = self._held.permanent.on_failed(definition, status, failure.t_ns)
+        self._held.note_permanent(became)
 
-    def _note_failure(
-        self, definition: FaultDefinition, record: Record, event: Any, snapshot: Snapshot
-    ) -> None:
-        t_ns = int(event["t_ns"])
-        sequence = self._next_in_order()
+    def _note_failure(self, record: Record, failure: Failure) -> None:
+        sequence = self._held.next_in_order()
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
-        record.first_ns = t_ns if record.first_ns is None else record.first_ns
-        record.last_ns = t_ns
+        record.first_ns = failure.t_ns if record.first_ns is None else record.first_ns
+        record.last_ns = failure.t_ns
         record.first_failed = sequence if record.first_failed is None else record.first_failed
         record.last_failed = sequence
-        names = ("value", "threshold", *definition.evidence)
-        values = (event["value"], event["threshold"], *event["evidence"])
-        record.evidence = _finite(dict(zip(names, values, strict=False)))
-        record.inputs = _finite(snapshot(definition).inputs)
+        record.evidence = failure.evidence
+        record.inputs = finite(failure.observe().inputs)
+
+    def _stored(self) -> list[Record]:
+        return [record for record in self._records.values() if record.occurrence]
+
+    def _has_room(self) -> bool:
+        return self._size is None or len(self._stored()) < self._size
 
     def _make_room(self, definition: FaultDefinition) -> bool:
         """Make room for one entry; False if all that is there is more important."""
-        stored = [record for record in self._records.values() if record.occurrence]
-        if self._size is None or len(stored) < self._size:
+        if self._has_room():
             return True
-        found = victim(definition, [(self._definitions[r.id], r) for r in stored])
-        self._set_fact(OVERFLOW, 1)
+        found = victim(definition, [(self._definitions[r.id], r) for r in self._stored()])
+        self._held.set_fact(OVERFLOW, 1)
         if found is None:
             return False
+        if found.status & Status.TEST_FAILED and self.catalogue.get(found.id) is not None:
+            seen = Observed(latest_signals(found), known(found.inputs))
+            self._refused[found.id] = Failure(found.last_ns or 0, found.evidence, lambda: seen)
         found.status = int(transition.on_displaced(Status(found.status)))
         self._remove_entry(found)
+        self._room = False  # the newcomer takes it
         return True
-
-    def _next_in_order(self) -> int:
-        self._set_fact(SEQUENCE, self._facts.get(SEQUENCE, 0) + 1)
-        return self._facts[SEQUENCE]
-
-    def _set_fact(self, name: str, value: int) -> None:
-        self._facts[name] = value
-        self._pending.facts = {**self._pending.facts, name: value}
 
     def _remove_entry(self, record: Record) -> None:
         """Remove what is stored of a fault; its status byte stays."""
         fresh = Record(record.id, record.dtc, record.status)
         fresh.peak_fdc, fresh.near_misses = record.peak_fdc, record.near_misses
         record.__dict__.update(fresh.__dict__)
-        self._dirty.add(record.id)
-
-    def _note_permanent(self, changed: bool) -> None:
-        if changed:
-            self._pending.permanent = self._permanent.all()
+        self._room = True
+        self._held.touch(record.id)
 
     # Durability
 
-    def commit(self) -> None:
-        """Make all changes durable; returns when they are.
+    @property
+    def outage(self) -> Outage:
+        """Since when, and why, the file cannot be written."""
+        return self._held.outage
 
-        Raises:
-            GatewayError: they could not be written; a later commit tries them again.
+    @property
+    def unsaved(self) -> int:
+        """How many faults have changes that are not durable, and one for all else."""
+        return self._held.unsaved
+
+    @property
+    def commits(self) -> int:
+        """How often changes were written."""
+        return self._held.commits
+
+    def commit(self, t_ns: int | None = None, *, final: bool = False) -> bool:
+        """Make all changes durable; returns whether they are.
+
+        What cannot be written stays here, and later calls try it again (see :class:`Outage`).
+
+        Args:
+            t_ns: now, of the engine's clock; default: the latest time heard of.
+            final: try in any case.
         """
-        if self._dirty or self._pending != Changes(kept_recordings=self._pending.kept_recordings):
-            self._save()
-            self._saved()
+        self._now_ns = max(self._now_ns, t_ns or 0)
+        return self._held.commit(self._now_ns, final=final)
 
-    def _save(self) -> None:
-        self._pending.records = [self._records[name] for name in sorted(self._dirty)]
-        self._store.save(self._pending)
+    def begin(self, t_ns: int, executor: Executor) -> None:
+        """Have all changes made durable by a thread (see :meth:`under_way`)."""
+        self._now_ns = max(self._now_ns, t_ns)
+        self._held.begin(self._now_ns, executor)
 
-    def _saved(self) -> None:
-        self._dirty.clear()
-        self._pending = Changes(kept_recordings=self._pending.kept_recordings)
+    def under_way(self, patience_s: float = 0.0) -> bool:
+        """Tell whether a thread writes still, after waiting so long at most [s]."""
+        return self._held.under_way(patience_s)
+
+    def join(self) -> None:
+        """Wait for the thread that writes, if one does: the store is for this one then."""
+        self._held.join()
+
+    def rewrite(self) -> None:
+        """Have everything written by the next commit: the file is gone."""
+        self._held.rewrite()
 
     def add_recordings(self, recordings: Iterable[Recording]) -> None:
         """Keep frames recorded around failures, unless their fault was cleared meanwhile."""
-        kept = [r for r in recordings if self._records[r.fault].occurrence]
-        self._pending.recordings = [*self._pending.recordings, *kept]
+        self._held.add_recordings(recordings)
 
     def write_identifier(self, did: int, data: bytes) -> None:
-        """Keep what a tester wrote; durable on return."""
-        self.identifiers[did] = data
-        self._pending.identifiers = {**self._pending.identifiers, did: data}
-        self.commit()
+        """Keep what a tester wrote; durable on return.
+
+        Raises:
+            StoreError: it could not be written; the value is what it was.
+        """
+        with self._held.undoing():
+            self._held.set_identifier(did, data)
+            self._held.write(self._now_ns)
 
     def fold_statistics(self) -> None:
         """Take over what the debounce has counted since the last time."""
@@ -326,12 +398,12 @@ class FaultMemory:
             if near or peak > record.peak_fdc:
                 record.near_misses += near
                 record.peak_fdc = max(record.peak_fdc, peak)
-                self._dirty.add(record.id)
+                self._held.touch(record.id)
 
     # Clearing
 
     def clear(self, group: int = ALL_DTCS) -> list[str]:
-        """Clear one DTC, a group, or all (ISO 14229-1, 0x14); durable on return.
+        """Clear one DTC, a group, or all (ISO 14229-1, 0x14); durable on return, or nothing is cleared.
 
         Permanent DTCs stay until their test has passed; those of faults that nobody tests any more go.
 
@@ -340,9 +412,14 @@ class FaultMemory:
 
         Returns:
             ids of the faults cleared; the engine's debounce of these must be reset too.
+
+        Raises:
+            StoreError: it could not be written; nothing was cleared.
         """
-        cleared = self._clear(group)
-        self.commit()
+        with self._held.undoing():
+            cleared = self._clear(group)
+            self._held.write(self._now_ns)
+        self._forget(cleared)
         return cleared
 
     def knows(self, group: int) -> bool:
@@ -358,80 +435,51 @@ class FaultMemory:
     def _clear(self, group: int) -> list[str]:
         self.fold_statistics()
         cleared = []
-        for record in self._records.values():
+        for record in list(self._records.values()):
             if self._is_in(record, group):
                 self._records[record.id] = Record(record.id, record.dtc, int(CLEARED))
-                self._prestored.pop(record.id, None)
-                self._dirty.add(record.id)
+                self._held.touch(record.id)
                 cleared.append(record.id)
                 if len(self.catalogue) and self.catalogue.get(record.id) is None:
                     # No test is left that could pass.
-                    self._note_permanent(self._permanent.give_up(record.id))
-        self._pending.recordings = [r for r in self._pending.recordings if r.fault not in cleared]
-        if group == ALL_DTCS and self._facts.get(OVERFLOW):
-            self._set_fact(OVERFLOW, 0)
+                    self._held.note_permanent(self._held.permanent.give_up(record.id))
+        self._held.drop_recordings(cleared)
+        if group == ALL_DTCS and self._held.fact(OVERFLOW):
+            self._held.set_fact(OVERFLOW, 0)
         return cleared
+
+    def _forget(self, cleared: Iterable[str]) -> None:
+        """Give up what waits of cleared faults; their entries leave room for others."""
+        for fault in cleared:
+            self._prestored.pop(fault, None)
+            self._refused.pop(fault, None)
+            self._room = True
 
     def serve_requests(self) -> list[str]:
         """Do what other processes asked for (clearing); returns ids of the faults cleared."""
+        if self._held.under_way():  # they are served the next time
+            return []
+        self._held.join()
         if not self._asked():
             return []
         cleared: list[str] = []
-        with self._store.transaction():  # nobody can withdraw a request that is being done
-            for request, kind, argument in self._store.requests():
-                done = 0
-                if kind == "clear":
-                    group = int(argument)
-                    done = sum(
-                        1 for r in self._records.values() if r.occurrence and self._is_in(r, group)
-                    )
-                    cleared += self._clear(group)
-                self._pending.answered = {**self._pending.answered, request: done}
-            self._save()
-        self._saved()
+        try:
+            with self._held.undoing(), self._held.store.transaction():
+                # Within it nobody can withdraw a request that is being done.
+                for request, kind, argument in self._held.store.requests():
+                    done = 0
+                    if kind == "clear":
+                        group = int(argument)
+                        done = sum(1 for r in self._stored() if self._is_in(r, group))
+                        cleared += self._clear(group)
+                    self._held.answer(request, done)
+                self._held.write(self._now_ns, alone=False)
+        except (StoreError, InputError):  # whoever asked is told that nothing was done
+            return []
+        self._held.written()
+        self._forget(cleared)
         return cleared
 
-    # Reading
-
-    def entries(self) -> list[Entry]:
-        """Return every DTC that has failed since it was cleared, in order of DTC."""
-        found = [entry_of(r) for r in self._records.values() if r.occurrence > 0]
-        return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
-
-    def supported(self) -> list[Entry]:
-        """Return every DTC of the catalogue, and those that are still stored, in order of DTC."""
-        found = [
-            entry_of(r)
-            for r in self._records.values()
-            if r.occurrence or self.catalogue.get(r.id) is not None
-        ]
-        return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
-
-    def entry(self, fault: str) -> Entry:
-        """Return what is known of one fault, also when it has not failed since it was cleared."""
-        return entry_of(self._records[fault])
-
-    def definition(self, fault: str) -> FaultDefinition:
-        """Return the definition of a fault, also of one that is only stored any more."""
-        return self._definitions[fault]
-
-    def by_status_mask(self, mask: int) -> list[Entry]:
-        """Return the entries with any of the mask's bits set."""
-        return [entry for entry in self.entries() if entry.status & mask]
-
-    def count_by_status_mask(self, mask: int) -> int:
-        """Return how many entries :meth:`by_status_mask` finds."""
-        return sum(1 for r in self._records.values() if r.occurrence > 0 and r.status & mask)
-
-    def status(self, fault: str) -> Status:
-        """Return the status byte of a fault."""
+    def status_now(self, fault: str) -> Status:
+        """Return the status byte of a fault, written or not: not for others."""
         return Status(self._records[fault].status)
-
-    def permanent(self) -> list[Permanent]:
-        """Return the permanent DTCs, the oldest first."""
-        return self._permanent.all()
-
-    def in_order(self, what: str) -> list[Entry]:
-        """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
-        known = [r for r in self._records.values() if getattr(r, what) is not None]
-        return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]

@@ -10,8 +10,9 @@ from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
-from gateway.faults.lock import InUseError, is_kept
-from gateway.faults.memory import OVERFLOW, FaultMemory
+from gateway.faults.ledger import OVERFLOW
+from gateway.faults.lock import InUseError, is_kept, is_unsaved
+from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
@@ -60,7 +61,7 @@ def _told(facts: tuple[str, int, str] | None) -> dict[str, Any]:
 
 
 def list_entries(path: Path) -> list[dict[str, Any]]:
-    """Return every entry of a fault memory.
+    """Return every entry of a fault memory; ``stored`` is false while its gateway knows more than it could write.
 
     Raises:
         InputError: there is none at this path.
@@ -70,12 +71,14 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
         permanent = {entry.fault for entry in store.permanent()}
         recorded = [recording.fault for recording in store.recordings()]
         told = store.catalogue()
+        stored = not is_unsaved(path)
         return [
             {
                 **as_dict(entry_of(record)),
                 **_told(told.get(record.id)),
                 "permanent": record.id in permanent,
                 "recordings": recorded.count(record.id),
+                "stored": stored,
             }
             for record in store.load()
             if record.occurrence > 0
@@ -85,7 +88,7 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
 
 
 def daemon_state(path: Path) -> dict[str, Any]:
-    """Return whether a gateway keeps this memory now, and what the last one said of its buses.
+    """Return whether a gateway keeps this memory now, has stored all it knows, and what it said last of its buses.
 
     Raises:
         InputError: there is no fault memory at this path.
@@ -93,7 +96,12 @@ def daemon_state(path: Path) -> dict[str, Any]:
     running = is_kept(path)
     store = _reader(path)
     try:
-        return {"memory": str(path), "running": running, "buses": store.buses()}
+        return {
+            "memory": str(path),
+            "running": running,
+            "stored": not is_unsaved(path),
+            "buses": store.buses(),
+        }
     finally:
         store.close()
 

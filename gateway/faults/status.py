@@ -33,6 +33,20 @@ NOT_COMPLETED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYC
 #: Status at the first start and after a clear.
 CLEARED = NOT_COMPLETED
 
+#: Every status byte as a :class:`Status`. Flags are slow to make and to combine, and a storm changes thousands a second:
+#: the transitions count in plain numbers.
+STATUS = tuple(Status(value) for value in range(256))
+_FAILED_BITS = int(
+    Status.TEST_FAILED
+    | Status.TEST_FAILED_THIS_CYCLE
+    | Status.PENDING_DTC
+    | Status.FAILED_SINCE_CLEAR
+)
+_CONFIRMED, _LIT = int(Status.CONFIRMED_DTC), int(Status.WARNING_INDICATOR)
+_FAILED_THIS_CYCLE = int(Status.TEST_FAILED_THIS_CYCLE)
+_COMPLETE = 0xFF & ~int(NOT_COMPLETED)
+_PASSED = _COMPLETE & ~int(Status.TEST_FAILED)
+
 
 class Rules(NamedTuple):
     """How many cycles confirm, heal and age a DTC, and whether it asks for the warning indicator."""
@@ -60,7 +74,7 @@ class Cycles:
 
 def on_passed(status: Status) -> Status:
     """Return the status after a qualified pass: the test is complete and does not fail now."""
-    return status & ~(NOT_COMPLETED | Status.TEST_FAILED)
+    return STATUS[int(status) & _PASSED]
 
 
 def on_failed(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles]:
@@ -68,21 +82,15 @@ def on_failed(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cyc
 
     ``rules.confirm_cycles`` 1 confirms at the first failure.
     """
-    failed = cycles.failed
-    if not status & Status.TEST_FAILED_THIS_CYCLE:
+    value, failed = int(status), cycles.failed
+    if not value & _FAILED_THIS_CYCLE:
         failed = min(failed + 1, MOST_CYCLES)
-    status &= ~NOT_COMPLETED
-    status |= (
-        Status.TEST_FAILED
-        | Status.TEST_FAILED_THIS_CYCLE
-        | Status.PENDING_DTC
-        | Status.FAILED_SINCE_CLEAR
-    )
+    value = value & _COMPLETE | _FAILED_BITS
     if failed >= rules.confirm_cycles:
-        status |= Status.CONFIRMED_DTC
+        value |= _CONFIRMED
         if rules.indicator:
-            status |= Status.WARNING_INDICATOR
-    return status, Cycles(failed=failed)
+            value |= _LIT
+    return STATUS[value], Cycles(failed=failed)
 
 
 def on_cycle_start(status: Status) -> Status:

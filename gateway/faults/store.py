@@ -10,25 +10,62 @@ import json
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from gateway.errors import GatewayError, InputError
-from gateway.faults.lock import take_lock
-from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults import rows
+from gateway.faults.lock import is_marked, mark, take_lock
+from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 
 _MAGIC = b"SQLite format 3\0"
+#: Another process that writes (a request to clear) is waited for this long [s].
+PATIENCE_S = 1.0
+#: Primary result codes of SQLite that mean damage; all others are the disk's, and may pass.
+_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
-#: Columns of the table of faults, named as in :class:`Record`; these two hold JSON.
-_COLUMNS = tuple(f.name for f in fields(Record) if f.name != "freeze_frames")
-_JSON = ("evidence", "inputs")
+
+#: Opens a database, as ``sqlite3.connect`` does.
+Connect = Callable[..., sqlite3.Connection]
 
 
 class OutdatedError(InputError):
     """The file is of an earlier version, and was opened for reading only."""
+
+
+class DamagedError(InputError):
+    """The file was a fault memory, and is damaged."""
+
+
+class UnusableError(InputError):
+    """The file cannot be opened for writing at present: disk full, read-only, no permission, I/O error."""
+
+
+class StoreError(GatewayError):
+    """Changes could not be written; nothing of them was.
+
+    Attributes:
+        reason: in a few words.
+        full: only room is missing: the same connection may be tried again.
+    """
+
+    def __init__(self, path: Path | None, reason: str, *, full: bool = False) -> None:
+        self.reason, self.full = reason, full
+        super().__init__(f"{path}: fault memory not written: {reason}")
+
+
+def _code(error: sqlite3.Error) -> int:
+    return int(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)) & 0xFF
+
+
+def _damage(path: Path | None, what: object) -> DamagedError:
+    return DamagedError(
+        f"a damaged fault memory: {what}; the next gateway that keeps it (gateway run) puts it aside"
+        " and recovers what can be read",
+        file=path,
+    )
 
 
 class Store:
@@ -37,54 +74,80 @@ class Store:
     Args:
         path: the file, made when missing; None keeps everything in this process.
         write: False opens an existing file for reading beside its writer.
+        connect: opens the database.
 
     Raises:
-        InputError: the file is missing (reading), is not a fault memory or a damaged one, or is of a later
-            version.
+        InputError: the file is missing (reading), is not a fault memory, or is of a later version.
+        DamagedError: it is a damaged one.
+        UnusableError: it cannot be written.
         InUseError: it has a writer already.
     """
 
-    def __init__(self, path: Path | None, *, write: bool = True) -> None:
+    def __init__(
+        self, path: Path | None, *, write: bool = True, connect: Connect = sqlite3.connect
+    ) -> None:
         self.path = path
+        self._open_database = connect
+        self._write = write
         self._lock: int | None = None
-        if path is not None and not write and not path.exists():
+        self._was_kept = False
+        self._db = sqlite3.connect(":memory:")  # until the file is open
+        self._connect()
+
+    def _connect(self) -> None:
+        """Open the file, and become its writer if that is asked for."""
+        path = self.path
+        if path is not None and not self._write and not path.exists():
             raise InputError("there is no fault memory here", file=path)
+        if path is not None and path.is_dir():
+            raise InputError("this is a folder; name a file for the fault memory", file=path)
         if path is not None and path.exists():
             _refuse_foreign(path)
         try:
-            if path is not None and write:
+            if path is not None and self._write:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._lock = take_lock(path)
-            self._db = sqlite3.connect(
-                ":memory:" if path is None else path, isolation_level=None, timeout=10.0
+                if self._lock is None:
+                    self._lock = take_lock(path)
+                self._was_kept = path.exists() and is_marked(path)
+            self._db = self._open_database(
+                ":memory:" if path is None else path,
+                isolation_level=None,
+                timeout=PATIENCE_S,
+                check_same_thread=False,  # one thread at a time, but not always the same
             )
         except (sqlite3.Error, OSError) as error:
             self._unlock()
-            raise InputError(f"not usable as a fault memory: {error}", file=path) from error
+            raise UnusableError(f"not usable as a fault memory: {error}", file=path) from error
         except InputError:
             self._unlock()
             raise
         try:
-            self._open(write=write)
+            self._open()
+            if self._lock is not None:
+                mark(self._lock)
         except sqlite3.Error as error:
             self.close()
-            raise InputError(f"not usable as a fault memory: {error}", file=path) from error
+            if _code(error) in _DAMAGE:
+                raise _damage(path, error) from error
+            raise UnusableError(f"not usable as a fault memory: {error}", file=path) from error
         except InputError:
             self.close()
             raise
 
-    def _open(self, *, write: bool) -> None:
+    def _open(self) -> None:
         version = int(self._db.execute("PRAGMA user_version").fetchone()[0])
-        mark = int(self._db.execute("PRAGMA application_id").fetchone()[0])
+        stamp = int(self._db.execute("PRAGMA application_id").fetchone()[0])
         tables = int(self._db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0])
-        if tables and mark != APPLICATION_ID:
+        if not tables and self._was_kept:
+            raise _damage(self.path, "it is empty")
+        if tables and stamp != APPLICATION_ID:
             raise InputError("this is another program's database", file=self.path)
         if version > len(MIGRATIONS):
             raise InputError(
                 f"written by a later gateway: version {version}, this one knows {len(MIGRATIONS)}",
                 file=self.path,
             )
-        if not write:
+        if not self._write:
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
             if version < len(MIGRATIONS):
@@ -107,10 +170,13 @@ class Store:
         self._db.execute("DELETE FROM request")
 
     def _refuse_damaged(self) -> None:
-        """Refuse now what would otherwise fail at a later commit."""
-        found = self._db.execute("PRAGMA quick_check(1)").fetchone()[0]
+        """Refuse now what would otherwise fail, or be missed, later."""
+        found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
         if found != "ok":
-            raise InputError(f"a damaged fault memory: {found}", file=self.path)
+            raise _damage(self.path, found)
+        orphan = self._db.execute("PRAGMA foreign_key_check").fetchone()
+        if orphan is not None:
+            raise _damage(self.path, f"a {orphan[0]} of a {orphan[2]} that is not there")
 
     def compact(self) -> None:
         """Check the file whole, and give back what it does not use.
@@ -141,7 +207,7 @@ class Store:
         """One transaction, durable at its end; inside another one, a part of that.
 
         Raises:
-            GatewayError: it could not be written (disk full, file system gone); nothing of it was.
+            StoreError: it could not be written (disk full, file system gone); nothing of it was.
         """
         nested = self._db.in_transaction
         if nested:
@@ -153,9 +219,11 @@ class Store:
             self._db.execute("COMMIT")
         except BaseException as error:
             if self._db.in_transaction:  # SQLite has rolled back already when the disk is full
-                self._db.execute("ROLLBACK")
+                with suppress(sqlite3.Error):
+                    self._db.execute("ROLLBACK")
             if isinstance(error, sqlite3.Error):
-                raise GatewayError(f"{self.path}: fault memory not written: {error}") from error
+                full = _code(error) in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_BUSY)
+                raise StoreError(self.path, str(error), full=full) from error
             raise
 
     @contextmanager
@@ -163,7 +231,8 @@ class Store:
         """See the file as of one commit of its writer.
 
         Raises:
-            InputError: it is damaged.
+            DamagedError: it is damaged.
+            InputError: it cannot be read.
         """
         nested = self._db.in_transaction
         try:
@@ -175,52 +244,41 @@ class Store:
                 if not nested:
                     self._db.execute("ROLLBACK")
         except (sqlite3.Error, ValueError) as error:
-            raise InputError(f"a damaged fault memory: {error}", file=self.path) from error
+            if isinstance(error, sqlite3.OperationalError) and _code(error) not in _DAMAGE:
+                raise InputError(f"fault memory not readable: {error}", file=self.path) from error
+            raise _damage(self.path, error) from error
 
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
 
         Raises:
-            InputError: the file is damaged.
+            DamagedError: the file is damaged.
         """
-        records = {}
-        columns = ", ".join(_COLUMNS)
         with self._reading():  # else a commit could fall between records and freeze frames
-            for row in self._db.execute(f"SELECT {columns} FROM fault ORDER BY dtc, id"):  # noqa: S608 - our own names
-                values = dict(zip(_COLUMNS, row, strict=True))
-                for name in _JSON:
-                    values[name] = json.loads(values[name])
-                records[values["id"]] = Record(**values)
-            for fault, number, t_ns, content in self._db.execute(
-                "SELECT fault, number, t_ns, content FROM freeze_frame ORDER BY number"
-            ):
-                frame = FreezeFrame(number, t_ns, json.loads(content))
-                records[fault].freeze_frames[number] = frame
-        return list(records.values())
+            return rows.read_records(self._db)
 
     def cycles(self) -> dict[str, Cycle]:
         """Return the last operation cycle of each name."""
         with self._reading():
-            rows = list(self._db.execute("SELECT name, number, open, t_ns FROM operation_cycle"))
-        return {name: Cycle(number, bool(opened), t_ns) for name, number, opened, t_ns in rows}
+            found = list(self._db.execute("SELECT name, number, open, t_ns FROM operation_cycle"))
+        return {name: Cycle(number, bool(opened), t_ns) for name, number, opened, t_ns in found}
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""
         with self._reading():
-            rows = list(self._db.execute("SELECT fault, dtc, t_ns FROM permanent ORDER BY rowid"))
-        return [Permanent(*row) for row in rows]
+            found = list(self._db.execute("SELECT fault, dtc, t_ns FROM permanent ORDER BY rowid"))
+        return [Permanent(*row) for row in found]
 
     def recordings(self, fault: str | None = None) -> list[Recording]:
         """Return the recordings of a fault, or of all, the oldest first."""
         with self._reading():
-            rows = list(
+            found = list(
                 self._db.execute(
-                    "SELECT fault, t_ns, frames, dropped, log FROM recording"
-                    " WHERE ?1 IS NULL OR fault = ?1 ORDER BY id",
+                    f"{rows.SELECT_RECORDINGS} WHERE ?1 IS NULL OR fault = ?1 ORDER BY id",
                     (fault,),
                 )
             )
-        return [Recording(*row) for row in rows]
+        return [Recording(*row) for row in found]
 
     def identifiers(self) -> dict[int, bytes]:
         """Return the values that testers wrote, by data identifier."""
@@ -232,70 +290,24 @@ class Store:
         with self._reading():
             return dict(self._db.execute("SELECT name, value FROM fact"))
 
-    def save(self, changes: Changes) -> None:
+    def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
         """Write changes in one transaction; durable on return.
 
+        Args:
+            changes: since the last call that succeeded.
+            whole: returns all there is, for a store that has to begin a new file.
+
         Raises:
-            GatewayError: they could not be written; nothing of them was.
+            StoreError: they could not be written; nothing of them was.
         """
         with self.transaction():
-            for record in changes.records:
-                self._save_record(record)
-            self._db.executemany(
-                "INSERT OR REPLACE INTO operation_cycle VALUES (?, ?, ?, ?)",
-                [(name, c.number, c.open, c.t_ns) for name, c in changes.cycles.items()],
-            )
-            if changes.permanent is not None:
-                self._db.execute("DELETE FROM permanent")
-                self._db.executemany(
-                    "INSERT INTO permanent VALUES (?, ?, ?)",
-                    [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
-                )
-            for r in changes.recordings:
-                self._db.execute(
-                    "INSERT INTO recording (fault, t_ns, frames, dropped, log) VALUES (?, ?, ?, ?, ?)",
-                    (r.fault, r.t_ns, r.frames, r.dropped, r.log),
-                )
-                self._db.execute(
-                    "DELETE FROM recording WHERE fault = ?1 AND id NOT IN"
-                    " (SELECT id FROM recording WHERE fault = ?1 ORDER BY id DESC LIMIT ?2)",
-                    (r.fault, changes.kept_recordings),
-                )
-            self._db.executemany(
-                "INSERT OR REPLACE INTO identifier VALUES (?, ?)", changes.identifiers.items()
-            )
-            self._db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
-            for request, done in changes.answered.items():
-                self._db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
-
-    def _save_record(self, r: Record) -> None:
-        values = [
-            json.dumps(value) if name in _JSON else value
-            for name, value in ((name, getattr(r, name)) for name in _COLUMNS)
-        ]
-        marks = ", ".join("?" * len(_COLUMNS))
-        update = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[1:])
-        self._db.execute(
-            f"INSERT INTO fault ({', '.join(_COLUMNS)}) VALUES ({marks})"  # noqa: S608 - our own names
-            f" ON CONFLICT (id) DO UPDATE SET {update}",
-            values,
-        )
-        self._db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
-        self._db.executemany(
-            "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
-            [
-                (r.id, frame.number, frame.t_ns, json.dumps(frame.content))
-                for frame in r.freeze_frames.values()
-            ],
-        )
-        if r.occurrence == 0:
-            self._db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))
+            rows.write(self._db, changes)
 
     def save_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Replace what is known of the buses: name, URI, state, time, and counters.
 
         Raises:
-            GatewayError: it could not be written.
+            StoreError: it could not be written.
         """
         known = ("bus", "uri", "state", "t_ns")
         with self.transaction():
@@ -314,10 +326,10 @@ class Store:
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""
         with self._reading():
-            rows = list(self._db.execute("SELECT name, uri, state, t_ns, counters FROM bus"))
+            found = list(self._db.execute("SELECT name, uri, state, t_ns, counters FROM bus"))
         return [
             {"bus": name, "uri": uri, "state": state, "t_ns": t_ns, **json.loads(counters)}
-            for name, uri, state, t_ns, counters in rows
+            for name, uri, state, t_ns, counters in found
         ]
 
     def save_catalogue(self, told: Mapping[str, tuple[str, int, str]]) -> None:
@@ -345,11 +357,12 @@ class Store:
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""
-        return list(
-            self._db.execute(
-                "SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"
+        with self._reading():
+            return list(
+                self._db.execute(
+                    "SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"
+                )
             )
-        )
 
     def request(self, kind: str, argument: str) -> int:
         """Ask the writer for something; returns the request's id."""
@@ -377,7 +390,10 @@ class Store:
 
         def changed() -> bool:
             nonlocal last
-            version = int(self._db.execute("PRAGMA data_version").fetchone()[0])
+            try:
+                version = int(self._db.execute("PRAGMA data_version").fetchone()[0])
+            except sqlite3.Error:  # what is wrong is found at the next commit
+                return False
             different = version != last
             last = version
             return different
@@ -393,4 +409,6 @@ def _refuse_foreign(path: Path) -> None:
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     if head and head != _MAGIC:
+        if is_marked(path):  # nothing else was ever kept under this name
+            raise _damage(path, "it is no SQLite file any more")
         raise InputError("not usable as a fault memory: it is no SQLite file", file=path)

@@ -10,6 +10,7 @@ from gateway.app import Gateway, prepare
 from gateway.bus.ring import Ring
 from gateway.config import Config, load_config
 from gateway.errors import GatewayError, InputError
+from gateway.faults.kept import KeptStore
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
@@ -65,8 +66,11 @@ class Daemon:
         parts = prepare(config, path)
         parts.engine.warm()
         on_built()
-        gateway = Gateway(config, memory or config.memory.path, file=path, parts=parts)
+        store = KeptStore(memory or config.memory.path, connect=self._machine.connect)
+        gateway = Gateway(config, file=path, parts=parts, store=store)
         gateway.listen(tell)
+        if self._machine.begin_writer is not None:
+            gateway.write_beside(self._machine.begin_writer(), self._machine.patience_s)
         self.gateway = gateway
         links: list[Link] = []
         try:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from gateway.bus.base import Bus
 from gateway.bus.uri import open_bus
+from gateway.faults.store import Connect
 from gateway.live.clock import Clock
 from gateway.live.loop import TICK_S
+from gateway.upkeep import PATIENCE_S, begin_writer
 
 
 class Thread(Protocol):
@@ -38,13 +42,16 @@ def open_at_once(uri: str, index: int) -> Bus:
 
 @dataclass(frozen=True)
 class Machine:
-    """Clocks, buses and threads.
+    """Clocks, buses, threads and the disk.
 
     Attributes:
         clock: the engine's.
         monotonic: for waits and for what is done every so often [s].
         open_bus: opens a bus: URI and index.
         begin_thread: begins a thread: its work and its name.
+        begin_writer: begins the thread that writes the fault memory; None: the loop's own writes it.
+        patience_s: how long a single write of that thread is waited for [s].
+        connect: opens the fault memory, as ``sqlite3.connect`` does.
         tick_s: longest wait without traffic [s].
     """
 
@@ -52,4 +59,7 @@ class Machine:
     monotonic: Callable[[], float] = time.monotonic
     open_bus: Callable[[str, int], Bus] = open_at_once
     begin_thread: Callable[[Callable[[], None], str], Thread] = begin_thread
+    begin_writer: Callable[[], Executor] | None = begin_writer
+    patience_s: float = PATIENCE_S
+    connect: Connect = sqlite3.connect
     tick_s: float = TICK_S

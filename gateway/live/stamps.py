@@ -8,10 +8,10 @@ whose zero is anywhere, which drifts and is set at other times.
 from __future__ import annotations
 
 import numpy as np
-import structlog
 
 from gateway.bus.frames import Frames
 from gateway.live.clock import Clock, Step
+from gateway.log import get_logger
 
 #: A stamp so far in the future [ns], or so long before the last look at the bus, is of another clock.
 AHEAD_NS, BEHIND_NS = 5_000_000, 1_000_000_000
@@ -20,7 +20,7 @@ DRIFT = 2e-4
 #: A frame is on its way to the queue for so long at most after its stamp [ns].
 FLIGHT_NS = 1_000_000_000
 
-log = structlog.get_logger(__name__)
+log = get_logger(__name__)
 
 
 class Stamps:

@@ -9,7 +9,11 @@ class Control(Protocol):
     """The gateway, as its servers see it."""
 
     def clear(self, group: int) -> bool:
-        """Clear one DTC or a group, durable on return; False if there is no such DTC or group."""
+        """Clear one DTC or a group, durable on return; False if there is no such DTC or group.
+
+        Raises:
+            StoreError: it could not be written; nothing was cleared.
+        """
 
     def set_dtcs(self, on: bool) -> None:
         """Let test results count, or not (ISO 14229-1, 0x85)."""

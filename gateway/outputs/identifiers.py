@@ -137,7 +137,11 @@ class Identifiers:
         )
 
     def write(self, number: int, data: bytes) -> None:
-        """Keep what a tester wrote; durable on return."""
+        """Keep what a tester wrote; durable on return.
+
+        Raises:
+            StoreError: it could not be written; the value is what it was.
+        """
         self._write(number, data)
 
     def freeze_frame(self, content: Mapping[str, float | None]) -> list[tuple[int, bytes]]:

@@ -3,11 +3,15 @@
 import json
 
 import pytest
+from fault_examples import catalogue, event, nothing
 from rig import Rig, write_config
 from typer.testing import CliRunner
 
 from gateway.bus.logs import read_log
 from gateway.cli import app, faults, present
+from gateway.errors import InputError
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
 
 RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"
 
@@ -77,7 +81,8 @@ def test_export(run, tmp_path):
     run("export", tmp_path / "rig.toml", "--out", tmp_path / "catalogue.json")
     written = json.loads((tmp_path / "catalogue.json").read_text())
     assert written == json.loads(run("export", tmp_path / "rig.toml"))
-    assert [fault["dtc"] for fault in written["faults"]] == ["P1000-11", "C1001-11"]
+    own = ["U3000-44", "U3000-42"]  # of the fault memory itself
+    assert [fault["dtc"] for fault in written["faults"]] == ["P1000-11", "C1001-11", *own]
 
 
 def test_a_reader_without_the_configuration_learns_what_a_fault_is(run, tmp_path):
@@ -151,3 +156,33 @@ def test_a_long_id_and_stamps_of_the_calendar_at_80_columns(tmp_path, monkeypatc
     monkeypatch.setattr(present, "WIDTH", 160)
     faults.list_faults(None, memory=tmp_path, json=False)
     assert "alive counter jumped (frames lost)" in capsys.readouterr().out
+
+
+def test_a_damaged_file_is_one_clear_error_and_is_left_as_it_is(run, tmp_path):
+    path = tmp_path / "f.sqlite"
+    content = bytearray(path.read_bytes())
+    at = content.index(b"b.M0.length")
+    content[at : at + 4] = b"b.M7"
+    path.write_bytes(content)
+    for arguments in (("list",), ("show", "P1000-11"), ("clear",), ("near-misses",)):
+        made = CliRunner().invoke(app, ["faults", *arguments, "--memory", str(path)])
+        assert isinstance(made.exception, InputError), (arguments, made.output, made.exception)
+        assert "f.sqlite: a damaged fault memory" in str(made.exception)
+        assert "puts it aside" in str(made.exception)
+    assert path.read_bytes() == content
+
+
+def test_a_memory_whose_gateway_cannot_write_it_says_so(tmp_path):
+    store = KeptStore(tmp_path / "f.sqlite")
+    memory = FaultMemory(catalogue((1,)), store)
+    memory.start_cycle(0)
+    memory.apply(event(0, True), nothing)
+    memory.commit()
+    listing = ["faults", "list", "--memory", str(tmp_path / "f.sqlite")]
+    assert "stored: false" not in CliRunner().invoke(app, listing).output
+    store.note_unsaved(True)
+    assert "stored: false" in CliRunner().invoke(app, listing).output
+    made = CliRunner().invoke(app, [*listing, "--json"])
+    (entry,) = json.loads(made.stdout)
+    assert entry["stored"] is False
+    store.close()

@@ -5,7 +5,8 @@ import numpy as np
 from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
-from gateway.faults.memory import Observed
+from gateway.faults.failures import Observed
+from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Rules
 
 #: Rules of the three faults: they differ in every number.
@@ -27,7 +28,7 @@ def catalogue(confirm=None, **settings):
     return Catalogue(
         FaultDefinition(
             f"m.f{k}",
-            Dtc.parse(f"P030{k}-11"),
+            Dtc.parse(f"P0{300 + k}-11"),
             f"fault {k}",
             ("residual", "tooth"),
             confirm_cycles=rule.confirm_cycles,
@@ -60,3 +61,21 @@ def nothing(_definition):
 def frame(content, inputs=None):
     """See these signals at a failure."""
     return lambda _definition: Observed(content, inputs or {})
+
+
+class AtOnce(FaultMemory):
+    """A memory that writes each change at once, so that it is to be read right away."""
+
+    def apply(self, events, snapshot):
+        changes = super().apply(events, snapshot)
+        self.commit()
+        return changes
+
+    def admit_refused(self, t_ns):
+        changes = super().admit_refused(t_ns)
+        self.commit()
+        return changes
+
+    def fold_statistics(self):
+        super().fold_statistics()
+        self.commit()

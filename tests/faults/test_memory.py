@@ -4,13 +4,12 @@ import sqlite3
 from collections import deque
 
 import pytest
-from fault_examples import catalogue, event, frame, nothing
+from fault_examples import AtOnce, catalogue, event, frame, nothing
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.engine.events import FDC_REACHED
 from gateway.faults import service
-from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.recorder import Recorder, RecorderParams
 from gateway.faults.records import Recording
@@ -40,7 +39,7 @@ def stored(memory):
 
 
 def test_records_are_the_first_failure_and_the_latest_ones():
-    memory = FaultMemory(catalogue(confirm=(1,), freeze_frames=(4,)), Store(None))
+    memory = AtOnce(catalogue(confirm=(1,), freeze_frames=(4,)), Store(None))
     for t in range(1, 7):
         again(memory, 0, t, frame({"x": float(t)}))
     entry = memory.entry("m.f0")
@@ -53,7 +52,7 @@ def test_records_are_the_first_failure_and_the_latest_ones():
 
 
 def test_with_one_record_the_first_stays():
-    memory = FaultMemory(catalogue(confirm=(1,), freeze_frames=(1,)), Store(None))
+    memory = AtOnce(catalogue(confirm=(1,), freeze_frames=(1,)), Store(None))
     for t in range(1, 4):
         again(memory, 0, t, frame({"x": float(t)}))
     assert [f.t_ns for f in memory.entry("m.f0").freeze_frames] == [1]
@@ -63,9 +62,7 @@ def test_with_one_record_the_first_stays():
     ("at", "stored_at"), [("failed", [1, 2, 4]), ("pending", [1]), ("confirmed", [4])]
 )
 def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
-    memory = FaultMemory(
-        catalogue(confirm=(2,), freeze_frame_at=(at,), freeze_frames=(9,)), Store(None)
-    )
+    memory = AtOnce(catalogue(confirm=(2,), freeze_frame_at=(at,), freeze_frames=(9,)), Store(None))
     memory.start_cycle(0)
     again(memory, 0, 1)
     again(memory, 0, 2)
@@ -75,7 +72,7 @@ def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
 
 
 def test_a_freeze_frame_asked_for_on_the_way_up_is_of_that_moment():
-    memory = FaultMemory(catalogue(confirm=(1,), freeze_frame_at=(60,)), Store(None))
+    memory = AtOnce(catalogue(confirm=(1,), freeze_frame_at=(60,)), Store(None))
     early = event(0, True, 5)
     early["kind"], early["fdc"] = FDC_REACHED, 63
     assert memory.apply(early, frame({"x": 5.0})) == [], "no status bit changes on the way"
@@ -92,7 +89,7 @@ def test_a_freeze_frame_asked_for_on_the_way_up_is_of_that_moment():
 
 def test_evidence_and_inputs_are_of_the_latest_failure(tmp_path):
     store = Store(tmp_path / "f.sqlite")
-    memory = FaultMemory(catalogue(confirm=(1,)), store)
+    memory = AtOnce(catalogue(confirm=(1,)), store)
     fail(memory, 0, 1, frame({}, {"M.A": 1.0}))
     heal(memory, 0)
     memory.apply(event(0, True, 2, value=9.0), frame({}, {"M.A": 2.0, "M.B": float("inf")}))
@@ -105,7 +102,7 @@ def test_evidence_and_inputs_are_of_the_latest_failure(tmp_path):
 
 
 def test_the_order_of_failures_and_confirmations():
-    memory = FaultMemory(catalogue(confirm=(1, 2, 1)), Store(None))
+    memory = AtOnce(catalogue(confirm=(1, 2, 1)), Store(None))
     memory.start_cycle(0)
     for fault in (2, 0, 1, 2):
         again(memory, fault, 7)  # one time for all: the order is not that of the clock
@@ -122,7 +119,7 @@ def test_the_order_of_failures_and_confirmations():
 
 def test_a_recording_of_a_fault_that_is_cleared_before_it_is_written_is_not_kept():
     store = Store(None)
-    memory = FaultMemory(catalogue(confirm=(1, 1)), store)
+    memory = AtOnce(catalogue(confirm=(1, 1)), store)
     fail(memory, 0)
     fail(memory, 1)
     memory.add_recordings([Recording(f"m.f{k}", 0, 1, 0, b"x") for k in range(2)])
@@ -137,7 +134,7 @@ def test_a_recording_of_a_fault_that_is_cleared_before_it_is_written_is_not_kept
 
 
 def full(size, count, **settings):
-    memory = FaultMemory(catalogue(confirm=(1,) * count, **settings), Store(None), size=size)
+    memory = AtOnce(catalogue(confirm=(1,) * count, **settings), Store(None), size=size)
     memory.start_cycle(0)
     return memory
 
@@ -149,7 +146,7 @@ def test_a_full_memory_keeps_the_more_important():
     fail(memory, 0)
     assert stored(memory) == ["m.f0", "m.f1"], "the least important gave way"
     memory.commit()
-    assert memory._store.facts()["overflow"] == 1
+    assert memory._held.store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"
     fail(memory, 3)
     assert stored(memory) == ["m.f0", "m.f1"], (
@@ -223,7 +220,7 @@ def test_aging_goes_on_where_it_was_after_a_restart(tmp_path):
 
     def life(*results):
         store = Store(path)
-        memory = FaultMemory(catalogue(), store)
+        memory = AtOnce(catalogue(), store)
         memory.start_cycle(0)
         for failed in results:
             memory.apply(event(0, failed), nothing)
@@ -246,7 +243,7 @@ def permanent(memory):
 def test_a_permanent_dtc_survives_a_clear_until_its_test_has_passed_in_a_whole_cycle(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
-    memory = FaultMemory(catalogue(confirm=(1, 1), permanent=(False, True)), store)
+    memory = AtOnce(catalogue(confirm=(1, 1), permanent=(False, True)), store)
     memory.start_cycle(0)
     fail(memory, 0)
     fail(memory, 1)
@@ -256,7 +253,7 @@ def test_a_permanent_dtc_survives_a_clear_until_its_test_has_passed_in_a_whole_c
     assert permanent(memory) == ["m.f1"]
     store.close()
     store = Store(path)
-    memory = FaultMemory(catalogue(confirm=(1, 1), permanent=(False, True)), store)
+    memory = AtOnce(catalogue(confirm=(1, 1), permanent=(False, True)), store)
     assert permanent(memory) == ["m.f1"], "and a restart"
     memory.start_cycle(1)
     memory.end_cycle(2)
@@ -272,22 +269,22 @@ def test_a_permanent_dtc_survives_a_clear_until_its_test_has_passed_in_a_whole_c
 def test_a_permanent_dtc_that_nobody_tests_any_more_goes_with_a_clear(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
-    memory = FaultMemory(catalogue(confirm=(1, 1), permanent=(False, True)), store)
+    memory = AtOnce(catalogue(confirm=(1, 1), permanent=(False, True)), store)
     fail(memory, 1)
     memory.commit()
     store.close()
     assert service.clear(path) == 1
     store = Store(path)
-    memory = FaultMemory(catalogue(confirm=(1,)), store)
+    memory = AtOnce(catalogue(confirm=(1,)), store)
     assert permanent(memory) == ["m.f1"], "the command line does not know what is tested"
     memory.clear()
     assert permanent(memory) == []
     store.close()
-    assert FaultMemory(catalogue(confirm=(1,)), Store(path)).permanent() == []
+    assert AtOnce(catalogue(confirm=(1,)), Store(path)).permanent() == []
 
 
 def test_a_permanent_dtc_that_heals_by_itself_goes_with_its_lamp():
-    memory = FaultMemory(catalogue(permanent=(False, True, False)), Store(None))
+    memory = AtOnce(catalogue(permanent=(False, True, False)), Store(None))
     for results in ((True,), (True,), (False,)):
         memory.start_cycle(0)
         for failed in results:
@@ -301,7 +298,7 @@ def test_a_permanent_dtc_that_heals_by_itself_goes_with_its_lamp():
 
 
 def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
-    memory = FaultMemory(
+    memory = AtOnce(
         catalogue(confirm=(1, 1), cycle=("power", "driving"), aging_cycle=("warm_up", "driving")),
         Store(None),
     )
@@ -332,7 +329,7 @@ def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
 def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
-    memory = FaultMemory(catalogue(confirm=(1,), cycle=("driving",)), store)
+    memory = AtOnce(catalogue(confirm=(1,), cycle=("driving",)), store)
     memory.start_cycle(0)
     memory.start_cycle(0, "driving")
     fail(memory, 0)
@@ -340,7 +337,7 @@ def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
     heal(memory, 0)
     memory.commit()
     store.close()
-    after = FaultMemory(catalogue(confirm=(1,), cycle=("driving",)), Store(path))
+    after = AtOnce(catalogue(confirm=(1,), cycle=("driving",)), Store(path))
     assert after.status("m.f0") & Status.PENDING_DTC
     after.start_cycle(2)
     assert not after.status("m.f0") & Status.PENDING_DTC, "its driving cycle was complete and good"
@@ -351,7 +348,7 @@ def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
 
 def test_near_misses_add_up_over_cycles_and_go_with_a_clear():
     told = deque([(2, 100), (1, 90), (0, 40)])
-    memory = FaultMemory(
+    memory = AtOnce(
         catalogue(confirm=(1,)),
         Store(None),
         statistics=lambda k: told.popleft() if told else (0, 0),
@@ -367,7 +364,7 @@ def test_near_misses_add_up_over_cycles_and_go_with_a_clear():
 
 
 def test_readiness_of_each_kind_of_monitor():
-    memory = FaultMemory(
+    memory = AtOnce(
         catalogue(
             confirm=(1,) * 4,
             readiness=("components", "components", "catalyst", "egr"),
@@ -403,7 +400,7 @@ def test_a_file_of_the_first_version_is_brought_up_to_date_and_keeps_everything(
     listed = {entry["fault"]: entry for entry in service.list_entries(path)}
     assert listed["m.f0"]["occurrence"] == 5
     assert listed["m.f0"]["freeze_frames"] == [{"record": 1, "t_ns": 100, "signals": {"x": 1.0}}]
-    memory = FaultMemory(catalogue(confirm=(2, 1)), Store(path))
+    memory = AtOnce(catalogue(confirm=(2, 1)), Store(path))
     assert (int(memory.status("m.f0")), memory.entry("m.f0").failed_cycles) == (0x2E, 2)
     assert memory.entry("m.f1").evidence == {"value": 2.5}
     assert [e.fault for e in memory.in_order("first_failed")] == ["m.f1", "m.f0"]
@@ -415,15 +412,13 @@ def test_a_file_of_the_first_version_is_brought_up_to_date_and_keeps_everything(
 def test_values_that_testers_wrote_survive(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
-    FaultMemory(catalogue(), store).write_identifier(0xF190, b"VIN")
+    AtOnce(catalogue(), store).write_identifier(0xF190, b"VIN")
     store.close()
-    assert FaultMemory(catalogue(), Store(path)).identifiers == {0xF190: b"VIN"}
+    assert AtOnce(catalogue(), Store(path)).identifiers == {0xF190: b"VIN"}
 
 
 def test_groups_of_dtcs():
-    memory = FaultMemory(
-        catalogue(confirm=(1,) * 3, emission_related=(True, False, True)), Store(None)
-    )
+    memory = AtOnce(catalogue(confirm=(1,) * 3, emission_related=(True, False, True)), Store(None))
     for fault in range(3):
         fail(memory, fault)
     assert not memory.knows(0x000000)

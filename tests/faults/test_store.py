@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from fault_examples import catalogue, event, frame, nothing
+from fault_examples import AtOnce, catalogue, event, frame, nothing
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults import service
@@ -92,7 +92,7 @@ WRITER = """
 import sys
 sys.path[:0] = [{folder!r}]
 from pathlib import Path
-from fault_examples import catalogue, event, frame, nothing
+from fault_examples import AtOnce, catalogue, event, frame, nothing
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
 memory = FaultMemory(catalogue((1,) * 9), Store(Path({path!r})))
@@ -229,7 +229,7 @@ def test_show(tmp_path):
 
 
 def test_occurrences_stop_at_255():
-    memory = FaultMemory(catalogue((1,)), Store(None))
+    memory = AtOnce(catalogue((1,)), Store(None))
     for k in range(300):
         memory.apply(event(0, True, k), nothing)
         memory.apply(event(0, False, k), nothing)

@@ -93,7 +93,7 @@ class Promises:
         fault, occurrence = event["fault"], event["occurrence"]
         self.count += 1
         self._told[fault] = occurrence
-        if not event.get("stored", False):
+        if not event["stored"]:
             self.unstored += 1
             return None
         self._kept[fault] = occurrence

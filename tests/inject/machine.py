@@ -46,6 +46,9 @@ class Bench:
             monotonic=lambda: self.now_ns / 1e9,
             open_bus=partial(Wire, self),
             begin_thread=lambda work, name: LateThread(self, work),
+            begin_writer=lambda: LateExecutor(self),
+            patience_s=0.0,
+            connect=self.disk.connect,
             tick_s=0.0,
         )
 

@@ -58,8 +58,12 @@ def write_config(folder: Path, messages=3, *, extra="", faults=None, head=""):
 class Rig:
     """A gateway and its bus, at a time that only passes when told."""
 
-    def __init__(self, config: Path, memory: Path | None = None, *, start=True):
-        self.gateway = Gateway(load_config(config), memory, file=config)
+    def __init__(self, config: Path, memory: Path | None = None, *, start=True, watched=False):
+        loaded = load_config(config)
+        if not watched:  # the faults of the memory itself
+            kept = loaded.memory.model_copy(update={"watched": False})
+            loaded = loaded.model_copy(update={"memory": kept})
+        self.gateway = Gateway(loaded, memory, file=config)
         self.now = 0
         self.sent = []
         self.events = []

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import cantools
 import pytest
-from fault_examples import catalogue, event, nothing
+from fault_examples import AtOnce, catalogue, event, nothing
 
 from gateway.bus.frames import payload
-from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
 from gateway.outputs.dtc_frame import DtcFrameOutput, DtcFrameParams, read_dtc_frame
 
@@ -18,7 +17,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def memory():
-    made = FaultMemory(catalogue(), Store(None))
+    made = AtOnce(catalogue(), Store(None))
     made.start_cycle(0)
     return made
 

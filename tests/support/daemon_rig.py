@@ -84,6 +84,7 @@ class World:
                 monotonic=lambda: self.now_ns / 1e9,
                 open_bus=partial(Wire, self),
                 tick_s=0.0,
+                begin_writer=None,  # it would write in real time
             ),
         )
         return self.running

@@ -1,20 +1,14 @@
 """Several processes over the loopback bus, as a user starts them."""
 
 import json
-import os
-import random
-import signal
-import subprocess
 import time
 from contextlib import ExitStack
 
 import can
 import cantools
 import pytest
-from amount import amount
-from processes import GATEWAY, bus, gateway, process
+from processes import bus, gateway, process
 
-from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.resources import shipped
 
@@ -84,90 +78,6 @@ def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
                 seen.append(str(Dtc(values["Dtc"])) if values["Dtc"] else "")
         assert seen[0] == "", "first the all-clear form"
         assert "U0100-87" in seen, "then the missing message"
-
-
-def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path):
-    """Fifty kills (some of them in a short run) at random moments after the daemon is up, in a storm of DTCs."""
-    rng = random.Random(50)
-    print("seed 50")
-    message = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
-    config = tmp_path / "gateway.toml"
-    config.write_text(
-        shipped("gateway.toml").read_text()
-        .replace('"dbc/', f'"{shipped("dbc")}/')
-        .replace("cycle_ms = 1000.0", "cycle_ms = 50.0\nmin_interval_ms = 0")
-        .replace("timeout_ms = 500.0", "timeout_ms = 3.0")
-    )  # fmt: skip
-    memory = tmp_path / "f.sqlite"
-    kills = confirmed_reports = 0
-    worst = {}
-    with ExitStack() as stack:
-        uri = stack.enter_context(bus(tmp_path))
-        host, _, port = uri.removeprefix("loopback:").rpartition(":")
-        tester = stack.enter_context(
-            can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
-        )
-        storm = stack.enter_context(
-            process("simulate", _storm(tmp_path), "--bus", uri, cwd=tmp_path, ready="seed")
-        )
-        while kills < amount(50, 20):
-            started = subprocess.Popen(
-                [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
-                cwd=tmp_path,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            line = said_last = ""
-            while "monitoring" not in line:
-                line = started.stderr.readline()
-                assert line, (kills, said_last, started.wait(5))
-                said_last = line
-            while tester.recv(0) is not None:
-                pass
-            limit = time.monotonic() + rng.uniform(0.01, 0.35)
-            said = {}
-            while (rest := limit - time.monotonic()) > 0:
-                _note(tester.recv(rest), message, said)
-            os.kill(started.pid, signal.SIGKILL)
-            started.wait(10)
-            started.stderr.close()
-            time.sleep(0.02)
-            while (got := tester.recv(0)) is not None:
-                _note(got, message, said)
-            kills += 1
-            confirmed_reports += len(said)
-            kept = {e["dtc"]: e for e in service.list_entries(memory)}
-            for dtc, occurrence in said.items():
-                assert kept[dtc]["confirmed"], (kills, dtc)
-                assert kept[dtc]["occurrence"] >= occurrence, (kills, dtc)
-            for dtc, occurrence in worst.items():
-                assert kept[dtc]["occurrence"] >= occurrence
-            worst = {dtc: entry["occurrence"] for dtc, entry in kept.items()}
-        assert storm.poll() is None, "the storm must have lasted to the last kill"
-    print(f"{kills} kills, {confirmed_reports} confirmed DTCs reported before them")
-    assert confirmed_reports >= 2 * kills
-
-
-def _note(got, message, said):
-    if got is not None and got.arbitration_id == message.frame_id:
-        values = message.decode(bytes(got.data))
-        if values["Status"] & 0x08:
-            said[str(Dtc(values["Dtc"]))] = values["Occurrence"]
-
-
-def _storm(folder):
-    """A scenario in which every kind of communication fault comes and goes all the time."""
-    path = folder / "storm.toml"
-    path.write_text(
-        f'name = "storm"\nduration_s = 600.0\nconfig = "{shipped("gateway.toml")}"\n'
-        '[[ecu]]\nwheel = "60-2"\nspeed = [[0.0, 1500.0]]\n'
-        + "".join(
-            f'[[wire]]\nkind = "{kind}"\nprobability = {p}\n'
-            for kind, p in (("corrupted", 0.1), ("lost", 0.1), ("short", 0.1))
-        )
-    )
-    return path
 
 
 def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):

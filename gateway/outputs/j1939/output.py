@@ -13,6 +13,7 @@ from gateway.faults.entries import DtcChange, Entry
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.status import Status
+from gateway.faults.store import StoreError
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
 from gateway.outputs.j1939 import messages as dm
@@ -147,11 +148,14 @@ class J1939Output(Output):
     def _clear(self, pgn: int, pdu: Pdu) -> list[Pdu]:
         if not self._params.allow_clear:
             return self._acknowledge(_DENIED, pgn, pdu)
-        if pgn == dm.DM11:
-            self._control.clear(ALL_DTCS)
-        else:
-            for _, entry in self._previous():
-                self._control.clear(entry.dtc.value)
+        try:
+            if pgn == dm.DM11:
+                self._control.clear(ALL_DTCS)
+            else:
+                for _, entry in self._previous():
+                    self._control.clear(entry.dtc.value)
+        except StoreError:  # what was not cleared durably is there still
+            return self._acknowledge(_NEGATIVE, pgn, pdu)
         return self._acknowledge(_POSITIVE, pgn, pdu)
 
     def _coded(self, entries: list[Entry]) -> list[dm.Coded]:

@@ -14,13 +14,14 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
+from gateway.faults.store import StoreError
 from gateway.outputs.control import Control
 from gateway.outputs.obd.params import ObdParams
 
 #: Modes of J1979: identifiers below those of UDS.
 MODES = range(0x01, 0x0B)
 #: Negative responses to physical requests.
-_NOT_SUPPORTED, _NO_SUCH_PARAMETER = 0x11, 0x12
+_NOT_SUPPORTED, _NO_SUCH_PARAMETER, _CONDITIONS_NOT_CORRECT = 0x11, 0x12, 0x22
 #: PIDs that one request may ask for (ISO 15031-5, on CAN).
 MOST_PIDS = 6
 
@@ -63,7 +64,10 @@ class ObdServer:
     def answer(self, request: bytes, functional: bool, _t_ns: int) -> list[bytes]:
         """Return the response to a request, or nothing."""
         mode = self._modes.get(request[0])
-        found = b"" if mode is None else mode(request[1:])
+        try:
+            found = b"" if mode is None else mode(request[1:])
+        except StoreError:  # nothing was cleared, or it would come back at the next start
+            return [bytes([0x7F, request[0], _CONDITIONS_NOT_CORRECT])]
         if found:
             return [bytes([request[0] + 0x40]) + found]
         if mode is not None and request[0] == 0x04 and len(request) == 1:

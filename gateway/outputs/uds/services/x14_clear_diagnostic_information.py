@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from gateway.faults.store import StoreError
 from gateway.outputs.uds.context import Context, Service
-from gateway.outputs.uds.nrc import Nrc, refuse_unless
+from gateway.outputs.uds.nrc import NegativeError, Nrc, refuse_unless
 
 
 def _handle(c: Context, request: bytes) -> bytes:
     group = int.from_bytes(request[1:4], "big")
-    refuse_unless(c.control.clear(group), Nrc.REQUEST_OUT_OF_RANGE)
+    try:
+        known = c.control.clear(group)
+    except StoreError as error:  # nothing was cleared, or it would come back at the next start
+        raise NegativeError(Nrc.GENERAL_PROGRAMMING_FAILURE) from error
+    refuse_unless(known, Nrc.REQUEST_OUT_OF_RANGE)
     return b""
 
 

@@ -144,6 +144,7 @@ EXTENDED_DATA: Mapping[int, ExtendedData] = {
 def _extended_data(c: Context, rest: bytes) -> bytes:
     """06 reportDTCExtDataRecordByDTCNumber."""
     c.memory.fold_statistics()
+    c.memory.commit()
     entry, record = _entry(c, rest[:3]), rest[3]
     refuse_unless(record in EXTENDED_DATA or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
     made = _with_status(c, [entry])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from gateway.faults.store import StoreError
 from gateway.outputs.uds.context import Context, Service
-from gateway.outputs.uds.nrc import Nrc, refuse_unless
+from gateway.outputs.uds.nrc import NegativeError, Nrc, refuse_unless
 
 
 def _handle(c: Context, request: bytes) -> bytes:
@@ -12,7 +13,10 @@ def _handle(c: Context, request: bytes) -> bytes:
     refuse_unless(did is not None and did.writable, Nrc.REQUEST_OUT_OF_RANGE)
     assert did is not None
     refuse_unless(len(request) - 3 == len(did.constant), Nrc.INCORRECT_LENGTH)
-    c.identifiers.write(number, request[3:])
+    try:
+        c.identifiers.write(number, request[3:])
+    except StoreError as error:
+        raise NegativeError(Nrc.GENERAL_PROGRAMMING_FAILURE) from error
     return request[1:3]
 
 

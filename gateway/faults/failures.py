@@ -1,0 +1,57 @@
+"""A qualified failure, and what was seen at it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from gateway.faults import freeze_frames
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.records import Record
+
+
+class Observed(NamedTuple):
+    """What is seen at a failure: the signals of its freeze frame, the inputs of its monitor."""
+
+    frame: Mapping[str, float] = {}
+    inputs: Mapping[str, float] = {}
+
+
+#: Takes a fault, returns what is seen of it now.
+Snapshot = Callable[[FaultDefinition], Observed]
+
+
+def finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return values for the store, which has None for what is not a number."""
+    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A qualified failure, and what was seen at it."""
+
+    t_ns: int
+    evidence: dict[str, float | None]
+    observe: Callable[[], Observed]
+
+
+def failure_of(definition: FaultDefinition, event: Any, snapshot: Snapshot) -> Failure:
+    """Return what an event (of EVENT, a qualified failure) tells; ``snapshot`` is called when it is wanted."""
+    names = ("value", "threshold", *definition.evidence)
+    values = (event["value"], event["threshold"], *event["evidence"])
+    evidence = finite(dict(zip(names, values, strict=False)))
+    return Failure(int(event["t_ns"]), evidence, lambda: snapshot(definition))
+
+
+def known(values: Mapping[str, float | None]) -> dict[str, float]:
+    """Return stored values as numbers, NaN for None."""
+    return {name: math.nan if value is None else value for name, value in values.items()}
+
+
+def latest_signals(record: Record) -> dict[str, float]:
+    """Return the signals of a record's latest freeze frame."""
+    frames = record.freeze_frames
+    at = freeze_frames.LATEST_FAILURE if freeze_frames.LATEST_FAILURE in frames else 1
+    return known(frames[at].content) if at in frames else {}

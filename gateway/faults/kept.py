@@ -1,0 +1,316 @@
+"""The fault memory's file under a gateway that must go on, whatever becomes of the file.
+
+- It cannot be opened or written (disk full, read-only, I/O error): everything stays in this process, and the file is
+  tried again when the memory saves next.
+- It is damaged: it is put aside with its date, what can be read of it is recovered, and a new one is begun.
+- It is deleted, or another one is put in its place, under the running gateway: likewise; what this process knows goes
+  into the new one, which is everything but what the other file had.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from gateway.errors import InputError
+from gateway.faults import rows
+from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
+from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
+from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
+from gateway.faults.schema import MIGRATIONS
+from gateway.faults.store import Connect, DamagedError, Store, StoreError, UnusableError
+
+T = TypeVar("T")
+
+#: Stands for the device and the inode of a file that is not there.
+NO_FILE = (0, 0)
+
+
+@dataclass(frozen=True)
+class Mishap:
+    """Something that happened to the file, and what was done about it.
+
+    Attributes:
+        kind: "damaged", "deleted", "replaced" or "unread".
+        reason: in a few words.
+        aside: where what was found is kept now; None: there was nothing, or it could not be put aside.
+        recovered, lost: rows that were read of it, and that could not be.
+    """
+
+    kind: str
+    reason: str
+    aside: Path | None = None
+    recovered: int = 0
+    lost: int = 0
+
+
+class KeptStore(Store):
+    """A store that opens always, and that can begin a new file.
+
+    Args:
+        path, connect: see :class:`Store`; so is what it raises, but for a file that is damaged or cannot be written.
+
+    Attributes:
+        detached: why there is no file at present, "" if there is one.
+    """
+
+    def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect) -> None:
+        self.detached = ""
+        self._suspect = False  # whether the file must be looked at before it is written again
+        self._mishaps: list[Mishap] = []
+        self._inode = self._wal = NO_FILE
+        self._recordings: list[Recording] = []  # of a file that is gone, for the next one
+        self._unsaved = False
+        self._unread = False  # whether there is a file that could not be read when this began
+        try:
+            super().__init__(path, connect=connect)
+            self._read_all()
+        except DamagedError as error:
+            assert path is not None
+            self._begin_with(path, error)
+        except UnusableError as error:
+            assert path is not None
+            found = salvage(path) if path.exists() else Salvage()
+            self._unread = path.exists() and found.lost > 0
+            self._detach(error.message, found)
+        self._note_place()
+
+    # Reading: what a running gateway finds damaged, it begins anew with what it knows
+
+    def load(self) -> list[Record]:
+        """Return all records (see :meth:`Store.load`)."""
+        return self._or_nothing(super().load, [])
+
+    def cycles(self) -> dict[str, Cycle]:
+        """Return the last operation cycle of each name."""
+        return self._or_nothing(super().cycles, {})
+
+    def permanent(self) -> list[Permanent]:
+        """Return the permanent DTCs, the oldest first."""
+        return self._or_nothing(super().permanent, [])
+
+    def identifiers(self) -> dict[int, bytes]:
+        """Return the values that testers wrote, by data identifier."""
+        return self._or_nothing(super().identifiers, {})
+
+    def facts(self) -> dict[str, int]:
+        """Return numbers by name."""
+        return self._or_nothing(super().facts, {})
+
+    def _or_nothing(self, read: Callable[[], T], nothing: T) -> T:
+        try:
+            return read()
+        except InputError:
+            self._suspect = True
+            return nothing
+
+    # What happened
+
+    @property
+    def happened(self) -> bool:
+        """Whether :meth:`mishaps` has something to tell."""
+        return bool(self._mishaps)
+
+    def mishaps(self) -> list[Mishap]:
+        """Return what happened to the file since the last call."""
+        found, self._mishaps = self._mishaps, []
+        return found
+
+    def look(self) -> bool:
+        """Look whether the file is still there; returns False if all has to be written into another."""
+        if self.path is not None and not self.detached and not self._is_in_place():
+            self._suspect = True
+        return not self._suspect
+
+    def note_unsaved(self, unsaved: bool) -> None:
+        """Let other processes see whether this one has changes that the file does not have."""
+        if unsaved != self._unsaved and self._lock is not None:
+            self._unsaved = unsaved
+            mark_unsaved(self._lock, unsaved)
+
+    # Writing
+
+    def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
+        """Write changes (see :meth:`Store.save`); a file that is damaged or gone is begun anew with all there is."""
+        if self.path is None:
+            super().save(changes)
+            return
+        if whole is not None and (self.detached or self._suspect):
+            self._restore(self.path, whole())
+            return
+        try:
+            super().save(changes)
+        except StoreError as error:
+            self._suspect = not error.full
+            raise
+        if (
+            whole is not None and not self._is_in_place()
+        ):  # written, but into a file that nobody will find
+            self._restore(self.path, whole())
+
+    def _restore(self, path: Path, everything: Changes) -> None:
+        """Open the file again, or a new one, and write all there is."""
+        self._suspect = True
+        if not self.detached:
+            self._leave(path)
+        try:
+            fresh = self._make_way(path)
+            if self._lock is not None and not is_in_place(path, self._lock):
+                lock = take_lock(path)
+                self._unlock()
+                self._lock = lock
+                mark_unsaved(lock, self._unsaved)
+            fresh |= self._reopen(path)
+            self.detached = ""
+            self._note_place()
+            if fresh:
+                everything = replace(
+                    everything,
+                    recordings=[*self._recordings, *everything.recordings],
+                    kept_recordings=max(everything.kept_recordings, _most_of_one(self._recordings)),
+                )
+            Store.save(self, everything)
+        except (InputError, OSError) as error:
+            reason = error.message if isinstance(error, InputError) else str(error)
+            if not self.detached:
+                self._detach(reason, Salvage())
+            self.detached = reason
+            raise StoreError(path, reason) from error
+        self._suspect = False
+        self._recordings = []
+
+    def _leave(self, path: Path) -> None:
+        """Give up a file that is damaged, gone, or no longer ours; its recordings are kept for the next one."""
+        with suppress(InputError):
+            self._recordings = self.recordings()
+        with suppress(sqlite3.Error):
+            self._db.close()
+        if not path.exists():
+            self._mishaps.append(Mishap("deleted", "its file was deleted"))
+
+    def _make_way(self, path: Path) -> bool:
+        """Make way for our own file under the path; returns whether it will be a new one.
+
+        Raises:
+            OSError: what stands there cannot be put aside.
+        """
+        if not path.exists():
+            # Else SQLite would find the log of a file that is no more.
+            for suffix in SUFFIXES:
+                Path(f"{path}{suffix}").unlink(missing_ok=True)
+            return True
+        if self._unread:
+            aside = put_aside(path, "unread")
+            self._mishaps.append(Mishap("unread", "its file could not be read at the start", aside))
+        elif self._inode != NO_FILE and not self._is_in_place():
+            if _inode(Path(f"{path}-wal")) == self._wal:  # our own, of a file that is no more
+                for suffix in SUFFIXES[1:]:
+                    Path(f"{path}{suffix}").unlink(missing_ok=True)
+            aside = put_aside(path, "replaced")
+            self._mishaps.append(Mishap("replaced", "another file was put in its place", aside))
+        else:
+            return False
+        self._unread = False
+        return True
+
+    def _reopen(self, path: Path) -> bool:
+        """Connect to the file; returns whether it is a new one."""
+        try:
+            self._connect()
+        except DamagedError as error:
+            found = salvage(path)
+            self._put_aside(path, error, found)
+            self._recordings = self._recordings or found.recordings
+            self._connect()
+            return True
+        return False
+
+    def _connect(self) -> None:
+        lock = self._lock
+        try:
+            super()._connect()
+        except (DamagedError, UnusableError):
+            # The right to write is kept: nobody else may begin meanwhile.
+            if lock is not None and self._lock is None and self.path is not None:
+                with suppress(InUseError, OSError):
+                    self._lock = take_lock(self.path)
+                    mark_unsaved(self._lock, self._unsaved)
+            raise
+
+    # Beginning without, or with another file
+
+    def _put_aside(self, path: Path, error: DamagedError, found: Salvage) -> None:
+        """Put a damaged file aside, of which something could be read.
+
+        Raises:
+            UnusableError: it cannot be put aside.
+        """
+        try:
+            aside = put_aside(path, "damaged")
+        except OSError as problem:
+            raise UnusableError(f"damaged, and not put aside: {problem}", file=path) from problem
+        reason = error.message.partition(";")[0]
+        self._mishaps.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
+
+    def _read_all(self) -> None:
+        """Find what is damaged but not seen by SQLite.
+
+        Raises:
+            DamagedError: something is.
+        """
+        for read in (super().load, super().cycles, super().permanent, super().identifiers):
+            read()
+        super().facts()
+
+    def _begin_with(self, path: Path, damage: DamagedError) -> None:
+        """Begin a new file with what can be read of a damaged one."""
+        self.close()
+        found = salvage(path)
+        try:
+            self._put_aside(path, damage, found)
+            super().__init__(path, connect=self._open_database)
+            Store.save(self, found.changes())
+        except UnusableError as error:
+            self._unread = found.lost > 0
+            self._detach(error.message, found)
+        except StoreError as error:
+            self._detach(error.reason, found)
+
+    def _detach(self, reason: str, found: Salvage) -> None:
+        """Keep everything in this process until the file can be written."""
+        with suppress(sqlite3.Error):
+            self._db.close()
+        self._db = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        for script in MIGRATIONS:
+            self._db.executescript(script)
+        with self.transaction():
+            rows.write(self._db, found.changes())
+        self._recordings = self._recordings or found.recordings
+        self.detached, self._suspect = reason, True
+
+    # Where the file is
+
+    def _note_place(self) -> None:
+        if self.path is not None and not self.detached:
+            self._inode, self._wal = _inode(self.path), _inode(Path(f"{self.path}-wal"))
+
+    def _is_in_place(self) -> bool:
+        assert self.path is not None
+        return _inode(self.path) == self._inode
+
+
+def _inode(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return NO_FILE
+    return found.st_dev, found.st_ino
+
+
+def _most_of_one(recordings: list[Recording]) -> int:
+    faults = [recording.fault for recording in recordings]
+    return max([faults.count(fault) for fault in set(faults)], default=1)

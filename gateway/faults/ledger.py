@@ -1,0 +1,318 @@
+"""What the fault memory holds in this process, what of it is not written yet, and how it gets written.
+
+There are two views of the records: as they are (``records``), and as they were last written (``shown``), which is what
+others may see. A write can be done by a thread beside the gateway, with copies of its own; one at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Executor, Future, wait
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass
+
+from gateway.faults.outage import Outage
+from gateway.faults.permanent import PermanentDtcs
+from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
+from gateway.faults.store import Store, StoreError
+
+#: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
+SEQUENCE, OVERFLOW = "sequence", "overflow"
+
+
+def _copy(record: Record) -> Record:
+    """Copy a record; what is in it is replaced later, not changed."""
+    made = copy(record)
+    made.freeze_frames = dict(record.freeze_frames)
+    return made
+
+
+def _joined(first: Changes, then: Changes) -> Changes:
+    """Return earlier changes together with later ones, which win."""
+    return Changes(
+        cycles={**first.cycles, **then.cycles},
+        answered={**first.answered, **then.answered},
+        permanent=first.permanent if then.permanent is None else then.permanent,
+        recordings=[*first.recordings, *then.recordings],
+        kept_recordings=then.kept_recordings,
+        identifiers={**first.identifiers, **then.identifiers},
+        facts={**first.facts, **then.facts},
+    )
+
+
+@dataclass(frozen=True)
+class _Write:
+    """A write that a thread does, and what is in it."""
+
+    future: Future[None]
+    t_ns: int
+    changes: Changes
+    permanent: list[Permanent]
+
+
+class Ledger:
+    """Records, cycles, numbers and identifiers, as read from a store, with what has changed since.
+
+    A write that fails loses nothing: what was to be written stays here, and goes with a later one.
+
+    Args:
+        store: where they are kept.
+        recordings: recordings kept of each fault.
+
+    Attributes:
+        records: by fault id.
+        cycles: the last operation cycle of each name.
+        identifiers: values that testers wrote, by data identifier.
+        outage: of the store.
+        commits: how many transactions were written.
+    """
+
+    def __init__(self, store: Store, recordings: int = 1) -> None:
+        self.store = store
+        self.records: dict[str, Record] = {record.id: record for record in store.load()}
+        self.cycles: dict[str, Cycle] = store.cycles()
+        self.identifiers: dict[int, bytes] = store.identifiers()
+        self.outage = Outage()
+        self.commits = 0
+        self._facts = store.facts()
+        self._permanent = PermanentDtcs(store.permanent())
+        self._pending = Changes(kept_recordings=recordings)
+        self._dirty: set[str] = set()
+        self._more = False  # whether anything waits beside records
+        self._stored = {fault: _copy(record) for fault, record in self.records.items()}
+        self._stored_permanent = self._permanent.all()
+        self._write: _Write | None = None
+
+    def succeed(self, old: Ledger) -> None:
+        """Go on with what another ledger of the same store holds, written or not."""
+        old.join()
+        self._stored.update(old._stored)
+        self._stored_permanent = old._stored_permanent
+        self.records.update(old.records)
+        self.cycles.update(old.cycles)
+        self.identifiers.update(old.identifiers)
+        self._facts, self._permanent = old._facts, old._permanent
+        self._dirty |= old._dirty
+        kept = self._pending.kept_recordings
+        self._pending, self._more = old._pending, old._more
+        self._pending.kept_recordings = kept
+        self.outage, self.commits = old.outage, old.commits
+
+    # Changes
+
+    def add(self, record: Record) -> None:
+        """Add the record of a fault that the store does not know; it is written when it changes."""
+        self.records[record.id] = record
+        self._stored[record.id] = _copy(record)
+
+    def touch(self, fault: str) -> None:
+        """Note that a record has changed."""
+        self._dirty.add(fault)
+
+    def note_cycle(self, name: str, cycle: Cycle) -> None:
+        """Note the state of an operation cycle."""
+        self.cycles[name] = cycle
+        self._pending.cycles = {**self._pending.cycles, name: cycle}
+        self._more = True
+
+    def fact(self, name: str) -> int:
+        """Return a number by its name, 0 before it was set."""
+        return self._facts.get(name, 0)
+
+    def set_fact(self, name: str, value: int) -> None:
+        """Set a number by its name."""
+        if self._facts.get(name) != value:
+            self._facts[name] = value
+            self._pending.facts = {**self._pending.facts, name: value}
+            self._more = True
+
+    def next_in_order(self) -> int:
+        """Return the next place in the order of all failures and confirmations."""
+        self.set_fact(SEQUENCE, self.fact(SEQUENCE) + 1)
+        return self._facts[SEQUENCE]
+
+    @property
+    def permanent(self) -> PermanentDtcs:
+        """The permanent DTCs; tell :meth:`note_permanent` of changes."""
+        return self._permanent
+
+    def note_permanent(self, changed: bool) -> None:
+        """Note that the permanent DTCs have changed, if they have."""
+        if changed:
+            self._pending.permanent = self._permanent.all()
+            self._more = True
+
+    def add_recordings(self, recordings: Iterable[Recording]) -> None:
+        """Add recordings of faults that have an entry."""
+        kept = [r for r in recordings if self.records[r.fault].occurrence]
+        if kept:
+            self._pending.recordings = [*self._pending.recordings, *kept]
+            self._more = True
+
+    def drop_recordings(self, faults: Iterable[str]) -> None:
+        """Give up recordings of cleared faults that were not written yet."""
+        gone = set(faults)
+        self._pending.recordings = [r for r in self._pending.recordings if r.fault not in gone]
+
+    def set_identifier(self, did: int, data: bytes) -> None:
+        """Set what a tester wrote."""
+        self.identifiers[did] = data
+        self._pending.identifiers = {**self._pending.identifiers, did: data}
+        self._more = True
+
+    def answer(self, request: int, done: int) -> None:
+        """Answer the request of another process."""
+        self._pending.answered = {**self._pending.answered, request: done}
+        self._more = True
+
+    # What others may see
+
+    @property
+    def shown(self) -> dict[str, Record]:
+        """Records as last written; while nothing can be written, as they are."""
+        return self.records if self.outage.reason else self._stored
+
+    @property
+    def shown_permanent(self) -> list[Permanent]:
+        """The permanent DTCs as last written, or as they are; the oldest first."""
+        return self._permanent.all() if self.outage.reason else self._stored_permanent
+
+    # Writing
+
+    @property
+    def unsaved(self) -> int:
+        """Changes that are not written: records, and one for all else; 0: none."""
+        under_way = 0 if self._write is None else max(len(self._write.changes.records), 1)
+        return len(self._dirty) + self._more + under_way
+
+    def commit(self, t_ns: int, *, final: bool = False) -> bool:
+        """Write all changes; returns whether all is durable now.
+
+        What cannot be written stays, and is tried again by later calls, after waits that grow.
+
+        Args:
+            t_ns: now, of the engine's clock.
+            final: try in any case.
+        """
+        self.join()
+        if not self.unsaved:
+            return True
+        if not final and not self.outage.is_due(t_ns):
+            return False
+        try:
+            self.write(t_ns)
+        except StoreError:
+            return False
+        return True
+
+    def write(self, t_ns: int, *, alone: bool = True) -> None:
+        """Write all changes now.
+
+        Args:
+            t_ns: now, of the engine's clock.
+            alone: False within a transaction of the caller's.
+
+        Raises:
+            StoreError: they could not be written; nothing of them was.
+        """
+        self.join()
+        self._pending.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
+        try:
+            self.store.save(self._pending, self._whole if alone else None)
+        except StoreError as error:
+            self.outage.failed(t_ns, error.reason)
+            raise
+        if alone:
+            self.written()
+
+    def written(self) -> None:
+        """Note that all changes are written."""
+        self.outage.ended()
+        self._show(self._pending, self._permanent.all())
+        self._start_anew()
+
+    def _show(self, changes: Changes, permanent: list[Permanent]) -> None:
+        self.commits += 1
+        self._stored.update({record.id: record for record in changes.records})
+        self._stored_permanent = permanent
+
+    def _start_anew(self) -> None:
+        self._dirty = set()
+        self._pending = Changes(kept_recordings=self._pending.kept_recordings)
+        self._more = False
+
+    # Writing beside
+
+    def begin(self, t_ns: int, executor: Executor) -> None:
+        """Have all changes written by a thread; :meth:`join` ends it.
+
+        Args:
+            t_ns: now, of the engine's clock.
+            executor: of one thread.
+        """
+        changes = self._pending
+        changes.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
+        self._start_anew()
+        future = executor.submit(self.store.save, changes)
+        self._write = _Write(future, t_ns, changes, self._permanent.all())
+
+    def under_way(self, patience_s: float = 0.0) -> bool:
+        """Tell whether a thread writes still, after waiting so long at most [s]."""
+        if self._write is None:
+            return False
+        if patience_s > 0:
+            wait([self._write.future], patience_s)
+        return not self._write.future.done()
+
+    def join(self) -> None:
+        """Wait for the thread that writes, if one does; what it could not write is to be written still."""
+        if self._write is None:
+            return
+        write, self._write = self._write, None
+        try:
+            write.future.result()
+        except StoreError as error:
+            self.outage.failed(write.t_ns, error.reason)
+            self._pending = _joined(write.changes, self._pending)
+            self._dirty |= {record.id for record in write.changes.records}
+            self._more = True
+        else:
+            self._show(write.changes, write.permanent)
+
+    def rewrite(self) -> None:
+        """Have everything written by the next commit: the file is gone."""
+        self.join()
+        self._more = True
+        self._dirty |= self.records.keys()
+
+    def _whole(self) -> Changes:
+        """Return all there is, for a file that has none of it."""
+        whole = copy(self._pending)
+        whole.records = list(self.records.values())
+        whole.cycles = self.cycles
+        whole.permanent = self._permanent.all()
+        whole.identifiers = self.identifiers
+        whole.facts = self._facts
+        return whole
+
+    @contextmanager
+    def undoing(self) -> Iterator[None]:
+        """Undo what is done within, if it cannot be written.
+
+        Records are replaced within, not changed.
+        """
+        self.join()
+        records, identifiers = dict(self.records), dict(self.identifiers)
+        facts, permanent = dict(self._facts), self._permanent.all()
+        dirty, more, pending = set(self._dirty), self._more, copy(self._pending)
+        try:
+            yield
+        except StoreError:
+            self.records.clear()
+            self.records.update(records)
+            self.identifiers.clear()
+            self.identifiers.update(identifiers)
+            self._facts, self._permanent = facts, PermanentDtcs(permanent)
+            self._dirty, self._more, self._pending = dirty, more, pending
+            raise

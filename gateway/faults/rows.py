@@ -1,0 +1,97 @@
+"""Records of the fault memory as rows of its file."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from dataclasses import fields
+
+from gateway.faults.records import Changes, FreezeFrame, Record
+
+#: Columns of the table of faults, named as in :class:`Record`; these two hold JSON.
+COLUMNS = tuple(f.name for f in fields(Record) if f.name != "freeze_frames")
+JSON = ("evidence", "inputs")
+
+_MARKS = ", ".join("?" * len(COLUMNS))
+_UPDATE = ", ".join(f"{name} = excluded.{name}" for name in COLUMNS[1:])
+_SAVE_RECORD = (
+    f"INSERT INTO fault ({', '.join(COLUMNS)}) VALUES ({_MARKS})"  # noqa: S608 - our own names
+    f" ON CONFLICT (id) DO UPDATE SET {_UPDATE}"
+)
+SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our own names
+SELECT_RECORDINGS = "SELECT fault, t_ns, frames, dropped, log FROM recording"
+
+
+def read_records(db: sqlite3.Connection) -> list[Record]:
+    """Return all records with their freeze frames, in order of their DTCs.
+
+    Raises:
+        sqlite3.Error, ValueError: the file is damaged.
+    """
+    records = {}
+    for row in db.execute(f"{SELECT_RECORDS} ORDER BY dtc, id"):
+        values = dict(zip(COLUMNS, row, strict=True))
+        for name in JSON:
+            values[name] = json.loads(values[name])
+        records[values["id"]] = Record(**values)
+    for fault, number, t_ns, content in db.execute(
+        "SELECT fault, number, t_ns, content FROM freeze_frame ORDER BY number"
+    ):
+        if fault not in records:
+            raise ValueError(f"a freeze frame of {fault!r}, which is not there")
+        records[fault].freeze_frames[number] = FreezeFrame(number, t_ns, json.loads(content))
+    return list(records.values())
+
+
+def write(db: sqlite3.Connection, changes: Changes) -> None:
+    """Write changes, within a transaction.
+
+    Raises:
+        sqlite3.Error: they could not be written.
+    """
+    for record in changes.records:
+        _write_record(db, record)
+    db.executemany(
+        "INSERT OR REPLACE INTO operation_cycle VALUES (?, ?, ?, ?)",
+        [(name, c.number, c.open, c.t_ns) for name, c in changes.cycles.items()],
+    )
+    if changes.permanent is not None:
+        db.execute("DELETE FROM permanent")
+        db.executemany(
+            "INSERT INTO permanent VALUES (?, ?, ?)",
+            [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
+        )
+    for r in changes.recordings:
+        db.execute(
+            "INSERT INTO recording (fault, t_ns, frames, dropped, log) VALUES (?, ?, ?, ?, ?)",
+            (r.fault, r.t_ns, r.frames, r.dropped, r.log),
+        )
+        db.execute(
+            "DELETE FROM recording WHERE fault = ?1 AND id NOT IN"
+            " (SELECT id FROM recording WHERE fault = ?1 ORDER BY id DESC LIMIT ?2)",
+            (r.fault, changes.kept_recordings),
+        )
+    db.executemany("INSERT OR REPLACE INTO identifier VALUES (?, ?)", changes.identifiers.items())
+    db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
+    for request, done in changes.answered.items():
+        db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
+
+
+def _write_record(db: sqlite3.Connection, r: Record) -> None:
+    db.execute(
+        _SAVE_RECORD,
+        [
+            json.dumps(value) if name in JSON else value
+            for name, value in ((name, getattr(r, name)) for name in COLUMNS)
+        ],
+    )
+    db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
+    db.executemany(
+        "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
+        [
+            (r.id, frame.number, frame.t_ns, json.dumps(frame.content))
+            for frame in r.freeze_frames.values()
+        ],
+    )
+    if r.occurrence == 0:
+        db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))
