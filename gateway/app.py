@@ -97,7 +97,12 @@ class Gateway:
             statistics=self.engine.fold_statistics,
         )
         self.controls = Controls(
-            self.engine, self.memory, self.store, self._recorder, self._parts.slots
+            self.engine,
+            self.memory,
+            self.store,
+            self._recorder,
+            self._parts.slots,
+            self._tell_all,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self._outputs = outputs_of(
@@ -111,6 +116,7 @@ class Gateway:
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
+        self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self.event_count = 0
 
@@ -218,7 +224,7 @@ class Gateway:
                 output = self._outputs[k]
                 made = output.on_frame(last, self.engine.now_ns)
                 self._set_due(k)
-                sent.append(self._allowed(output, made))
+                sent += [*self._take_early(), self._allowed(output, made)]
         return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
 
     def without_own(self, frames: Frames) -> Frames:
@@ -302,17 +308,11 @@ class Gateway:
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
-        self.controls.forget(self.memory.serve_requests())
+        self.controls.forget(self.memory.serve_requests(self._tell_all))
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
-        if self.store.detached or self.memory.outage.reason:
-            return  # that has been told
-        self.memory.join()
-        try:
-            self.store.save_buses(states)
-        except GatewayError as error:
-            log.warning("state of the buses not written", error=str(error))
+        self.memory.note_buses(states)
 
     def _note_catalogue(self) -> None:
         """Keep what the faults are called where ``gateway faults`` can see it without the configuration."""
@@ -390,15 +390,27 @@ class Gateway:
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
-        frames = [sent] if self.controls.send else [empty(0)]
-        changes = self._settle(now, asked=asked)
-        if changes:
-            for k, output in enumerate(self._outputs):
-                frames.append(self._allowed(output, output.on_changes(changes, now)))
-                self._set_due(k)
+        frames = [*self._take_early(), sent if self.controls.send else empty(0)]
+        frames += self._frames_of(self._settle(now, asked=asked))
         if now >= self._next_due:
             frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
+
+    def _frames_of(self, changes: Sequence[DtcChange]) -> list[Frames]:
+        """Return what the outputs send of changes."""
+        frames = []
+        for k, output in enumerate(self._outputs if changes else ()):
+            frames.append(self._allowed(output, output.on_changes(changes, self.engine.now_ns)))
+            self._set_due(k)
+        return frames
+
+    def _tell_all(self) -> None:
+        """Write and tell all that waits: what is cleared next must not be told as set after it."""
+        self._early += self._frames_of(self._settle(self.engine.now_ns, final=True))
+
+    def _take_early(self) -> list[Frames]:
+        early, self._early = self._early, []
+        return early
 
     def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
         """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.

@@ -7,9 +7,10 @@ was last written. While the file cannot be written there is a third state, told 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import Any
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.errors import InputError
@@ -378,6 +379,10 @@ class FaultMemory(Readable):
         """Keep frames recorded around failures, unless their fault was cleared meanwhile."""
         self._held.add_recordings(recordings)
 
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Keep how the buses do, with the next commit."""
+        self._held.note_buses(states)
+
     def write_identifier(self, did: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.
 
@@ -455,13 +460,18 @@ class FaultMemory(Readable):
             self._refused.pop(fault, None)
             self._room = True
 
-    def serve_requests(self) -> list[str]:
-        """Do what other processes asked for (clearing); returns ids of the faults cleared."""
+    def serve_requests(self, before: Callable[[], None] = lambda: None) -> list[str]:
+        """Do what other processes asked for (clearing); returns ids of the faults cleared.
+
+        Args:
+            before: called first, if somebody did.
+        """
         if self._held.under_way():  # they are served the next time
             return []
         self._held.join()
         if not self._asked():
             return []
+        before()
         cleared: list[str] = []
         try:
             with self._held.undoing(), self._held.store.transaction():

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -302,26 +302,6 @@ class Store:
         """
         with self.transaction():
             rows.write(self._db, changes)
-
-    def save_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Replace what is known of the buses: name, URI, state, time, and counters.
-
-        Raises:
-            StoreError: it could not be written.
-        """
-        known = ("bus", "uri", "state", "t_ns")
-        with self.transaction():
-            self._db.execute("DELETE FROM bus")
-            self._db.executemany(
-                "INSERT INTO bus VALUES (?, ?, ?, ?, ?)",
-                [
-                    (
-                        *(state[name] for name in known),
-                        json.dumps({k: v for k, v in state.items() if k not in (*known, "event")}),
-                    )
-                    for state in states
-                ],
-            )
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""

@@ -109,8 +109,8 @@ class Daemon:
         self._live.drain()
         gateway = self.gateway
         gateway.advance(self._clock.now() - GRACE_NS)
-        gateway.stop(gateway.engine.now_ns)
         self._live.keep()
+        gateway.stop(gateway.engine.now_ns)
         for link in self._live.links:
             t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
             self._tell(bus_event(link, "closed", t_ns))

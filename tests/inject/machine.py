@@ -28,6 +28,7 @@ class Bench:
         cut: URIs of buses that are gone; ``room``: URI -> frames that a bus takes each turn, if not all.
         wires: open buses by URI; ``tallies``: what was put on each, and what became of it.
         writer_late_ns, reload_late_ns: how late threads are.
+        may_block: tells whether the loop may wait for the disk now; ``blocked``: how often it did.
     """
 
     def __init__(self, uris):
@@ -38,6 +39,8 @@ class Bench:
         self.disk = Disk(self)
         self.writer_late_ns = self.reload_late_ns = 0
         self.on_sent = lambda uri, frames: None
+        self.may_block = lambda: False
+        self.blocked = 0
 
     def machine(self):
         """Return it as a daemon sees it."""
@@ -62,6 +65,13 @@ class Bench:
     def waiting(self):
         """Frames in the queues of all buses."""
         return sum(wire.waiting for wire in self.wires.values())
+
+    def block(self, ns):
+        """The loop waits for the disk; nobody but who asks it to write may notice."""
+        self.blocked += 1
+        self.now_ns += ns
+        if self.may_block():
+            self.stalled_ns += ns
 
     def stall(self, ns):
         """The loop does not work for so long."""
@@ -199,7 +209,8 @@ class LateFuture(Future):
         return super().done()
 
     def result(self, timeout=None):
-        self._bench.now_ns = max(self._bench.now_ns, self._due_ns)
+        if self._bench.now_ns < self._due_ns:
+            self._bench.block(self._due_ns - self._bench.now_ns)
         self.done()
         return super().result(0)
 
@@ -243,7 +254,7 @@ class Disk:
         verb = sql.split(None, 1)[0].upper()
         ends = verb == "COMMIT"
         if ends and not self._beside and self.slow_ns:
-            self._bench.stall(self.slow_ns)
+            self._bench.block(self.slow_ns)
         if self.failing is not None:
             place = self.failing[2]
             begins = "IMMEDIATE" in sql

@@ -74,7 +74,10 @@ class Run:
         self._waiting = list(schedule)
         self._active = {}  # (kind, bus) -> (until, disturbance)
         self._held = dict.fromkeys(BUSES, empty(0))
-        self._reloads = 0
+        self._reloads, self._reloading = 0, False
+        # Who clears waits until it is written, and so does a reload; what could not be written is tried again by the
+        # loop itself.
+        self.bench.may_block = lambda: self.tester.clears or self._reloading or self.promises.down
         self._stalled = False
         self._traffic_ns = self.bench.now_ns
         self.turns = 0
@@ -156,6 +159,8 @@ class Run:
 
     def _on_event(self, event):
         self.events += 1
+        if event["event"] == "config":
+            self._reloading = False
         if event["event"] == "bus":
             self._totals[event["uri"]] = event
         self._must(self.promises.note(event))
@@ -191,7 +196,7 @@ class Run:
         elif item.kind == "loop_late":
             bench.stall(item.amount * MS)
         elif item.kind == "reload":
-            self._reloads += 1
+            self._reloads, self._reloading = self._reloads + 1, True
             bench.reload_late_ns = item.amount * MS
             write_config(self.folder, other=self._reloads % 2 == 1)
             self.daemon.reloader.request()

@@ -19,7 +19,7 @@ class Tester:
         bench: of the run.
         uri: of the bus.
         rng: draws what is asked.
-        clears: percent of requests that clear the memory.
+        clearing: percent of requests that clear the memory.
 
     Attributes:
         asked, answered, excused: requests; the last are those that the bus itself kept from coming or going.
@@ -27,8 +27,8 @@ class Tester:
         on_clear: called when a clear is asked for; ``on_clear_ended`` with whether it was refused.
     """
 
-    def __init__(self, bench, uri, rng, *, clears=2):
-        self._bench, self._uri, self._rng, self._clears = bench, uri, rng, clears
+    def __init__(self, bench, uri, rng, *, clearing=2):
+        self._bench, self._uri, self._rng, self._clearing = bench, uri, rng, clearing
         self._request = None
         self._asked_ns = self._stalled_ns = self._next_ns = 0
         self._missing = 0  # bytes of a segmented answer
@@ -43,6 +43,11 @@ class Tester:
     def excuse(self):
         """What is under way may fail: the bus does not carry it."""
         self._excused = True
+
+    @property
+    def clears(self):
+        """Whether a clear is under way."""
+        return self._request == CLEAR
 
     def turn(self):
         """Ask, or see whether it is time for an answer; returns what is wrong, None if nothing is."""
@@ -70,7 +75,7 @@ class Tester:
 
     def _ask(self):
         self._request = (
-            CLEAR if self._rng.random() * 100 < self._clears else self._rng.choice(REQUESTS)
+            CLEAR if self._rng.random() * 100 < self._clearing else self._rng.choice(REQUESTS)
         )
         self._begun, self._excused, self._missing = False, self._uri in self._bench.room, 0
         self._restart()
