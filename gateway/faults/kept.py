@@ -230,10 +230,13 @@ class KeptStore(Store):
         return False
 
     def _connect(self) -> None:
-        lock = self._lock
+        lock, database = self._lock, self._db
         try:
             super()._connect()
-        except (DamagedError, UnusableError):
+        except InputError as error:
+            self._db = database  # that of this process, if there is no file: it is read still
+            if not isinstance(error, DamagedError | UnusableError):
+                raise
             # The right to write is kept: nobody else may begin meanwhile.
             if lock is not None and self._lock is None and self.path is not None:
                 with suppress(InUseError, OSError):
