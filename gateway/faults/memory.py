@@ -471,9 +471,11 @@ class FaultMemory(Readable):
         self._held.join()
         if not self._asked():
             return []
-        before()
         cleared: list[str] = []
         try:
+            if not self._held.store.requests():  # something else was written
+                return []
+            before()
             with self._held.undoing(), self._held.store.transaction():
                 # Within it nobody can withdraw a request that is being done.
                 for request, kind, argument in self._held.store.requests():

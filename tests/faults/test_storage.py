@@ -538,10 +538,14 @@ def test_a_file_that_cannot_be_opened_again_leaves_what_is_read_meanwhile(tmp_pa
     """A request of another process came after a retry: the connection was closed, and the daemon ended."""
     broken = False
 
+    class Connection(sqlite3.Connection):
+        def execute(self, sql, *parameters):
+            if broken and "journal_mode" in sql:
+                raise sqlite3.OperationalError("disk I/O error")
+            return super().execute(sql, *parameters)
+
     def connect(*arguments, **options):
-        if broken:
-            raise sqlite3.OperationalError("unable to open database file")
-        return sqlite3.connect(*arguments, **options)
+        return sqlite3.connect(*arguments, factory=Connection, **options)
 
     store = KeptStore(tmp_path / "f.sqlite", connect=connect)
     memory = FaultMemory(catalogue((1,)), store)
