@@ -7,6 +7,7 @@ tests all drive this same class.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
 from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA
 from gateway.resources import shipped
-from gateway.upkeep import Noted, Upkeep
+from gateway.upkeep import PATIENCE_S, Noted, Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -96,7 +97,12 @@ class Gateway:
             statistics=self.engine.fold_statistics,
         )
         self.controls = Controls(
-            self.engine, self.memory, self.store, self._recorder, self._parts.slots
+            self.engine,
+            self.memory,
+            self.store,
+            self._recorder,
+            self._parts.slots,
+            self._tell_all,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self._outputs = outputs_of(
@@ -110,6 +116,7 @@ class Gateway:
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
+        self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self.event_count = 0
 
@@ -187,9 +194,16 @@ class Gateway:
         """Whether all that is known is in the fault memory's file."""
         return not self.memory.unsaved
 
-    def write_beside(self) -> None:
-        """Have a thread write the fault memory: frames come whether a disk is slow or not."""
-        self._upkeep.write_beside()
+    def write_beside(
+        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
+    ) -> None:
+        """Have a thread write the fault memory: frames come whether a disk is slow or not.
+
+        Args:
+            executor: of one thread, which is shut down when the gateway closes; None: a new one.
+            patience_s: how long a single change is waited for, before other things are done [s].
+        """
+        self._upkeep.write_beside(executor, patience_s)
 
     def close(self) -> None:
         """Close the fault memory."""
@@ -210,7 +224,7 @@ class Gateway:
                 output = self._outputs[k]
                 made = output.on_frame(last, self.engine.now_ns)
                 self._set_due(k)
-                sent.append(self._allowed(output, made))
+                sent += [*self._take_early(), self._allowed(output, made)]
         return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
 
     def without_own(self, frames: Frames) -> Frames:
@@ -294,17 +308,11 @@ class Gateway:
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
-        self.controls.forget(self.memory.serve_requests())
+        self.controls.forget(self.memory.serve_requests(self._tell_all))
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
-        if self.store.detached or self.memory.outage.reason:
-            return  # that has been told
-        self.memory.join()
-        try:
-            self.store.save_buses(states)
-        except GatewayError as error:
-            log.warning("state of the buses not written", error=str(error))
+        self.memory.note_buses(states)
 
     def _note_catalogue(self) -> None:
         """Keep what the faults are called where ``gateway faults`` can see it without the configuration."""
@@ -383,15 +391,27 @@ class Gateway:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
             self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
-        frames = [sent] if self.controls.send else [empty(0)]
-        changes = self._settle(now, asked=asked)
-        if changes:
-            for k, output in enumerate(self._outputs):
-                frames.append(self._allowed(output, output.on_changes(changes, now)))
-                self._set_due(k)
+        frames = [*self._take_early(), sent if self.controls.send else empty(0)]
+        frames += self._frames_of(self._settle(now, asked=asked))
         if now >= self._next_due:
             frames.append(self._on_time(now, [True] * len(self._outputs)))
         return frames[0] if len(frames) == 1 else np.concatenate(frames)
+
+    def _frames_of(self, changes: Sequence[DtcChange]) -> list[Frames]:
+        """Return what the outputs send of changes."""
+        frames = []
+        for k, output in enumerate(self._outputs if changes else ()):
+            frames.append(self._allowed(output, output.on_changes(changes, self.engine.now_ns)))
+            self._set_due(k)
+        return frames
+
+    def _tell_all(self) -> None:
+        """Write and tell all that waits: what is cleared next must not be told as set after it."""
+        self._early += self._frames_of(self._settle(self.engine.now_ns, final=True))
+
+    def _take_early(self) -> list[Frames]:
+        early, self._early = self._early, []
+        return early
 
     def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
         """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.

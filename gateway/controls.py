@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from gateway.engine.core import Engine
 from gateway.faults.memory import FaultMemory
@@ -30,12 +30,14 @@ class Controls:
         store: Store,
         recorder: Recorder | None,
         slots: Mapping[str, int],
+        before_clear: Callable[[], None] = lambda: None,
     ) -> None:
         self._engine = engine
         self._memory = memory
         self._store = store
         self._recorder = recorder
         self._slots = slots
+        self._before_clear = before_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
         self._dtcs_on = True
         self.receive = True
@@ -59,6 +61,7 @@ class Controls:
         """
         if not self._memory.knows(group):
             return False
+        self._before_clear()
         self.forget(self._memory.clear(group))
         return True
 

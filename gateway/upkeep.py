@@ -13,7 +13,7 @@ Everything that changes is written before it is told. Three things can happen on
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 from gateway.engine.core import Engine, Sink
@@ -37,6 +37,11 @@ class Noted(NamedTuple):
 NOTHING = Noted(0, 0)
 #: How long a single change is waited for where a thread writes it [s].
 PATIENCE_S = 0.003
+
+
+def begin_writer() -> Executor:
+    """Begin the thread that writes the fault memory."""
+    return ThreadPoolExecutor(1, thread_name_prefix="fault-memory")
 
 
 class Upkeep:
@@ -64,7 +69,7 @@ class Upkeep:
         self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
         self._pace = Pace()
         self._tested = store.path is None  # whether its faults have had their first result
-        self._executor: ThreadPoolExecutor | None = None
+        self._executor: Executor | None = None
         self._patience_s = 0.0
         self._under_way = NOTHING  # what was noted when the write under way began
         self._down = False
@@ -92,15 +97,16 @@ class Upkeep:
         """Attempts to write that failed."""
         return self._memory.outage.failures
 
-    def write_beside(self, patience_s: float = PATIENCE_S) -> None:
+    def write_beside(
+        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
+    ) -> None:
         """Have a thread write from now on, for a gateway whose frames do not wait.
 
         Args:
+            executor: of one thread; it is shut down with this. None: a new one.
             patience_s: how long a single change is waited for, before other things are done [s].
         """
-        self._patience_s = patience_s
-        if self._executor is None:
-            self._executor = ThreadPoolExecutor(1, thread_name_prefix="fault-memory")
+        self._executor, self._patience_s = executor or begin_writer(), patience_s
 
     def close(self) -> None:
         """End the thread; what it writes is written first."""

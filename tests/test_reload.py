@@ -65,6 +65,16 @@ def test_a_reload_of_the_same_configuration_changes_nothing(name):
     assert last.memory.cycle_number() == one.memory.cycle_number() == 1, "the same operation cycle"
 
 
+@pytest.mark.parametrize("name", ["belt_faults", "hybrid_healthy", "steering_healthy"])
+def test_monitors_whose_parameters_keep_what_they_computed_go_on(name):
+    """Arrays among the parameters have no truth value: a reload ended the daemon."""
+    config, frames = frames_of(name, 2.0)
+    _, _, one = play(config, frames, [])
+    _, _, last = play(config, frames, [len(frames) // 2])
+    assert last.engine.readout() == one.engine.readout()
+    assert all(shown["steps"] for shown in one.engine.readout().values())
+
+
 def test_what_changed_starts_anew_and_the_rest_goes_on():
     config, frames = frames_of("crank_missed_tooth", 6.0)
 

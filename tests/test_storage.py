@@ -50,8 +50,13 @@ def make(tmp_path):
 
 def told(rig):
     """DTCs of the DTC frames sent so far, each with whether it fails."""
+    return told_of(rig.sent)
+
+
+def told_of(sent):
+    """The same of frames."""
     found = []
-    for can_id, data in rig.sent:
+    for can_id, data in sent:
         if can_id == MESSAGE.frame_id:
             values = MESSAGE.decode(bytes(data), decode_choices=False)
             found.append((str(Dtc(values["Dtc"])), bool(values["Status"] & 1)))
@@ -402,6 +407,41 @@ def test_a_clear_waits_for_the_thread_and_what_it_wrote_does_not_come_back(make,
     rig.wait(50)
     assert stored(rig) == {}
     assert rig.status(0) == 0x50
+
+
+@pytest.mark.parametrize("by", ["tester", "process"])
+def test_what_waits_to_be_told_is_told_before_it_is_cleared_not_after(make, slow, by):
+    """Told later it would be set for whoever listens, and nothing would ever take it back."""
+    rig = make(extra=FRAMES + "[output.uds]\n")
+    tester = Tester(rig)
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    rig.fail(1)  # waits for the write that is under way
+    assert of(rig, "dtc") == []
+    if by == "tester":
+        timer = threading.Timer(0.05, slow.let_go)
+        timer.start()
+        assert tester.ask("14FFFFFF").hex() == "54"
+        timer.join()
+        place = [k for k, (_, data) in enumerate(rig.sent) if bytes(data[:2]) == b"\x01\x54"][-1]
+        assert ("C1001-11", True) in told_of(rig.sent[:place])
+    else:
+        slow.go_on(rig)
+        other = Store(rig.gateway.store.path, write=False)
+        request = other.request("clear", str(0xFFFFFF))
+        rig.gateway.serve_requests()
+        assert other.answer(request) == 2
+        other.close()
+    assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length", "b.M1.length"]
+    assert all(e["stored"] for e in of(rig, "dtc"))
+    place = len(rig.sent)
+    rig.wait(500)
+    assert len(of(rig, "dtc")) == 2
+    if by == "tester":
+        assert ("C1001-11", True) not in told_of(rig.sent[place:])
+    assert stored(rig) == {}
 
 
 def test_the_end_waits_for_the_thread(make, slow):

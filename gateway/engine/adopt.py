@@ -114,7 +114,9 @@ def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
 def _alike(one: Any, other: Any, buses: Mapping[int, int]) -> bool:
     return (
         one.monitor is other.monitor
-        and one.params == other.params
+        and type(one.params) is type(other.params)
+        # Not the models themselves: they keep arrays that they have computed, which have no truth value.
+        and one.params.model_dump() == other.params.model_dump()
         and one.signals == other.signals
         and buses.get(other.bus) == one.bus
     )

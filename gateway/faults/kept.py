@@ -22,7 +22,7 @@ from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
 from gateway.faults.schema import MIGRATIONS
-from gateway.faults.store import DamagedError, Store, StoreError, UnusableError
+from gateway.faults.store import Connect, DamagedError, Store, StoreError, UnusableError
 
 T = TypeVar("T")
 
@@ -52,13 +52,13 @@ class KeptStore(Store):
     """A store that opens always, and that can begin a new file.
 
     Args:
-        path: see :class:`Store`; so is what it raises, but for a file that is damaged or cannot be written.
+        path, connect: see :class:`Store`; so is what it raises, but for a file that is damaged or cannot be written.
 
     Attributes:
         detached: why there is no file at present, "" if there is one.
     """
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect) -> None:
         self.detached = ""
         self._suspect = False  # whether the file must be looked at before it is written again
         self._mishaps: list[Mishap] = []
@@ -67,7 +67,7 @@ class KeptStore(Store):
         self._unsaved = False
         self._unread = False  # whether there is a file that could not be read when this began
         try:
-            super().__init__(path)
+            super().__init__(path, connect=connect)
             self._read_all()
         except DamagedError as error:
             assert path is not None
@@ -230,10 +230,13 @@ class KeptStore(Store):
         return False
 
     def _connect(self) -> None:
-        lock = self._lock
+        lock, database = self._lock, self._db
         try:
             super()._connect()
-        except (DamagedError, UnusableError):
+        except InputError as error:
+            self._db = database  # that of this process, if there is no file: it is read still
+            if not isinstance(error, DamagedError | UnusableError):
+                raise
             # The right to write is kept: nobody else may begin meanwhile.
             if lock is not None and self._lock is None and self.path is not None:
                 with suppress(InUseError, OSError):
@@ -272,7 +275,7 @@ class KeptStore(Store):
         found = salvage(path)
         try:
             self._put_aside(path, damage, found)
-            super().__init__(path)
+            super().__init__(path, connect=self._open_database)
             Store.save(self, found.changes())
         except UnusableError as error:
             self._unread = found.lost > 0

@@ -6,11 +6,12 @@ others may see. A write can be done by a thread beside the gateway, with copies 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
@@ -38,6 +39,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
         kept_recordings=then.kept_recordings,
         identifiers={**first.identifiers, **then.identifiers},
         facts={**first.facts, **then.facts},
+        buses=first.buses if then.buses is None else then.buses,
     )
 
 
@@ -80,6 +82,7 @@ class Ledger:
         self._pending = Changes(kept_recordings=recordings)
         self._dirty: set[str] = set()
         self._more = False  # whether anything waits beside records
+        self._buses: Sequence[Mapping[str, Any]] | None = None
         self._stored = {fault: _copy(record) for fault, record in self.records.items()}
         self._stored_permanent = self._permanent.all()
         self._write: _Write | None = None
@@ -97,6 +100,7 @@ class Ledger:
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
         self._pending.kept_recordings = kept
+        self._buses = old._buses
         self.outage, self.commits = old.outage, old.commits
 
     # Changes
@@ -159,6 +163,11 @@ class Ledger:
         """Set what a tester wrote."""
         self.identifiers[did] = data
         self._pending.identifiers = {**self._pending.identifiers, did: data}
+        self._more = True
+
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Note how the buses do."""
+        self._buses = self._pending.buses = states
         self._more = True
 
     def answer(self, request: int, done: int) -> None:
@@ -294,6 +303,7 @@ class Ledger:
         whole.permanent = self._permanent.all()
         whole.identifiers = self.identifiers
         whole.facts = self._facts
+        whole.buses = self._buses
         return whole
 
     @contextmanager

@@ -7,9 +7,10 @@ was last written. While the file cannot be written there is a third state, told 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from typing import Any
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.errors import InputError
@@ -383,6 +384,10 @@ class FaultMemory(Readable):
         """Keep frames recorded around failures, unless their fault was cleared meanwhile."""
         self._held.add_recordings(recordings)
 
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Keep how the buses do, with the next commit."""
+        self._held.note_buses(states)
+
     def write_identifier(self, did: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.
 
@@ -460,8 +465,12 @@ class FaultMemory(Readable):
             self._refused.pop(fault, None)
             self._room = True
 
-    def serve_requests(self) -> list[str]:
-        """Do what other processes asked for (clearing); returns ids of the faults cleared."""
+    def serve_requests(self, before: Callable[[], None] = lambda: None) -> list[str]:
+        """Do what other processes asked for (clearing); returns ids of the faults cleared.
+
+        Args:
+            before: called first, if somebody did.
+        """
         if self._held.under_way():  # they are served the next time
             return []
         self._held.join()
@@ -469,6 +478,9 @@ class FaultMemory(Readable):
             return []
         cleared: list[str] = []
         try:
+            if not self._held.store.requests():  # something else was written
+                return []
+            before()
             with self._held.undoing(), self._held.store.transaction():
                 # Within it nobody can withdraw a request that is being done.
                 for request, kind, argument in self._held.store.requests():

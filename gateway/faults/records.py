@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass
@@ -97,6 +98,7 @@ class Changes:
         kept_recordings: how many are kept of each fault.
         identifiers: values that testers wrote.
         facts: numbers by name.
+        buses: how the buses do, all of them: name, URI, state, time, and counters; None: not said.
     """
 
     records: Sequence[Record] = ()
@@ -107,3 +109,4 @@ class Changes:
     kept_recordings: int = 1
     identifiers: Mapping[int, bytes] = field(default_factory=dict)
     facts: Mapping[str, int] = field(default_factory=dict)
+    buses: Sequence[Mapping[str, Any]] | None = None

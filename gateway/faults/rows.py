@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from typing import Any
 
 from gateway.faults.records import Changes, FreezeFrame, Record
 
@@ -75,6 +77,19 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
     db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
     for request, done in changes.answered.items():
         db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
+    if changes.buses is not None:
+        _write_buses(db, changes.buses)
+
+
+def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:
+    known = ("bus", "uri", "state", "t_ns")
+    db.execute("DELETE FROM bus")
+    for state in states:
+        more = {name: value for name, value in state.items() if name not in (*known, "event")}
+        db.execute(
+            "INSERT INTO bus VALUES (?, ?, ?, ?, ?)",
+            (*(state[name] for name in known), json.dumps(more)),
+        )
 
 
 def _write_record(db: sqlite3.Connection, r: Record) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,10 @@ _MAGIC = b"SQLite format 3\0"
 PATIENCE_S = 1.0
 #: Primary result codes of SQLite that mean damage; all others are the disk's, and may pass.
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+#: Opens a database, as ``sqlite3.connect`` does.
+Connect = Callable[..., sqlite3.Connection]
 
 
 class OutdatedError(InputError):
@@ -70,6 +74,7 @@ class Store:
     Args:
         path: the file, made when missing; None keeps everything in this process.
         write: False opens an existing file for reading beside its writer.
+        connect: opens the database.
 
     Raises:
         InputError: the file is missing (reading), is not a fault memory, or is of a later version.
@@ -78,8 +83,11 @@ class Store:
         InUseError: it has a writer already.
     """
 
-    def __init__(self, path: Path | None, *, write: bool = True) -> None:
+    def __init__(
+        self, path: Path | None, *, write: bool = True, connect: Connect = sqlite3.connect
+    ) -> None:
         self.path = path
+        self._open_database = connect
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
@@ -101,7 +109,7 @@ class Store:
                 if self._lock is None:
                     self._lock = take_lock(path)
                 self._was_kept = path.exists() and is_marked(path)
-            self._db = sqlite3.connect(
+            self._db = self._open_database(
                 ":memory:" if path is None else path,
                 isolation_level=None,
                 timeout=PATIENCE_S,
@@ -294,26 +302,6 @@ class Store:
         """
         with self.transaction():
             rows.write(self._db, changes)
-
-    def save_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Replace what is known of the buses: name, URI, state, time, and counters.
-
-        Raises:
-            StoreError: it could not be written.
-        """
-        known = ("bus", "uri", "state", "t_ns")
-        with self.transaction():
-            self._db.execute("DELETE FROM bus")
-            self._db.executemany(
-                "INSERT INTO bus VALUES (?, ?, ?, ?, ?)",
-                [
-                    (
-                        *(state[name] for name in known),
-                        json.dumps({k: v for k, v in state.items() if k not in (*known, "event")}),
-                    )
-                    for state in states
-                ],
-            )
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""

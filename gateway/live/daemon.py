@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gateway.app import Gateway, prepare
 from gateway.bus.ring import Ring
-from gateway.bus.uri import open_bus
 from gateway.config import Config, load_config
 from gateway.errors import GatewayError, InputError
-from gateway.live.clock import Clock
+from gateway.faults.kept import KeptStore
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
+from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
 from gateway.log import get_logger
@@ -32,9 +31,8 @@ class Daemon:
         tell: takes the events of the JSON contract.
         taps: take every frame besides the configured recording.
         notifier: the service manager.
-        clock: the engine's; default: this machine's, with the configured tolerance.
+        machine: clocks, buses and threads; its clock gets the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
-        beside: whether a thread writes the fault memory, so that frames do not wait for a disk.
 
     Attributes:
         gateway: that runs now.
@@ -53,25 +51,26 @@ class Daemon:
         tell: Callable[[dict[str, Any]], None],
         taps: Sequence[Tap] = (),
         notifier: Notifier | None = None,
-        clock: Clock | None = None,
+        machine: Machine | None = None,
         on_built: Callable[[], None] = lambda: None,
-        beside: bool = True,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._tell, self._given_taps = tell, list(taps)
         self._notifier = notifier or Notifier({})
         config = self._load()
-        self._clock = clock or Clock()
+        self._machine = machine or Machine()
+        self._clock = self._machine.clock
         self._clock.tolerance_ns = _tolerance_ns(config)
         self._ring: Ring | None = None
-        self.reloader = Reloader(self._prepare)
+        self.reloader = Reloader(self._prepare, self._machine.begin_thread)
         parts = prepare(config, path)
         parts.engine.warm()
         on_built()
-        gateway = Gateway(config, memory or config.memory.path, file=path, parts=parts)
+        store = KeptStore(memory or config.memory.path, connect=self._machine.connect)
+        gateway = Gateway(config, file=path, parts=parts, store=store)
         gateway.listen(tell)
-        if beside:
-            gateway.write_beside()
+        if self._machine.begin_writer is not None:
+            gateway.write_beside(self._machine.begin_writer(), self._machine.patience_s)
         self.gateway = gateway
         links: list[Link] = []
         try:
@@ -80,7 +79,15 @@ class Daemon:
                 links.append(self._new_link(entry.uri, index, entry.name))
                 links[-1].start()
             gateway.start(self._clock.now())
-            self._live = Live(gateway, links, tell, taps=self._taps(), clock=self._clock)
+            self._live = Live(
+                gateway,
+                links,
+                tell,
+                taps=self._taps(),
+                clock=self._clock,
+                tick_s=self._machine.tick_s,
+                monotonic=self._machine.monotonic,
+            )
         except BaseException:
             for link in links:
                 link.close()
@@ -102,8 +109,8 @@ class Daemon:
         self._live.drain()
         gateway = self.gateway
         gateway.advance(self._clock.now() - GRACE_NS)
-        gateway.stop(gateway.engine.now_ns)
         self._live.keep()
+        gateway.stop(gateway.engine.now_ns)
         for link in self._live.links:
             t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
             self._tell(bus_event(link, "closed", t_ns))
@@ -130,8 +137,8 @@ class Daemon:
         return config.model_copy(update={"bus": (entry.model_copy(update={"uri": self._bus}),)})
 
     def _new_link(self, uri: str, index: int, name: str) -> Link:
-        opener = partial(open_bus, patience_s=0.0)
-        return Link(uri, index, name, opener, self._clock)
+        machine = self._machine
+        return Link(uri, index, name, machine.open_bus, machine.clock, monotonic=machine.monotonic)
 
     def _new_ring(self, config: Config) -> Ring | None:
         if config.record is None:

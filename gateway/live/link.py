@@ -71,6 +71,7 @@ class Link:
         self._batch = empty(BATCH)
         self._told: list[Frames] = []
         self._transmitter = Transmitter()
+        self._ending = ""  # why nothing can be sent any more, while what has come is still read
         self.reason = ""
         self.losses = 0
         self.echoes = False
@@ -92,8 +93,8 @@ class Link:
 
     @property
     def running(self) -> bool:
-        """Whether the bus is open."""
-        return self._bus is not None
+        """Whether the bus is open, and takes frames."""
+        return self._bus is not None and not self._ending
 
     def fileno(self) -> int | None:
         """Return the descriptor to wait for, None while the bus is gone."""
@@ -104,6 +105,8 @@ class Link:
         """How long until it wants :meth:`attend` at the latest [s]."""
         if self._bus is None:
             return max(self._next_try - self._monotonic(), 0.0)
+        if self._ending:
+            return 0.0
         return 0.001 if len(self._transmitter) else float("inf")
 
     def attend(self) -> None:
@@ -112,6 +115,7 @@ class Link:
             try:
                 self._open()
             except BusError as error:
+                self._drop()  # opened, and gone again before it was set up
                 self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
                 self._next_try = self._monotonic() + self._wait_s
                 self.reason = str(error)
@@ -144,6 +148,11 @@ class Link:
         if forged.any():  # what our clock does is not for others to say
             self._bus.statistics.rejected += int(forged.sum())
             frames = frames[~forged]
+        if self._ending and count < BATCH:
+            self._lose(self._ending)
+            frames = self._joined([*told, frames, *self._told])
+            self._told = []
+            return frames, False
         return (self._joined([*told, frames]) if told else frames), count == BATCH
 
     def _joined(self, parts: list[Frames]) -> Frames:
@@ -153,18 +162,18 @@ class Link:
 
     def send(self, frames: Frames) -> None:
         """Send frames; those of a bus that is gone are given up."""
-        if self._bus is None:
-            self._transmitter.given_up += len(frames)
-        else:
+        if self.running:
             self._send(frames)
+        else:
+            self._transmitter.given_up += len(frames)
 
     def _send(self, frames: Frames) -> None:
-        if self._bus is None:
+        if self._bus is None or self._ending:
             return
         try:
             self._transmitter.send(self._bus, frames)
         except BusError as error:
-            self._lose(str(error))
+            self._end(str(error))
 
     def listen_to(self, can_ids: Sequence[int] | None, *, echo: bool) -> None:
         """Choose what comes: identifiers (None: all), and whether what is sent here comes back."""
@@ -172,7 +181,7 @@ class Link:
         try:
             self._choose()
         except BusError as error:
-            self._lose(str(error))
+            self._end(str(error))
 
     def _choose(self) -> None:
         if self._bus is not None:
@@ -217,11 +226,16 @@ class Link:
         self._next_try = self._monotonic() + self._wait_s
         self._told.append(condition_frame(self._clock.now(), self.index, LOST))
 
+    def _end(self, reason: str) -> None:
+        """Note that the bus is gone; it is lost when all that had come before is read."""
+        self._ending = self._ending or reason
+        self._transmitter.give_up()
+
     def _drop(self) -> None:
         if self._bus is not None:
             _add(self._past, self._bus.statistics)
             self._bus.close()
-            self._bus = None
+            self._bus, self._ending = None, ""
 
     def _with_losses(self, frames: Frames, losses: Sequence[tuple[int, int]]) -> Frames:
         """Return the frames with LOSS where frames are missing."""

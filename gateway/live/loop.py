@@ -84,6 +84,7 @@ class Live:
         taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic [s].
+        monotonic: for what is done every so often [s].
     """
 
     def __init__(
@@ -95,12 +96,13 @@ class Live:
         taps: Sequence[Tap] = (),
         clock: Clock,
         tick_s: float = TICK_S,
+        monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self._gateway = gateway
         self._links = list(links)
         self._tell = tell
         self._taps = list(taps)
-        self._clock, self._tick_s = clock, tick_s
+        self._clock, self._tick_s, self._monotonic = clock, tick_s, monotonic
         self._offset_ns = clock.told_offset_ns  # of what the taps have got
         self._selector = selectors.DefaultSelector()
         self._watched: dict[int, Link] = {}
@@ -159,7 +161,7 @@ class Live:
             # its own time stamps move the clock.
             self._send(self._gateway.advance(self._clock.now() - GRACE_NS))
         self._send(self._gateway.poll(self._clock.now()))
-        now = time.monotonic()
+        now = self._monotonic()
         if now >= self._poll:
             self._gateway.serve_requests()
             self._report(now)
@@ -300,7 +302,7 @@ class Live:
 
     def keep(self) -> None:
         """Keep the state of the buses where other processes see it."""
-        self._keep = time.monotonic() + KEEP_S
+        self._keep = self._monotonic() + KEEP_S
         self._gateway.note_buses(self._states())
 
     def _states(self) -> list[dict[str, Any]]:

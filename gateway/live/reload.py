@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.assemble import Parts
 from gateway.config import Config
 from gateway.errors import GatewayError
+from gateway.live.machine import Thread, begin_thread
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,17 @@ class Reloader:
 
     Args:
         prepare: reads and builds; its errors are those of the configuration.
+        begin_thread: begins a thread: its work and its name.
     """
 
-    def __init__(self, prepare: Callable[[], Prepared]) -> None:
-        self._prepare = prepare
+    def __init__(
+        self,
+        prepare: Callable[[], Prepared],
+        begin_thread: Callable[[Callable[[], None], str], Thread] = begin_thread,
+    ) -> None:
+        self._prepare, self._begin_thread = prepare, begin_thread
         self._requested = False
-        self._thread: threading.Thread | None = None
+        self._thread: Thread | None = None
         self._result: Prepared | GatewayError | None = None
 
     def request(self, *_: object) -> None:
@@ -41,8 +46,7 @@ class Reloader:
         if not self._requested or self._thread is not None:
             return False
         self._requested = False
-        self._thread = threading.Thread(target=self._work, name="reload", daemon=True)
-        self._thread.start()
+        self._thread = self._begin_thread(self._work, "reload")
         return True
 
     def take(self) -> Prepared | GatewayError | None:

@@ -532,3 +532,35 @@ def test_the_path_of_the_store_may_be_a_link(tmp_path):
     assert store.mishaps() == []
     assert Path(tmp_path / "real" / "f.sqlite").exists()
     store.close()
+
+
+def test_a_file_that_cannot_be_opened_again_leaves_what_is_read_meanwhile(tmp_path):
+    """A request of another process came after a retry: the connection was closed, and the daemon ended."""
+    broken = False
+
+    class Connection(sqlite3.Connection):
+        def execute(self, sql, *parameters):
+            if broken and "journal_mode" in sql:
+                raise sqlite3.OperationalError("disk I/O error")
+            return super().execute(sql, *parameters)
+
+    def connect(*arguments, **options):
+        return sqlite3.connect(*arguments, factory=Connection, **options)
+
+    store = KeptStore(tmp_path / "f.sqlite", connect=connect)
+    memory = FaultMemory(catalogue((1,)), store)
+    memory.start_cycle(0)
+    memory.apply(event(0, True, S), nothing)
+    memory.commit(S)
+    broken = True
+    for file in tmp_path.glob("f.sqlite*"):
+        file.unlink()
+    for k in range(2, 6):
+        memory.rewrite()
+        assert not memory.commit(k * 100 * S)
+        with store.transaction():
+            assert store.requests() == []
+    broken = False
+    assert memory.commit(1000 * S)
+    store.close()
+    assert listed(tmp_path / "f.sqlite") != {}

@@ -94,8 +94,8 @@ def script(world, bench, step_s, at):
     yield from wait(0.2, bench.traffic())
 
 
-def run(folder, monkeypatch, step_s=None, at="", more="[clock]\nwatched = false\n", **options):
-    world = World(monkeypatch, **options)
+def run(folder, step_s=None, at="", more="[clock]\nwatched = false\n", **options):
+    world = World(**options)
     daemon = world.daemon(config_of(folder, more), folder / "f.sqlite")
     try:
         world.play(daemon, script(world, Bench(world), step_s, at))
@@ -117,8 +117,7 @@ def without_stamps(world):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        return run(tmp_path_factory.mktemp("undisturbed"), patch)
+    return run(tmp_path_factory.mktemp("undisturbed"))
 
 
 def answers(world):
@@ -141,8 +140,8 @@ def test_the_script_has_all_that_takes_time(undisturbed):
 
 @pytest.mark.parametrize("at", ["debounce", "session", "request", "silence", "healing"])
 @pytest.mark.parametrize("step_s", STEPS)
-def test_a_step_changes_nothing_but_stamps(step_s, at, undisturbed, tmp_path, monkeypatch):
-    world = run(tmp_path / "run", monkeypatch, step_s, at)
+def test_a_step_changes_nothing_but_stamps(step_s, at, undisturbed, tmp_path):
+    world = run(tmp_path / "run", step_s, at)
     assert world.sent == undisturbed.sent, "each frame at the same true time"
     assert without_stamps(world) == without_stamps(undisturbed)
     frames = undisturbed.counters["frames"] + 1  # one tells of the step
@@ -160,8 +159,8 @@ def test_a_step_changes_nothing_but_stamps(step_s, at, undisturbed, tmp_path, mo
 
 @pytest.mark.parametrize("at", ["debounce", "silence"])
 @pytest.mark.parametrize("step_s", STEPS)
-def test_a_step_is_a_fault_of_the_gateway_that_heals(step_s, at, tmp_path, monkeypatch):
-    world = run(tmp_path / "run", monkeypatch, step_s, at, more="[clock]\nheals_after_s = 2.0\n")
+def test_a_step_is_a_fault_of_the_gateway_that_heals(step_s, at, tmp_path):
+    world = run(tmp_path / "run", step_s, at, more="[clock]\nheals_after_s = 2.0\n")
     mine = [(t, e) for t, e in world.events if e["event"] == "dtc" and e["dtc"] == "U3000-62"]
     (set_at, failed), (healed_at, healed) = mine
     assert failed["fault"] == "gateway.clock_stepped"
@@ -177,9 +176,9 @@ def test_a_step_is_a_fault_of_the_gateway_that_heals(step_s, at, tmp_path, monke
     assert [d for d, _ in world.dtcs() if d != "U3000-62"] == ["U0401-82"] * 2 + ["U0100-87"] * 2
 
 
-def test_what_others_do_to_the_clock_slowly_is_followed(tmp_path, monkeypatch):
+def test_what_others_do_to_the_clock_slowly_is_followed(tmp_path):
     """NTP slews by 500 ppm where the monotonic clock does not go with it: no step, and time is the wall's."""
-    world = World(monkeypatch)
+    world = World()
     bench = Bench(world)
     daemon = world.daemon(config_of(tmp_path / "run"), tmp_path / "f.sqlite")
 
@@ -195,10 +194,10 @@ def test_what_others_do_to_the_clock_slowly_is_followed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 86_400.0])
-def test_an_adapter_with_a_clock_of_its_own(ahead_s, undisturbed, tmp_path, monkeypatch):
+def test_an_adapter_with_a_clock_of_its_own(ahead_s, undisturbed, tmp_path):
     """Its stamps begin anywhere, and no step of our clock is theirs."""
     ahead = {"virtual:a": round(ahead_s * 1e9) - 10**12}
-    world = run(tmp_path / "run", monkeypatch, 3600.0, "silence", own_clocks=ahead)
+    world = run(tmp_path / "run", 3600.0, "silence", own_clocks=ahead)
     assert world.sent == undisturbed.sent
     assert without_stamps(world) == without_stamps(undisturbed)
     assert world.counters["late"] == 0
@@ -214,8 +213,8 @@ def replayed(config, frames, channels=None):
 
 @pytest.mark.parametrize("at", ["debounce", "silence"])
 @pytest.mark.parametrize("step_s", STEPS)
-def test_its_recording_replays_to_the_same_verdicts(step_s, at, tmp_path, monkeypatch):
-    world = run(tmp_path / "run", monkeypatch, step_s, at, more="")
+def test_its_recording_replays_to_the_same_verdicts(step_s, at, tmp_path):
+    world = run(tmp_path / "run", step_s, at, more="")
     config = tmp_path / "run" / "beat.toml"
     events, gateway = replayed(config, read_recording(tmp_path / "run" / "ring"))
     live = [e for _, e in world.events if e["event"] in ("dtc", "clock")]
@@ -231,8 +230,8 @@ def test_its_recording_replays_to_the_same_verdicts(step_s, at, tmp_path, monkey
 
 
 @pytest.mark.parametrize("step_s", STEPS)
-def test_frames_kept_around_a_failure_have_the_step_too(step_s, tmp_path, monkeypatch):
-    run(tmp_path / "run", monkeypatch, step_s, "debounce")
+def test_frames_kept_around_a_failure_have_the_step_too(step_s, tmp_path):
+    run(tmp_path / "run", step_s, "debounce")
     store = Store(tmp_path / "run" / "f.sqlite", write=False)
     (recording,) = store.recordings("chassis.Beat.counter")
     store.close()
@@ -249,9 +248,9 @@ def test_frames_kept_around_a_failure_have_the_step_too(step_s, tmp_path, monkey
 
 
 @pytest.mark.parametrize("step_s", STEPS)
-def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_path, monkeypatch):
+def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_path):
     """Without a frame that tells of the step: back is known by the stamps, forward is taken for a gap."""
-    run(tmp_path / "run", monkeypatch, step_s, "debounce", more="")
+    run(tmp_path / "run", step_s, "debounce", more="")
     frames = np.concatenate(list(read_recording(tmp_path / "run" / "ring")))
     foreign = frames[frames["can_id"] == 0x300]
     events, gateway = replayed(tmp_path / "run" / "beat.toml", [foreign[:70], foreign[70:]])
@@ -270,12 +269,12 @@ def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_
 
 
 @pytest.mark.parametrize("step_s", STEPS)
-def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path, monkeypatch):
+def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path):
     """Two buses and a third that is silent: what leaves, what is told and what a replay says of the recording."""
 
     def play(folder, step_s, more=""):
         folder.mkdir()
-        world = World(monkeypatch)
+        world = World()
         buses = [("chassis", "virtual:a"), ("body", "virtual:b"), ("silent", "virtual:c")]
         path = write_config(
             folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n'

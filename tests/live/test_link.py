@@ -43,6 +43,8 @@ class Cable(Bus):
         return len(frames)
 
     def set_filters(self, can_ids):
+        if self.world.refusing:
+            raise BusError("network is down")
         self.world.filters.append(can_ids)
 
     def close(self):
@@ -54,6 +56,7 @@ class World:
         self.plugged, self.now_ns, self.now_s = True, 1000, 0.0
         self.waiting, self.losses, self.filters = [], [], []
         self.opened = self.closed = self.sent = 0
+        self.refusing = False
 
     def link(self):
         return Link(
@@ -138,6 +141,42 @@ def test_a_loss_noticed_while_sending():
     assert not link.running
     assert link.unsent == 2
     assert conditions(link.receive()[0]) == [LOST]
+
+
+def test_what_was_received_before_sending_failed_still_comes_then_the_loss():
+    """Frames that wait in the queue of a bus that takes none any more: they came, and nobody would count them."""
+    world = World()
+    link = world.link()
+    link.start()
+    link.receive()
+    world.waiting = [0x100, 0x101]
+    world.plugged = False
+    link.send(empty(3))
+    link.send(empty(2))
+    assert not link.running
+    assert link.unsent == 5
+    assert link.due_s == 0.0, "the rest is read without waiting"
+    link.attend()
+    frames, more = link.receive()
+    assert (conditions(frames), more) == (["0x100", "0x101", LOST], False)
+    assert link.statistics.received == 2
+    assert (link.losses, world.closed) == (1, 1)
+
+
+def test_a_bus_that_goes_again_while_it_is_opened_is_tried_again_and_told_when_it_is_there():
+    world = World()
+    world.plugged = False
+    link = world.link()
+    link.start()
+    assert conditions(link.receive()[0]) == [LOST]
+    world.plugged = world.refusing = True
+    world.now_s = 1.0
+    link.attend()
+    assert not link.running
+    assert world.closed == 1
+    world.refusing, world.now_s = False, 3.0
+    link.attend()
+    assert conditions(link.receive()[0]) == [RUNNING]
 
 
 def test_lost_frames_are_told_where_they_are_missing():

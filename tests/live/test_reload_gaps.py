@@ -82,7 +82,7 @@ def bench(tmp_path, monkeypatch):
     """A daemon whose changed configuration has its buses in another order, another third one, and a recording."""
 
     def make(place, when, act, then=lambda _: None):
-        world = World(monkeypatch)
+        world = World()
         path = write(tmp_path, BEFORE)
         counts = {"virtual:a": 0, "virtual:b": 0}
 

@@ -6,10 +6,9 @@ from functools import partial
 from gateway.bus.base import Bus
 from gateway.bus.frames import put
 from gateway.errors import BusError
-from gateway.live import daemon as module
 from gateway.live.clock import Clock
 from gateway.live.daemon import Daemon
-from gateway.live.loop import Live
+from gateway.live.machine import Machine
 
 MS = 1_000_000
 #: Time between two turns of the loop [ns].
@@ -68,22 +67,25 @@ class World:
         own_clocks: URI -> what the stamps of its adapter are ahead of true time [ns].
     """
 
-    def __init__(self, monkeypatch, *, own_clocks=()):
+    def __init__(self, *, own_clocks=()):
         self.now_ns, self.ahead_ns = 10**12, 1_700_000_000 * 10**9
         self.start_ns = self.now_ns
         self.wires, self.cut, self.own_clocks = {}, set(), dict(own_clocks)
         self.sent, self.events = [], []
         self.clock = Clock(lambda: self.now_ns + self.ahead_ns, lambda: self.now_ns)
-        monkeypatch.setattr(module, "open_bus", lambda uri, index, **_: Wire(self, uri, index))
-        monkeypatch.setattr(module, "Live", partial(Live, tick_s=0.0))
 
     def daemon(self, config, memory):
         self.running = Daemon(
             config,
             memory=memory,
             tell=lambda event: self.events.append((self.now_ns, event)),
-            clock=self.clock,
-            beside=False,  # a thread would write in real time
+            machine=Machine(
+                clock=self.clock,
+                monotonic=lambda: self.now_ns / 1e9,
+                open_bus=partial(Wire, self),
+                tick_s=0.0,
+                begin_writer=None,  # it would write in real time
+            ),
         )
         return self.running
 
