@@ -24,12 +24,12 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
         pytest.param(PLAIN, ("monitors/crank_sync",), id="plain-crank_sync"),
         pytest.param(PLAIN, MONITORS, id="plain-monitors"),
         pytest.param(PLAIN, ("fdi",), id="plain-fdi"),
-        pytest.param(CHECKED, (*ENGINE, "monitors", "fdi", "vecu"), id="checked"),
+        pytest.param(CHECKED, (*ENGINE, "monitors", "fdi"), id="checked"),
     ],
 )
 def test_the_smallest_cases_pass(setting, parts):
     ended = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist",
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
          "-W", "error::RuntimeWarning", "--durations=15", *parts],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
