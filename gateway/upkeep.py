@@ -79,6 +79,9 @@ class Upkeep:
         """Go on where that of an earlier configuration stops."""
         self._pace, self.not_stored = old._pace, old.not_stored
         self._down = old._down
+        watched, before = self._places.values(), old._places.values()
+        same = [place is None for place in watched] == [place is None for place in before]
+        self._tested = old._tested and same
         self._executor, self._patience_s = old._executor, old._patience_s
         old._executor = None
 

@@ -4,6 +4,7 @@ A failure prints the seed and the schedule; ``GATEWAY_SCHEDULE`` names a file wi
 which lines can be taken out until only those are left that matter.
 """
 
+import hashlib
 import math
 import os
 import random
@@ -52,7 +53,7 @@ class Run:
 
     Attributes:
         daemon, bench, tester, promises, tap: of this run.
-        turns: so far.
+        turns: so far; ``events``: how many were told, with their ``digest``.
     """
 
     def __init__(self, folder, seed, seconds, schedule, *, per_turn=8, each=lambda run: None):
@@ -82,6 +83,7 @@ class Run:
         self._traffic_ns = self.bench.now_ns
         self.turns = 0
         self.events = 0
+        self.digest = hashlib.sha256()
 
     def play(self):
         """Play it; returns itself.
@@ -159,6 +161,8 @@ class Run:
 
     def _on_event(self, event):
         self.events += 1
+        told = {name: value for name, value in event.items() if name not in ("file", "aside")}
+        self.digest.update(repr(told).encode())
         if event["event"] == "config":
             self._reloading = False
         if event["event"] == "bus":
