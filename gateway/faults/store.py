@@ -12,7 +12,7 @@ import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults import rows
@@ -244,7 +244,10 @@ class Store:
                 if not nested:
                     self._db.execute("ROLLBACK")
         except (sqlite3.Error, ValueError) as error:
-            if isinstance(error, sqlite3.OperationalError) and _code(error) not in _DAMAGE:
+            # Our statements are right for the schema: one that SQLite cannot make sense of means another schema.
+            other = getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR
+            operational = isinstance(error, sqlite3.OperationalError) and not other
+            if operational and _code(cast(sqlite3.Error, error)) not in _DAMAGE:
                 raise InputError(f"fault memory not readable: {error}", file=self.path) from error
             raise _damage(self.path, error) from error
 

@@ -25,7 +25,7 @@ S = 1_000_000_000
 
 
 def kept(path, count=3, **settings):
-    store = KeptStore(path)
+    store = KeptStore(path, connect=sqlite3.connect)
     return store, FaultMemory(catalogue((1,) * count), store, **settings)
 
 
