@@ -140,8 +140,10 @@ def test_a_crc_off_its_byte_is_refused():
 def test_messages_have_dtcs_of_their_own():
     """U01xx lost communication, U04xx invalid data received; the failure type stays that of the check."""
     params = Params(message="SAS", timeout_ms=100.0, lost="U0126", invalid="U0428")
-    codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH)]
-    assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81"]
-    assert [Params(message="SAS").fault_of(k).dtc for k in range(4)] == [f.dtc for f in FAULTS]
+    codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH, VALUE)]
+    assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81", "U0428-29"]
+    assert [Params(message="SAS").fault_of(k).dtc for k in range(len(FAULTS))] == [
+        f.dtc for f in FAULTS
+    ]
     with pytest.raises(ValidationError, match="lost"):
         Params(message="SAS", lost="P0126")
