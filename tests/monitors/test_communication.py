@@ -10,7 +10,7 @@ from gateway.bus.frames import empty, put
 from gateway.engine.build import CheckInstance, build_engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.errors import InputError
-from gateway.monitors.communication import COUNTER, CRC, FAULTS, LENGTH, TIMEOUT, Params
+from gateway.monitors.communication import COUNTER, CRC, FAULTS, LENGTH, TIMEOUT, VALUE, Params
 from gateway.resources import shipped
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
