@@ -24,8 +24,13 @@ from gateway.faults.store import DamagedError, Store, StoreError
 S = 1_000_000_000
 
 
+def connect(*arguments, **options):
+    """Connect as SQLite's driver does at the time of the call: a test may have changed it since the store was made."""
+    return sqlite3.connect(*arguments, **options)
+
+
 def kept(path, count=3, **settings):
-    store = KeptStore(path, connect=sqlite3.connect)
+    store = KeptStore(path, connect=connect)
     return store, FaultMemory(catalogue((1,) * count), store, **settings)
 
 
@@ -379,14 +384,14 @@ def test_a_file_that_was_never_a_fault_memory_is_not_touched(tmp_path):
 
 def unwritable(monkeypatch):
     """Let SQLite find the disk read-only, also for root."""
-    connect = sqlite3.connect
+    driver = sqlite3.connect
 
     def read_only(path, **options):
         if str(path) == ":memory:" or "/dev/shm" in str(path):
-            return connect(path, **options)
+            return driver(path, **options)
         raise sqlite3.OperationalError("attempt to write a readonly database")
 
-    monkeypatch.setattr("gateway.faults.store.sqlite3.connect", read_only)
+    monkeypatch.setattr(sqlite3, "connect", read_only)
 
 
 def test_a_memory_that_cannot_be_opened_is_read_kept_here_and_written_later(tmp_path, monkeypatch):

@@ -33,6 +33,8 @@ from gateway.resources import shipped
 pytestmark = pytest.mark.system
 
 COUNT = 60
+#: Of the gateway's own memory: not written, damaged.
+OWN = [Dtc.parse("U3000-42").value, Dtc.parse("U3000-44").value]
 SERVERS = """
 [output.dtc_frame]
 cycle_ms = 300.0
@@ -136,11 +138,15 @@ def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, clie
         time.sleep(0.05)
     everything = sorted(code(k) for k in range(COUNT))
 
-    found = client.get_dtc_by_status_mask(0xFF)
+    found = client.get_dtc_by_status_mask(0x08)
     assert numbers(found) == everything
     assert {dtc.status.get_byte_as_int() for dtc in found.service_data.dtcs} == {0xAF}
+    found = client.get_dtc_by_status_mask(0xFF)
+    untested = {dtc.id: dtc.status.get_byte_as_int() for dtc in found.service_data.dtcs}
+    assert {dtc: untested.pop(dtc) for dtc in everything} == dict.fromkeys(everything, 0xAF)
+    assert untested == dict.fromkeys(OWN, 0x50), "not tested since the memory was cleared"
     assert client.get_number_of_dtc_by_status_mask(0x08).service_data.dtc_count == COUNT
-    assert numbers(client.get_supported_dtc()) == everything
+    assert numbers(client.get_supported_dtc()) == sorted([*everything, *OWN])
     assert numbers(client.get_first_test_failed_dtc()) == [code(0)]
     assert numbers(client.get_first_confirmed_dtc()) == [code(0)]
     assert numbers(client.get_most_recent_test_failed_dtc()) == [code(COUNT - 1)]
