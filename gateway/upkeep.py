@@ -134,11 +134,14 @@ class Upkeep:
         quiet = self._tested and not (self._down or self._store.happened)
         if quiet and not memory.unsaved:
             return noted
-        beside = self._executor is not None and quiet and not final
-        if beside and not memory.outage.reason:
+        beside = self._executor is not None and not final
+        if beside and quiet and not memory.outage.reason:
             done = self._write_beside(t_ns, noted)
             if done is not None:
                 return done
+        if beside and memory.outage.reason and self._try_beside(t_ns, sink):
+            self._under_way = NOTHING
+            return noted
         if memory.unsaved:
             urgent = final or asked or beside or memory.outage.reason
             if not (urgent or self._pace.allows(t_ns, memory.unsaved)):
@@ -170,6 +173,20 @@ class Upkeep:
             return None
         done, self._under_way = self._under_way, NOTHING
         return done
+
+    def _try_beside(self, t_ns: int, sink: Sink) -> bool:
+        """Go on with an outage, in which the thread tries again; returns whether it lasts."""
+        memory = self._memory
+        if memory.under_way():
+            return True
+        memory.join()
+        if not memory.outage.reason:
+            return False
+        self._judge(t_ns, sink)
+        if memory.outage.is_due(t_ns):
+            assert self._executor is not None
+            memory.begin(t_ns, self._executor)
+        return True
 
     def look(self, t_ns: int) -> None:
         """Look whether the file is still there; if not, all is written anew."""

@@ -21,7 +21,11 @@ settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if
 
 
 def pytest_collection_modifyitems(config, items):
-    """With GATEWAY_TESTS=small leave out what is long and what needs several processes, but for one chain of each."""
+    """With GATEWAY_TESTS=small leave out what is long and what needs several processes, but for one chain of each.
+
+    What runs other tests again comes first: at the end it would keep one processor busy alone.
+    """
+    items.sort(key=lambda item: "test_kernels_again" not in item.nodeid)
     if not SMALL:
         return
     chain, left_out = [], []

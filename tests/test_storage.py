@@ -377,8 +377,44 @@ def test_what_a_thread_could_not_write_is_told_as_such_and_written_later(make, s
     assert told(rig)[-3:] == [("U3000-44", True), ("P1000-11", True), ("C1001-11", True)]
     slow.fails = False
     rig.wait(500)
+    slow.go_on(rig)
+    rig.wait(20)
     assert set(stored(rig)) == {"b.M0.length", "b.M1.length", NOT_WRITTEN}
     assert told(rig)[-1] == ("U3000-44", False)
+
+
+def test_attempts_that_take_long_hold_nobody_up_and_all_is_written_at_their_end(make, slow):
+    rig = make(extra=FRAMES + "[output.uds]\n")
+    rig.gateway.write_beside()
+    tester = Tester(rig)
+    rig.wait(50)
+    slow.fails = True
+    rig.fail(0)
+    slow.go_on(rig)
+    rig.wait(20)
+    assert told(rig)[-2:] == [("U3000-44", True), ("P1000-11", True)]
+    failures = rig.gateway.memory.outage.failures
+    for _ in range(3):  # as many attempts, each of which takes as long as it likes
+        slow.stall()
+        rig.wait(1000)
+        assert rig.gateway.memory.under_way()
+        assert tester.ask("3E00").hex() == "7e00"
+        slow.go_on(rig)
+        failures += 1
+        rig.wait(20)
+        assert rig.gateway.memory.outage.failures >= failures
+    slow.stall()
+    rig.wait(2000)
+    rig.fail(1)
+    assert told(rig)[-1] == ("C1001-11", True), "told while an attempt is under way"
+    assert of(rig, "dtc")[-1]["stored"] is False
+    assert len(tester.ask("190208")) == 3 + 3 * 4
+    slow.fails = False
+    slow.go_on(rig)
+    rig.wait(50)
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length", NOT_WRITTEN}
+    assert told(rig)[-1] == ("U3000-44", False)
+    assert rig.gateway.stored
 
 
 def test_a_file_deleted_while_a_thread_writes_is_written_anew(make, slow):

@@ -254,16 +254,17 @@ class Ledger:
     # Writing beside
 
     def begin(self, t_ns: int, executor: Executor) -> None:
-        """Have all changes written by a thread; :meth:`join` ends it.
+        """Have all changes written by a thread; :meth:`join` ends it. In an outage it may begin another file.
 
         Args:
             t_ns: now, of the engine's clock.
             executor: of one thread.
         """
+        whole = self._copy_of_all() if self.outage.reason else None
         changes = self._pending
         changes.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
         self._start_anew()
-        future = executor.submit(self.store.save, changes)
+        future = executor.submit(self.store.save, changes, whole and (lambda: whole))
         self._write = _Write(future, t_ns, changes, self._permanent.all())
 
     def under_way(self, patience_s: float = 0.0) -> bool:
@@ -287,6 +288,7 @@ class Ledger:
             self._dirty |= {record.id for record in write.changes.records}
             self._more = True
         else:
+            self.outage.ended()
             self._show(write.changes, write.permanent)
 
     def rewrite(self) -> None:
@@ -304,6 +306,14 @@ class Ledger:
         whole.identifiers = self.identifiers
         whole.facts = self._facts
         whole.buses = self._buses
+        return whole
+
+    def _copy_of_all(self) -> Changes:
+        """Return all there is, as it is now."""
+        whole = self._whole()
+        whole.records = [_copy(record) for record in whole.records]
+        whole.cycles, whole.facts = dict(whole.cycles), dict(whole.facts)
+        whole.identifiers = dict(whole.identifiers)
         return whole
 
     @contextmanager

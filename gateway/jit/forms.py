@@ -114,11 +114,6 @@ def code_of(form: Form) -> str:
     return ""
 
 
-def cells_of(form: Form) -> int:
-    """Return how many cells a form takes."""
-    return len(code_of(form))
-
-
 def put_array(value: Any, cells: list[Any]) -> None:
     """Append the cells of an array."""
     cells.append(address_of_array(value))

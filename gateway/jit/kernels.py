@@ -27,7 +27,6 @@ from gateway.jit.forms import (
     Arr,
     Form,
     Rec,
-    Tup,
     code_of,
     form_of,
     parse_results,
@@ -64,7 +63,6 @@ class Entry:
         self._pack = struct.Struct("=" + "".join(self._codes)).pack
         self._result = parse_results(results)
         self._unpack = struct.Struct("=" + code_of(self._result))
-        self._many = isinstance(self._result, Tup)
         self.address = address
         self._function = _ENTRY(address)
 

@@ -10,7 +10,7 @@ from gateway.errors import KernelError
 from gateway.jit import COMPILED, kernel
 from gateway.jit.forms import (
     Arr,
-    cells_of,
+    code_of,
     form_of,
     parse_results,
     take,
@@ -91,7 +91,7 @@ def test_a_kernel_that_allocates_is_refused():
 def test_texts_of_results_are_read_back():
     form = form_of((1, 2.0, (True, None)))
     assert parse_results(text_of(form)) == form
-    assert cells_of(form) == 3
+    assert len(code_of(form)) == 3
     assert take(form, (5, 1.5, 1))[0] == (5, 1.5, (True, None))
 
 

@@ -19,8 +19,8 @@ SCENARIOS = {
 }
 VALUES = (np.nan, np.inf, -np.inf, 3e38, -1e300, 1e16)
 SEED = 20261122
-#: Plain Python takes hundreds of times as long: a few of the inputs, for a part of the time.
-PLACES, SHARE = (1000, 1.0) if COMPILED else (2, 0.2)
+#: Plain Python takes hundreds of times as long: one of the inputs, for a part of the time.
+PLACES, SHARE = (1000, 1.0) if COMPILED else (1, 0.1)
 
 
 @pytest.fixture(scope="module", params=SCENARIOS)

@@ -11,6 +11,9 @@ from gateway.cli.simulate import simulate
 from gateway.resources import shipped
 from gateway.vecu.scenario import load_scenario
 
+#: How often a scenario is played to which a busy machine gave no time.
+ATTEMPTS = 4
+
 
 def by_config(ecu):
     """Return the names of the scenarios of a kind of virtual ECU (None: of all), by configuration."""
@@ -76,20 +79,33 @@ def run_all(config, scenarios, folder, *, strict=True):
         pytest.MonkeyPatch.context() as patch,
     ):
         patch.setattr("signal.signal", lambda *_: None)  # this process keeps its own
-        failed = []
-        for scenario in scenarios:
+        said: list[str] = []
+        patch.setattr("gateway.cli.simulate.say", said.append)
+
+        def passes(scenario):
+            said.clear()
             begun, known = time.monotonic(), len(running.events())
             code = simulate(
                 unhurried(scenario, folder), bus="socketcan:vcan0", check=True, wait=60, record=None, seed=None,
                 json=False,
             )  # fmt: skip
-            print(f"{scenario.stem}: {time.monotonic() - begun:.1f} s")
+            print(f"{scenario.stem}: {time.monotonic() - begun:.1f} s", *said, sep="; ")
             more = unexpected(scenario, running.events()[known:])
             if load_scenario(scenario).unexpected == "fail" and more:
                 print(f"{scenario.stem}: not expected: {', '.join(sorted(more))}")
-                failed.append(scenario.stem)
-            elif code:
-                failed.append(scenario.stem)
+                return False
+            return not code
+
+        def judged(scenario):
+            """A plant that stood still, on a busy machine, is none that a monitor knows: it is played once more."""
+            for _ in range(ATTEMPTS):
+                if passes(scenario):
+                    return True
+                if not any("stood still" in line for line in said):
+                    return False
+            return False
+
+        failed = [scenario.stem for scenario in scenarios if not judged(scenario)]
     assert running.code == 0
     assert not [line for line in running.log if "Traceback" in line]
     if strict:
