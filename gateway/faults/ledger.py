@@ -260,11 +260,12 @@ class Ledger:
             t_ns: now, of the engine's clock.
             executor: of one thread.
         """
-        whole = self._copy_of_all() if self.outage.reason else None
+        copied = self._copy_of_all() if self.outage.reason else None
+        whole = None if copied is None else lambda: copied
         changes = self._pending
         changes.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
         self._start_anew()
-        future = executor.submit(self.store.save, changes, whole and (lambda: whole))
+        future = executor.submit(self.store.save, changes, whole)
         self._write = _Write(future, t_ns, changes, self._permanent.all())
 
     def under_way(self, patience_s: float = 0.0) -> bool:
