@@ -13,13 +13,11 @@ import numpy as np
 
 from gateway.app import Gateway
 from gateway.config import load_config, monitor_of
-from gateway.engine.tables import table
 from gateway.evaluate.pi_bank import example
 from gateway.evaluate.pi_bank.bank import drive, observers
 from gateway.fdi.pi_bank import bank, products
 from gateway.fdi.pi_bank.design import augmented
-from gateway.jit import call_entry, kernel
-from gateway.monitors.shape import RESULTS
+from gateway.jit import call_entry, kernel, zeros
 from gateway.resources import shipped
 from gateway.vecu.linear_plant import simulate
 from gateway.vecu.player import Player
@@ -59,9 +57,9 @@ def monitor_us(y, u, logic):
     found = load_config(shipped("configs/aircraft.toml")).monitor[0]
     monitor, p = monitor_of(found)
     p = type(p).model_validate({**p.model_dump(), "logic": logic})
-    state, const, out = table(1, monitor.state), table(1, monitor.const), table(1, RESULTS)
+    state, const, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
     monitor.prepare(p, state[0], const[0])
-    rows = table(len(y), monitor.inputs)
+    rows = zeros(len(y), monitor.inputs)
     rows["y"][:, :3], rows["u"][:, :2] = y, u
     rows["t_ns"], rows["counter"] = np.arange(len(y)) * 100_000_000, np.arange(len(y)) % 16
     addresses = (state.ctypes.data, const.ctypes.data, rows.ctypes.data, rows.itemsize)
@@ -127,7 +125,7 @@ def main():
     y, u = simulate(drive(0.01, stable=True), (), 1000.0, rng)
     repeats = max(options.steps // len(y), 1)
     many_y, many_u = np.tile(y, (repeats, 1)), np.tile(u, (repeats, 1))
-    s, c = table(1, bank.STATE)[0], table(1, bank.CONST)[0]
+    s, c = zeros(1, bank.State)[0], zeros(1, bank.Const)[0]
     bank.prepare(c, example.plant(), observers())
     run_bank(s, c, y, u)
     times = {

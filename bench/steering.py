@@ -14,12 +14,11 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from gateway.app import Gateway
 from gateway.config import load_config
-from gateway.engine.tables import table
 from gateway.evaluate.steering.estimators import nominal
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
 from gateway.resources import shipped
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
@@ -71,7 +70,7 @@ def run_forward(s, c, x):
 
 def kernel_us(module, run, x, **options):
     """Best of some repeats [us a step]."""
-    c, s = table(1, module.CONST), table(1, module.STATE)
+    c, s = zeros(1, module.Const), zeros(1, module.State)
     module.prepare(c[0], M, T, **options)
     run(s[0], c[0], x[:100])
     best = np.inf
@@ -171,7 +170,7 @@ def main():
     options = parser.parse_args()
     samples = nominal(1, T)
     repeats = max(options.steps // len(samples), 1)
-    x = table(len(samples) * repeats, samples.dtype)
+    x = zeros(len(samples) * repeats, samples.dtype)
     x[:] = np.tile(samples, repeats)
     few = samples[:3000]
     filterpy_us(few[:300])

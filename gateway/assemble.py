@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from cantools.database.can import Message
 
@@ -18,7 +19,8 @@ from gateway.faults.catalogue import Catalogue, debounce_of, define
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import POWER, ConditionSettings, FaultOverride
 from gateway.monitors import memory_health
-from gateway.monitors.shape import Monitor, MonitorParams
+from gateway.monitors.conformance import checked_emission
+from gateway.monitors.contract import Monitor, MonitorParams
 from gateway.outputs.base import Output
 from gateway.outputs.control import Control
 from gateway.outputs.dtc_frame import DtcFrameOutput
@@ -131,7 +133,7 @@ class _Names:
 
 
 def _emission(
-    entry: MonitorConfig, monitor: Monitor, params: MonitorParams, database: Database
+    entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database
 ) -> Message:
     """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
 
@@ -139,7 +141,7 @@ def _emission(
         InputError: the monitor has nothing to send, or its message is nowhere.
     """
     key = f'monitor "{entry.name}".send'
-    emission = monitor.emission_of(params)
+    emission = checked_emission(monitor, params)
     if emission is None:
         raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
     name = entry.send if isinstance(entry.send, str) else emission.message
@@ -148,7 +150,7 @@ def _emission(
     for known in chain([database], own):
         if any(message.name == name for message in known):
             found = known.message(name)
-            missing = set(emission.signals) - {signal.name for signal in found.signals}
+            missing = set(emission.names) - {signal.name for signal in found.signals}
             if missing:
                 lacking = ", ".join(sorted(missing))
                 raise InputError(f"this message has no {lacking}", key=key, value=name)

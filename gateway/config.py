@@ -21,14 +21,15 @@ from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors import bus_health, communication
 from gateway.monitors.clock_health import ClockParams
+from gateway.monitors.contract import Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
-from gateway.monitors.shape import Monitor, MonitorParams
 from gateway.outputs.dtc_frame import DtcFrameParams
 from gateway.outputs.endpoints import share_address
 from gateway.outputs.identifiers import DidParams, check_unique
 from gateway.outputs.j1939.params import J1939Params
 from gateway.outputs.obd.params import ObdParams
 from gateway.outputs.uds.params import UdsParams
+from gateway.plugins import importable
 from gateway.tomlfile import StrictModel, input_errors, load, read_toml, validate
 
 
@@ -208,7 +209,7 @@ def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | No
     return names | joined
 
 
-def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor, MonitorParams]:
+def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], MonitorParams]:
     """Return the type and the parameters of a configured monitor.
 
     Args:
@@ -218,11 +219,16 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor, MonitorPar
     Raises:
         InputError, InputErrors: no such type; wrong parameters.
     """
-    monitor = MONITORS.get(entry.type)
-    if monitor is None:
-        known = sorted(MONITORS)
-        text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
-        raise InputError(text, key=f"{key}.type" if key else "type", value=entry.type)
+    try:
+        monitor = MONITORS.get(entry.type)
+        if monitor is None:
+            known = sorted(MONITORS)
+            text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
+            raise InputError(text, value=entry.type)
+    except InputError as error:
+        raise InputError(
+            error.message, file=error.file, key=f"{key}.type" if key else "type", value=entry.type
+        ) from error
     return monitor, validate(dict(entry.model_extra or {}), monitor.params, None, key)
 
 
@@ -371,10 +377,9 @@ def load_config(path: Path) -> Config:
         raise input_errors(error, path, data=data, model=Config) from error
     folder = path.parent
     config = _with_catalogues(config, folder)
-    wrong = [
-        InputError(error.message, file=path, key=error.key, value=error.value)
-        for error in _cross_check(config)
-    ]
+    if any(":" in entry.type for entry in config.monitor):
+        importable(folder)
+    wrong = [error.within(path) for error in _cross_check(config)]
     if wrong:
         raise InputErrors(wrong)
     buses = tuple(
@@ -394,6 +399,7 @@ def schema() -> dict[str, Any]:
                 **monitor.params.model_json_schema().get("properties", {}),
             }
         }
-        for name, monitor in sorted(MONITORS.items())
+        for name, monitor in sorted(MONITORS.described().items())
+        if not isinstance(monitor, InputError)
     ]
     return document

@@ -7,6 +7,7 @@ from amount import SMALL, examples
 from hypothesis import settings
 
 from gateway import log
+from gateway.jit import COMPILED
 
 # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
 for _name, _repeated in (("local", False), ("ci", True)):
@@ -28,8 +29,13 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: "test_kernels_again" not in item.nodeid)
     if not SMALL:
         return
-    chain, left_out = [], []
+    chain, left_out, seen = [], [], set()
     for item in items:
+        name = (item.path, getattr(item, "originalname", item.name))
+        if not COMPILED and name in seen:  # plain Python is slow: one case of each test
+            left_out.append(item)
+            continue
+        seen.add(name)
         if item.get_closest_marker("chain"):
             chain.append(item)
         elif item.get_closest_marker("long") or item.get_closest_marker("system"):

@@ -17,7 +17,7 @@ from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse,
 from gateway.config import Config
 from gateway.errors import InputError
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
-from gateway.monitors.shape import CusumCalibration
+from gateway.monitors.contract import CusumCalibration
 
 #: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
 _NEVER = 1e9

@@ -16,11 +16,11 @@ from gateway.bus.ring import read_recording
 from gateway.bus.timeline import LogTime
 from gateway.config import Config, channels_of, monitor_of
 from gateway.errors import InputError, InputErrors
-from gateway.monitors.shape import MonitorParams
+from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams
 from gateway.replay import contents
 
 Progress = Callable[[int], None]
-Kind = TypeVar("Kind")
+Kind = TypeVar("Kind", Calibration, CusumCalibration)
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,9 @@ def of_kind(config: Config, kind: type[Kind]) -> list[Chosen[Kind]]:
     found = []
     for place, entry in enumerate(config.monitor):
         monitor, params = monitor_of(entry)
-        if isinstance(monitor.calibration, kind):
-            found.append(Chosen(place, entry.name, monitor.calibration, params))
+        calibration = monitor.capability(kind)
+        if calibration is not None:
+            found.append(Chosen(place, entry.name, calibration, params))
     return found
 
 

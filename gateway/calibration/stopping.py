@@ -22,7 +22,7 @@ from gateway.calibration.logs import Progress, batches, of_kind, parts, refuse, 
 from gateway.config import Config
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
-from gateway.monitors.shape import Calibration
+from gateway.monitors.contract import Calibration
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000

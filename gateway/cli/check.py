@@ -9,7 +9,6 @@ from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
 from gateway.config import Config, load_config, monitor_of, schema
 from gateway.errors import InputError, InputErrors
-from gateway.monitors.registry import MONITORS
 
 
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
@@ -48,8 +47,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     warnings = [
         f"{entry.name}: {text}"
         for entry in config.monitor
-        if (of := MONITORS[entry.type].warnings) is not None
-        for text in of(monitor_of(entry)[1])
+        for monitor, params in [monitor_of(entry)]
+        for text in monitor.warnings(params)
     ]
     warnings += _of_this_machine(config)
     if json:

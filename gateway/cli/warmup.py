@@ -8,8 +8,9 @@ import time
 from gateway.app import Gateway
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver
-from gateway.cli.present import print_json
+from gateway.cli.present import print_json, say
 from gateway.config import load_config
+from gateway.errors import InputError
 from gateway.jit import cache_directory
 from gateway.monitors.registry import MONITORS
 from gateway.resources import shipped
@@ -18,8 +19,13 @@ from gateway.resources import shipped
 def warmup(*, json: bool) -> int:
     """Load all kernels that a daemon uses, or compile those that changed; returns the exit code."""
     begun = time.monotonic()
-    for monitor in MONITORS.values():
-        _ = monitor.entry
+    for type_, monitor in MONITORS.described().items():
+        try:
+            if isinstance(monitor, InputError):
+                raise monitor
+            _ = monitor.entry
+        except InputError as error:  # of another package: the others are made ready
+            say(f"monitor type {type_}: {error}")
     config = load_config(shipped("gateway.toml"))
     memory = config.memory.model_copy(update={"path": None})
     gateway = Gateway(config.model_copy(update={"memory": memory}))

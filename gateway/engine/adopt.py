@@ -1,22 +1,25 @@
-"""An engine goes on where another one, of a changed configuration, stops."""
+"""An engine goes on where another one, of a changed configuration, stops.
+
+Each record of the engine says of its fields what is state, what the state is counted in (constants), and what is only a
+place or a setting that the state does not depend on. State goes over where the constants are equal.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from gateway.engine.core import Engine
-from gateway.engine.debounce import STATE as DEBOUNCE_STATE
-from gateway.engine.tables import NEVER
-from gateway.monitors.bus_health import watch_clock
+from gateway.engine.debounce import DebounceConst, DebounceState
+from gateway.engine.emission import EmitConst, EmitState
+from gateway.engine.gate import WatchConst, WatchState
+from gateway.engine.tables import NEVER, ClockState, HandlerState, VectorState
+from gateway.jit import Record
+from gateway.monitors.bus_health import HealthState, watch_clock
+from gateway.monitors.communication import CheckConst, CheckState
 from gateway.signals.tables import SignalRef
-
-#: What of a communication check depends on the whole configuration rather than on the check.
-_PLACES = ("fault", "bus", "counter")
-_HEALTH_SETTINGS = ("fault", "most", "window_ns")
-_EMIT_STATE = "next"
 
 
 def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[int, int]) -> None:
@@ -28,36 +31,29 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
         buses: index of a bus in ``old`` -> its index in ``new``.
         cycles: index of an operation cycle in ``old`` -> its index in ``new``.
     """
-    _clock(new, old)
-    _signals(new, old, buses)
-    _checks(new, old, buses)
-    _monitors(new, old, buses)
-    _faults(new, old)
-    for before, now in buses.items():
-        if before < len(old.tables.health) - 1 and now < len(new.tables.health) - 1:
-            _copy(new.tables.health[now], old.tables.health[before], _HEALTH_SETTINGS)
-    own = new.tables.health[-1]
-    _copy(own, old.tables.health[-1], _HEALTH_SETTINGS)
-    if old.tables.clock[0]["started"] and own["until"].min() == NEVER:  # watched from now on
-        watch_clock(own, new.now_ns)
-    for before, now in cycles.items():
-        new.tables.cycles[now] = old.tables.cycles[before]
-
-
-def _copy(target: Any, source: Any, without: tuple[str, ...]) -> None:
-    for name in source.dtype.names:
-        if name not in without:
-            target[name] = source[name]
-
-
-def _same(one: Any, other: Any, names: tuple[str, ...]) -> bool:
-    return all(np.array_equal(one[name], other[name]) for name in names)
-
-
-def _clock(new: Engine, old: Engine) -> None:
     clock = new.tables.clock[0]
-    _copy(clock, old.tables.clock[0], ("timed", "held", "stop", "events", "sent", "fed", "taken"))
+    _take(clock, old.tables.clock[0], ClockState)
     clock["deadline_ns"] = clock["now_ns"]  # a lower bound: the next pass looks for the real one
+    _signals(new, old, buses)
+    _messages(new, old, buses)
+    _monitors(new, old, buses)
+    places = {slot.id: k for k, slot in enumerate(old.faults)}
+    for k, slot in enumerate(new.faults):
+        if slot.id in places:
+            before = old.tables.debounces[places[slot.id]]
+            _take(new.tables.debounces[k], before, DebounceState, DebounceConst)
+    _health(new, old, buses)
+    _cycles(new, old, buses, cycles)
+
+
+def _take(target: Any, source: Any, state: type[Record], const: type[Record] | None = None) -> bool:
+    """Copy the state of a record, if its constants are equal; returns whether they are."""
+    constants = () if const is None else const.dtype.names or ()
+    if not all(np.array_equal(target[name], source[name]) for name in constants):
+        return False
+    for name in state.dtype.names or ():
+        target[name] = source[name]
+    return True
 
 
 def _signals(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
@@ -67,32 +63,31 @@ def _signals(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
             slot = slots.get(SignalRef(buses[ref.bus], ref.message, ref.signal))
             if slot is not None:
                 new.tables.mailbox[slot] = old.tables.mailbox[k]
-    for before, now in _messages(new, old, buses).items():
-        new.tables.vectors[now]["arrived_ns"] = old.tables.vectors[before]["arrived_ns"]
 
 
-def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> dict[int, int]:
+def _rows(new: Engine, old: Engine, buses: Mapping[int, int]) -> dict[int, int]:
+    """Return the rows of messages that both have: in ``new`` -> in ``old``."""
     rows = {key: k for k, key in enumerate(new.plan.message_names)}
-    found = {}
-    for k, (bus, name) in enumerate(old.plan.message_names):
-        if bus in buses and (buses[bus], name) in rows:
-            found[k] = rows[buses[bus], name]
-    return found
+    return {
+        rows[buses[bus], name]: k
+        for k, (bus, name) in enumerate(old.plan.message_names)
+        if bus in buses and (buses[bus], name) in rows
+    }
 
 
-def _checks(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
-    now_ns = int(new.tables.clock[0]["now_ns"])
-    settings = ("timeout_ns", "modulo", "max_step", "crc_byte", "crc_table", "data_id", "length")
-    before_of = {now: before for before, now in _messages(new, old, buses).items()}
+def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
+    now_ns, before = int(new.tables.clock[0]["now_ns"]), _rows(new, old, buses)
     for row, vector in enumerate(new.tables.vectors):
+        other = old.tables.vectors[before[row]] if row in before else None
+        if other is not None:
+            _take(vector, other, VectorState)
         if vector["check"] < 0:
             continue
         check = new.tables.checks[vector["check"]]
         if check["timeout_ns"] > 0 and old.tables.clock[0]["started"]:
             check["deadline_ns"] = now_ns + check["timeout_ns"]
-        before = int(old.tables.vectors[before_of[row]]["check"]) if row in before_of else -1
-        if before >= 0 and _same(check, old.tables.checks[before], settings):
-            _copy(check, old.tables.checks[before], _PLACES)
+        if other is not None and other["check"] >= 0:
+            _take(check, old.tables.checks[other["check"]], CheckState, CheckConst)
 
 
 def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
@@ -103,12 +98,10 @@ def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
             continue
         new.state_of(k)[:] = old.state_of(before)
         handler, other = new.tables.handlers[k], old.tables.handlers[before]
-        for name in ("tested", "wake_ns", "steps", "skipped"):
-            handler[name] = other[name]
+        _take(handler, other, HandlerState)
         if handler["emit"] >= 0 and other["emit"] >= 0:
-            emit, sent = new.tables.emits[handler["emit"]], old.tables.emits[other["emit"]]
-            if emit["modulo"] == sent["modulo"]:
-                emit[_EMIT_STATE] = sent[_EMIT_STATE]
+            sent = old.tables.emits[other["emit"]]
+            _take(new.tables.emits[handler["emit"]], sent, EmitState, EmitConst)
 
 
 def _alike(one: Any, other: Any, buses: Mapping[int, int]) -> bool:
@@ -122,14 +115,37 @@ def _alike(one: Any, other: Any, buses: Mapping[int, int]) -> bool:
     )
 
 
-def _faults(new: Engine, old: Engine) -> None:
-    places = {slot.id: k for k, slot in enumerate(old.faults)}
-    settings = ("failed_after", "passed_after", "failed_step", "passed_step", "timed")
-    for k, slot in enumerate(new.faults):
-        before = places.get(slot.id)
-        if before is None:
-            continue
-        row, other = new.tables.debounces[k], old.tables.debounces[before]
-        if _same(row, other, settings):
-            for name in DEBOUNCE_STATE:
-                row[name] = other[name]
+def _health(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
+    for before, now in buses.items():
+        if before < len(old.tables.health) - 1 and now < len(new.tables.health) - 1:
+            _take(new.tables.health[now], old.tables.health[before], HealthState)
+    own = new.tables.health[-1]
+    _take(own, old.tables.health[-1], HealthState)
+    if old.tables.clock[0]["started"] and own["until"].min() == NEVER:  # watched from now on
+        watch_clock(own, new.now_ns)
+
+
+def _cycles(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[int, int]) -> None:
+    for before, now in cycles.items():
+        new.tables.cycles[now] = old.tables.cycles[before]
+    watched = {
+        (cycles[cycle], buses[ref.bus], ref.message, ref.signal, begins): watch
+        for cycle, ref, begins, watch in _watches(old)
+        if cycle in cycles and ref.bus in buses
+    }
+    for cycle, ref, begins, watch in _watches(new):
+        other = watched.get((cycle, *ref, begins))
+        if other is not None:
+            _take(watch, other, WatchState, WatchConst)
+
+
+def _watches(engine: Engine) -> Iterator[tuple[int, SignalRef, int, Any]]:
+    """Yield what begins or ends operation cycles: cycle, signal, whether it begins, its record."""
+    count = int(engine.tables.vectors["watches"].sum())
+    for watch in engine.tables.watches[:count]:
+        yield (
+            int(watch["cycle"]),
+            engine.plan.slot_names[watch["slot"]],
+            int(watch["begins"]),
+            watch,
+        )

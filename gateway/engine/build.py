@@ -4,33 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cantools.database.can import Message
 
 from gateway.engine import emission
 from gateway.engine.core import Engine, FaultSlot
-from gateway.engine.debounce import DEBOUNCE, configure
+from gateway.engine.debounce import DebounceRow, configure
 from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT, NO_BUS
 from gateway.engine.gate import CycleWatch, Gate, prepare_gates, prepare_watches
 from gateway.engine.tables import (
-    CLOCK,
-    HANDLER,
     MOST_REPORTS,
     NEVER,
-    REPORT,
-    VECTOR,
+    Clock,
+    Handler,
+    Report,
     Tables,
+    Vector,
     table,
 )
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 from gateway.monitors import bus_health, communication
-from gateway.monitors.bus_health import HEALTH
+from gateway.monitors.bus_health import Health
 from gateway.monitors.clock_health import OWN, OWN_FAULTS, ClockParams
-from gateway.monitors.communication import CHECK
-from gateway.monitors.shape import RESULTS, Debounce, Fault, Monitor, MonitorParams
+from gateway.monitors.communication import Check
+from gateway.monitors.conformance import checked_emission, checked_faults, connections
+from gateway.monitors.contract import RESULTS, Debounce, Fault, Monitor, MonitorParams, Signal
 from gateway.signals.crc import ALGORITHMS, crc8_table
 from gateway.signals.database import Database
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
@@ -46,7 +47,7 @@ class MonitorInstance:
     """
 
     name: str
-    monitor: Monitor
+    monitor: Monitor[Any]
     params: MonitorParams
     bus: int = 0
     priority: int = 0
@@ -131,47 +132,50 @@ def build_engine(
     wanted.update(c.signal for gate in gates.values() for c in gate.conditions)
     wanted.update(c.signal for cycle in cycles for c in (cycle.begins, cycle.ends))
     watched: set[tuple[int, str]] = set()
-    for triggers, references, _ in wirings:
-        wanted.update(references)
-        watched.update(triggers)
+    for wired in wirings:
+        wanted.update(reference for reference in wired.inputs if reference is not None)
+        watched |= wired.triggers
     for check in checks:
         watched.add((check.bus, check.params.message))
         wanted.update(_check_signals(check, by_bus[check.bus]))
     plan = compile_plan(databases, wanted, messages=watched, pgn=pgn)
 
     faults: list[FaultSlot] = []
-    handlers = table(len(monitors), HANDLER)
+    handlers = table(len(monitors), Handler)
     slots: list[int] = []
     sources: list[int] = []
     triggered: dict[int, list[int]] = {}
     states, consts = [], []
     emitted: list[Emitted] = []
     cells = 0
-    for k, (m, (triggers, references, optional)) in enumerate(zip(monitors, wirings, strict=True)):
+    nowhere = plan.n_slots  # a slot that stays NaN
+    for k, (m, wired) in enumerate(zip(monitors, wirings, strict=True)):
         h = handlers[k]
         state, const = table(1, m.monitor.state), table(1, m.monitor.const)
-        m.monitor.prepare(m.params, state[0], const[0])
+        m.monitor.prepare(m.params, state.view(np.recarray)[0], const.view(np.recarray)[0])
         states.append(state)
         consts.append(const)
-        own = [plan.slot(*reference) for reference in references]
-        waived = {plan.message(*message) for message in optional}
-        rows = sorted({int(plan.slot_message[slot]) for slot in own} - waived)
+        own = [nowhere if place is None else plan.slot(*place) for place in wired.inputs]
+        waived = {plan.message(*message) for message in wired.optional}
+        rows = sorted({int(plan.slot_message[slot]) for slot in own if slot != nowhere} - waived)
         h["state"], h["const"] = state.ctypes.data, const.ctypes.data
         h["inputs"] = cells
         h["first_slot"], h["slots"] = len(slots), len(own)
         h["first_source"], h["sources"] = len(sources), len(rows)
-        mine = m.monitor.faults_of(m.params)
+        mine = checked_faults(m.monitor, m.params)
         h["fault"], h["faults"] = len(faults), len(mine)
         h["bus"] = m.bus
         h["wake_ns"] = NEVER
         h["emit"] = -1
-        if m.emission is not None and m.monitor.emission is not None:
+        emission_ = checked_emission(m.monitor, m.params)
+        if m.emission is not None and emission_ is not None:
             h["emit"] = len(emitted)
-            emitted.append(Emitted(m.monitor.emission, m.emission, m.bus))
+            emitted.append(Emitted(emission_, m.emission, m.bus))
         slots += own
         sources += rows
-        cells += m.monitor.inputs.itemsize // 8
-        for message in triggers:
+        cells += m.monitor.inputs.dtype.itemsize // 8
+        assert m.monitor.inputs.dtype.itemsize == 8 * (2 + len(own)), "as the step copies them"
+        for message in sorted(wired.triggers):
             triggered.setdefault(plan.message(*message), []).append(k)
         faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]
     pool = np.zeros(max(cells, 1))
@@ -179,20 +183,20 @@ def build_engine(
         handlers[k]["inputs_address"] = pool.ctypes.data + 8 * int(handlers[k]["inputs"])
 
     vectors, flat = _vector_table(len(plan.messages), triggered)
-    check_rows = table(len(checks), CHECK)
+    check_rows = table(len(checks), Check)
     for k, check in enumerate(checks):
         row = plan.message(check.bus, check.params.message)
         vectors[row]["check"] = k
         faults += _prepare_check(check_rows[k], check, plan, by_bus[check.bus], len(faults))
 
-    health = table(len(buses) + 1, HEALTH)
+    health = table(len(buses) + 1, Health)
     codes = bus_health.codes_of([bus.params for bus in buses])
     for k, (bus, code) in enumerate(zip(buses, codes, strict=True)):
         faults += _prepare_health(health[k], bus, k, code, len(faults))
     faults += _prepare_own(health[-1], clock, len(faults))
 
     faults += reported
-    debounces = table(len(faults), DEBOUNCE)
+    debounces = table(len(faults), DebounceRow)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
     for k, (slot, gate) in enumerate(zip(faults, own_gates, strict=True)):
         asked = slot.fault.debounce if debounce is None else debounce(slot.id, slot.fault)
@@ -208,72 +212,132 @@ def build_engine(
     )
     outbox, outbox_cells = emission.outbox()
     out = table(1, RESULTS)
-    clock_row = table(1, CLOCK)
+    clock_row = table(1, Clock)
     clock_row[0]["deadline_ns"] = NEVER
     clock_row[0]["timed"] = bool(debounces["timed"].any())
     tables = Tables(
-        plan.keys,
-        plan.rows,
-        plan.messages,
-        plan.signals,
-        plan.mux_ids,
-        np.zeros(max(plan.max_signals, 1)),
-        np.zeros(max(plan.max_signals, 1), np.uint8),
-        np.full(max(plan.n_slots, 1), np.nan),
-        vectors,
-        np.asarray(flat, np.int32),
-        handlers,
-        np.asarray(slots, np.int32),
-        np.asarray(sources, np.int32),
-        pool,
-        pool.view(np.int64),
-        check_rows,
-        np.stack([crc8_table(name) for name in ALGORITHMS]),
-        debounces,
-        conditions,
-        roots,
-        watches,
-        np.zeros(max(len(cycles), 1), np.uint8),
-        out,
-        np.asarray([out.ctypes.data], np.int64),
-        emits,
-        emit_signals,
-        outbox,
-        outbox_cells,
-        table(ring, EVENT),
-        health,
-        table(MOST_REPORTS, REPORT),
-        clock_row,
+        keys=plan.keys,
+        rows=plan.rows,
+        messages=plan.messages,
+        signals=plan.signals,
+        mux_ids=plan.mux_ids,
+        values=np.zeros(max(plan.max_signals, 1)),
+        present=np.zeros(max(plan.max_signals, 1), np.uint8),
+        mailbox=np.full(plan.n_slots + 1, np.nan),
+        vectors=vectors,
+        triggers=np.asarray(flat, np.int32),
+        handlers=handlers,
+        slots=np.asarray(slots, np.int32),
+        sources=np.asarray(sources, np.int32),
+        pool=pool,
+        pool_ns=pool.view(np.int64),
+        checks=check_rows,
+        crc_tables=np.stack([crc8_table(name) for name in ALGORITHMS]),
+        debounces=debounces,
+        conditions=conditions,
+        roots=roots,
+        watches=watches,
+        cycles=np.zeros(max(len(cycles), 1), np.uint8),
+        out=out,
+        out_address=np.asarray([out.ctypes.data], np.int64),
+        emits=emits,
+        emit_signals=emit_signals,
+        outbox=outbox,
+        outbox_cells=outbox_cells,
+        ring=table(ring, EVENT),
+        health=health,
+        reports=table(MOST_REPORTS, Report),
+        clock=clock_row,
     )
+    _assert_consistent(tables)
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(states), tuple(consts))
 
 
-def _wire(
-    m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[str, int]
-) -> tuple[list[tuple[int, str]], list[SignalRef], list[tuple[int, str]]]:
-    """Return a monitor's triggers, inputs and optional messages (bus, name), as the user names them."""
-    wiring = m.monitor.wire(m.params)
+def _assert_consistent(t: Tables) -> None:
+    """Assert what the loop takes for granted of the tables to each other: it checks no index."""
+    messages, slots, faults = len(t.messages), len(t.mailbox), len(t.debounces)
+    assert len(t.vectors) == messages
+    assert (t.vectors["first"] + t.vectors["count"] <= len(t.triggers)).all()
+    assert (t.vectors["check"] < len(t.checks)).all()
+    assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
+    assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
+    assert ((t.slots >= 0) & (t.slots < slots)).all()
+    assert ((t.sources >= 0) & (t.sources < messages)).all()
+    for h in t.handlers:
+        assert h["first_slot"] + h["slots"] <= len(t.slots)
+        assert h["first_source"] + h["sources"] <= len(t.sources)
+        assert h["inputs"] + 2 + h["slots"] <= len(t.pool)
+        assert 0 <= h["fault"] <= h["fault"] + h["faults"] <= faults
+        assert h["emit"] < len(t.emits)
+    for row in (*t.checks, *t.health):
+        assert (row["fault"] < faults).all()
+    for d in t.debounces:
+        assert d["first_condition"] + d["conditions"] <= len(t.conditions)
+        assert d["first_root"] + d["roots"] <= len(t.roots)
+    assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
+    assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
+    assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
+    assert t.values.shape == t.present.shape
+    assert t.out.itemsize == RESULTS.itemsize
+
+
+class Wired(NamedTuple):
+    """What a monitor wants from the buses, as the user names it.
+
+    Attributes:
+        triggers: messages (bus, name) that step it.
+        inputs: the signal of each number of its inputs, None: nothing.
+        optional: messages that need not come.
+    """
+
+    triggers: set[tuple[int, str]]
+    inputs: list[SignalRef | None]
+    optional: set[tuple[int, str]]
+
+
+def _wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[str, int]) -> Wired:
+    """Find what a monitor is connected to.
+
+    Raises:
+        InputError: a signal or message that is not there, another unit, a name that the monitor does not know.
+    """
+    connected = connections(m.monitor, m.params)
+    known = {signal.name for _, signal in connected.inputs if signal is not None}
+    inputs: list[SignalRef | None] = []
+    places: dict[str, tuple[int, str]] = {}  # default name of a message -> where it is
+    optional: set[tuple[int, str]] = set()
     try:
-        references = [_split(m.signals.get(name, name), m.bus, buses) for name in wiring.signals]
-        renamed = {
-            name.rpartition(".")[0]: (reference.bus, reference.message)
-            for name, reference in zip(wiring.signals, references, strict=True)
-        }
-        triggers = [renamed.get(name, (m.bus, name)) for name in wiring.triggers]
+        for name in m.signals:
+            if name not in known:
+                raise InputError(
+                    f"the monitor has no such signal{nearest(name, known)}", value=name
+                )
+        for _, signal in connected.inputs:
+            if signal is None:
+                inputs.append(None)
+                continue
+            place = _split(m.signals.get(signal.name, signal.name), m.bus, buses)
+            _refuse_unit(databases[place.bus].signal(place.message, place.signal).unit, signal)
+            inputs.append(place)
+            message = signal.name.rpartition(".")[0]
+            places[message] = (place.bus, place.message)
+            if signal.optional:
+                optional.add((place.bus, place.message))
+        stepped = {name.rpartition(".")[0] for name in connected.signals} | connected.messages
+        triggers = {places.get(name, (m.bus, name)) for name in stepped}
         for bus, name in triggers:
             databases[bus].message(name)
-        for reference in references:
-            databases[reference.bus].signal(reference.message, reference.signal)
-        for name, unit in wiring.units.items():
-            place = references[wiring.signals.index(name)]
-            told = databases[place.bus].signal(place.message, place.signal).unit or ""
-            if told != unit:
-                raise InputError(
-                    f'its unit is "{told}" in the database, the plant wants "{unit}"', value=name
-                )
     except InputError as error:
         raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
-    return triggers, references, [renamed.get(name, (m.bus, name)) for name in wiring.optional]
+    return Wired(triggers, inputs, optional)
+
+
+def _refuse_unit(told: str | None, signal: Signal) -> None:
+    if signal.unit is not None and signal.unit != (told or ""):
+        raise InputError(
+            f'its unit is "{told or ""}" in the database, the plant wants "{signal.unit}"',
+            value=signal.name,
+        )
 
 
 def _check_signals(check: CheckInstance, database: Database) -> list[SignalRef]:
@@ -302,7 +366,7 @@ def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> 
 
 def _vector_table(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any, list[int]]:
     """Return the vector table, and the handlers of all messages one after the other."""
-    vectors = table(messages, VECTOR)
+    vectors = table(messages, Vector)
     flat: list[int] = []
     for row in range(messages):
         mine = triggered.get(row, [])

@@ -12,7 +12,7 @@ from gateway.engine.results import announce, tested, witness
 from gateway.jit import kernel
 from gateway.monitors.bus_health import CLOCK_STEPPED as STEP_FAULT
 from gateway.monitors.bus_health import note, note_step
-from gateway.monitors.shape import NOT_TESTED
+from gateway.monitors.contract import NOT_TESTED
 
 
 @kernel

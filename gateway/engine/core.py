@@ -15,7 +15,7 @@ from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
 from gateway.jit import bound
 from gateway.monitors.bus_health import COUNTED
-from gateway.monitors.shape import Fault
+from gateway.monitors.contract import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
 
 _CELLS = FRAME.itemsize // 8
@@ -60,7 +60,7 @@ class Engine:
 
     def state_of(self, monitor: int) -> Any:
         """Return the state records of a monitor, shape (1,)."""
-        return self._states[monitor]
+        return self._states[monitor].view(np.recarray)
 
     def warm(self) -> None:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
@@ -206,7 +206,8 @@ class Engine:
             if h["fault"] <= fault < h["fault"] + h["faults"]:
                 first = int(h["first_slot"])
                 slots = self.tables.slots[first : first + int(h["slots"])]
-                return {self.plan.slot_names[slot]: self.value(slot) for slot in slots}
+                names = self.plan.slot_names
+                return {names[slot]: self.value(slot) for slot in slots if slot < len(names)}
         return {}
 
     def end_cycles(self) -> None:

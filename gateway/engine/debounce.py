@@ -8,7 +8,7 @@ passed, +127 qualified failed, clamped at both ends.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,78 +18,74 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     RESULT_CHANGED,
 )
-from gateway.jit import f8, i4, i8, kernel, record, u1
-from gateway.monitors.shape import EVIDENCE, FAILED, NOT_TESTED, PASSED, Debounce
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, means, u1
+from gateway.monitors.contract import EVIDENCE, FAILED, NOT_TESTED, PASSED, Debounce
 
 #: A deadline that never comes.
 NEVER = int(np.iinfo(np.int64).max)
 
-#: Debounce of one fault. Constants: thresholds (results, or ns if ``timed``), steps, jumps, the counter at
-#: which the freeze frame is wanted (0: never), what becomes of it while held (``resets``), and the gate:
-#: operation cycle (-1: the gateway's run), enable conditions and root causes, as places in the tables. State: counter, last result, last verdict;
-#: of a time debounce where it runs to and since when; whether the fault is there (``active``, like
-#: testFailed); the greatest counter and the near misses since :func:`fold`.
-DEBOUNCE = record(
-    failed_after=i8,
-    passed_after=i8,
-    failed_step=i8,
-    passed_step=i8,
-    jump_up_to=i8,
-    jump_down_to=i8,
-    trigger=i8,
-    cycle=i4,
-    first_condition=i4,
-    conditions=i4,
-    first_root=i4,
-    roots=i4,
-    jump_up=u1,
-    jump_down=u1,
-    timed=u1,
-    gated=u1,
-    resets=u1,
-    bus=u1,
-    last=u1,
-    verdict=u1,
-    direction=u1,
-    active=u1,
-    triggered=u1,
-    missed=u1,
-    counter=i8,
-    since_ns=i8,
-    deadline_ns=i8,
-    episode=i8,
-    peak=i8,
-    near=i8,
-    value=f8,
-    limit=f8,
-    evidence=(f8, EVIDENCE),
-)
 
-#: The fields of :data:`DEBOUNCE` that are state, rather than settings or places in other tables.
-STATE = (
-    "last",
-    "verdict",
-    "direction",
-    "active",
-    "triggered",
-    "missed",
-    "counter",
-    "since_ns",
-    "deadline_ns",
-    "episode",
-    "peak",
-    "near",
-    "value",
-    "limit",
-    "evidence",
-)
+class DebouncePlace(Record):
+    """Places in other tables, and settings that the state does not depend on."""
+
+    trigger: i8 = means("counter at which the freeze frame is wanted; 0: never")
+    cycle: i4 = means("operation cycle; -1: the gateway's run")
+    first_condition: i4
+    conditions: i4
+    first_root: i4
+    roots: i4
+    jump_up_to: i8
+    jump_down_to: i8
+    jump_up: u1
+    jump_down: u1
+    gated: u1
+    resets: u1 = means("whether it is reset while it is held")
+    bus: u1
+
+
+class DebounceConst(Record):
+    """What the state is counted in: results, or ns if ``timed``."""
+
+    failed_after: i8
+    passed_after: i8
+    failed_step: i8
+    passed_step: i8
+    timed: u1
+
+
+class DebounceState(Record):
+    """Counter, last result, last verdict; of a time debounce where it runs to and since when.
+
+    ``active``: whether the fault is there, like testFailed; ``peak``, ``near``: greatest counter and near misses since
+    :func:`fold`; ``value`` to ``evidence``: of the last result, for a verdict that time brings.
+    """
+
+    last: u1
+    verdict: u1
+    direction: u1
+    active: u1
+    triggered: u1
+    missed: u1
+    counter: i8
+    since_ns: i8 = means(unit="ns")
+    deadline_ns: i8 = means(unit="ns")
+    episode: i8
+    peak: i8
+    near: i8
+    value: f8
+    limit: f8
+    evidence: Annotated[f8s, EVIDENCE]
+
+
+class DebounceRow(DebounceState, DebounceConst, DebouncePlace):
+    """Debounce of one fault."""
 
 
 def configure(row: np.void, debounce: Debounce, *, trigger_fdc: int = 0) -> None:
     """Fill the constants of one row.
 
     Args:
-        row: of DEBOUNCE.
+        row: of DebounceRow.
         debounce: the fault's.
         trigger_fdc: fault detection counter at which its freeze frame is wanted, 0: not before the verdict.
     """
@@ -174,7 +170,7 @@ def count(d: Any, result: int) -> int:
     """Count one test result of a fault; returns the kind of event it makes, 0 for none.
 
     Args:
-        d: record of :data:`DEBOUNCE`, counter based.
+        d: record of :class:`DebounceRow`, counter based.
         result: PASSED or FAILED.
     """
     changed = d.last != result

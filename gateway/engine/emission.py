@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, FRAME
 from gateway.errors import InputError
-from gateway.jit import COMPILED, i4, i8, kernel, record, u1, u4
-from gateway.monitors.shape import Emission
+from gateway.jit import COMPILED, Record, i4, i8, kernel, means, u1, u4
+from gateway.monitors.contract import Emission
 from gateway.signals.crc import ALGORITHMS, crc8
 from gateway.signals.decode import SIGNAL
 from gateway.signals.encode import insert
@@ -25,22 +25,36 @@ ALGORITHM = "crc8_sae_j1850"
 #: Frames that one pass of the loop can send.
 MOST_FRAMES = 1024
 
-#: One message: identity, its signals ``signals[first:first + count]``, then the counter's (-1: none),
-#: which counts modulo ``modulo``; the byte of its CRC (-1: none); ``local`` if the engine itself
-#: decodes it.
-EMIT = record(
-    can_id=u4,
-    can_flags=u1,
-    bus=u1,
-    local=u1,
-    length=i4,
-    first=i4,
-    count=i4,
-    counter=i4,
-    crc_byte=i4,
-    modulo=i8,
-    next=i8,
-)
+
+class EmitPlace(Record):
+    """One message: identity, its signals ``signals[first:first + count]``, the byte of its CRC (-1: none)."""
+
+    can_id: u4
+    can_flags: u1
+    bus: u1
+    local: u1 = means("whether the engine itself decodes it")
+    length: i4
+    first: i4
+    count: i4
+    counter: i4 = means("place of the counter among the signals; -1: none")
+    crc_byte: i4
+
+
+class EmitConst(Record):
+    """What it counts by."""
+
+    modulo: i8
+
+
+class EmitState(Record):
+    """What it has counted."""
+
+    next: i8
+
+
+class Emit(EmitState, EmitConst, EmitPlace):
+    """A message that a monitor sends."""
+
 
 _INIT, _XOROUT = ALGORITHMS[ALGORITHM].init, ALGORITHMS[ALGORITHM].xorout
 _CRC_TABLE = list(ALGORITHMS).index(ALGORITHM)
@@ -58,7 +72,7 @@ class Emitted:
 def prepare(
     emitted: Sequence[Emitted], local: Sequence[bool]
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """Return the tables EMIT and SIGNAL of the messages to be sent.
+    """Return the tables Emit and SIGNAL of the messages to be sent.
 
     Args:
         emitted: what is sent.
@@ -68,7 +82,7 @@ def prepare(
         InputError: a signal that the message does not have or that cannot be encoded, a CRC off its
             byte boundary.
     """
-    table = np.zeros(len(emitted), EMIT)
+    table = np.zeros(len(emitted), Emit.dtype)
     rows: list[Any] = []
     for k, (entry, own) in enumerate(zip(emitted, local, strict=True)):
         message = entry.message
@@ -77,8 +91,8 @@ def prepare(
         row["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         row["can_flags"] = FD if message.is_fd else 0
         row["bus"], row["local"], row["length"] = entry.bus, own, message.length
-        row["first"], row["count"] = len(rows), len(entry.emission.signals)
-        rows += encode_rows(message, entry.emission.signals)
+        row["first"], row["count"] = len(rows), len(entry.emission.names)
+        rows += encode_rows(message, entry.emission.names)
         row["counter"], row["crc_byte"] = -1, -1
         if COUNTER in names:
             row["counter"], row["modulo"] = len(rows), 1 << names[COUNTER].length

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.jit import f8, i1, i4, i8, record, u1
-from gateway.monitors.shape import EVIDENCE
+from gateway.monitors.contract import EVIDENCE
 
 #: Debounce qualified a failure: the fault detection counter arrived at +127.
 QUALIFIED_FAILED = 1

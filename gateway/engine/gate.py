@@ -15,15 +15,44 @@ import numpy as np
 
 from gateway.engine.debounce import fault_detection_counter
 from gateway.engine.tables import table
-from gateway.jit import f8, i4, kernel, record, u1
+from gateway.jit import Record, f8, i4, kernel, means, u1
 from gateway.signals.tables import DecodePlan, SignalRef
 
-#: One enable condition: a mailbox slot, the row of its message, and the closed range it must be in.
-CONDITION = record(slot=i4, row=i4, low=f8, high=f8)
 
-#: Begins (``begins`` 1) or ends (0) operation cycle ``cycle`` when the slot is in the closed range and has
-#: risen by ``rise`` above its lowest value since it last did so.
-WATCH = record(cycle=i4, slot=i4, begins=u1, bus=u1, low=f8, high=f8, rise=f8, lowest=f8)
+class ConditionRow(Record):
+    """One enable condition: a mailbox slot, the row of its message, and the closed range it must be in."""
+
+    slot: i4
+    row: i4
+    low: f8
+    high: f8
+
+
+class WatchPlace(Record):
+    """Places in other tables."""
+
+    cycle: i4
+    slot: i4
+    bus: u1
+
+
+class WatchConst(Record):
+    """When: the slot is in the closed range, and has risen by ``rise`` above its lowest value since it last was so."""
+
+    begins: u1 = means("1: the operation cycle begins; 0: it ends")
+    low: f8
+    high: f8
+    rise: f8
+
+
+class WatchState(Record):
+    """What has come."""
+
+    lowest: f8
+
+
+class Watch(WatchState, WatchConst, WatchPlace):
+    """Begins or ends an operation cycle by a signal."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +112,7 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     Args:
         T: the tables.
         t_ns: now.
-        d: the fault's record of DEBOUNCE.
+        d: the fault's record of DebounceRow.
     """
     if T.clock[0].held == 1:
         return True
@@ -114,7 +143,7 @@ def prepare_gates(
         row["resets"] = gate.resets
         conditions += gate.conditions
         roots += [ids[name] for name in gate.roots]
-    made = table(max(len(conditions), 1), CONDITION)
+    made = table(max(len(conditions), 1), ConditionRow)
     for row, condition in zip(made, conditions, strict=False):
         slot = plan.slot(*condition.signal)
         row["slot"], row["row"] = slot, plan.slot_message[slot]
@@ -131,7 +160,7 @@ def prepare_watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan
     ]
     # An end before a beginning: a cycle that one frame both ends and begins starts anew.
     asked.sort(key=lambda entry: entry[:3])
-    watches = table(max(len(asked), 1), WATCH)
+    watches = table(max(len(asked), 1), Watch)
     for k, (row, begins, index, condition) in enumerate(asked):
         w = watches[k]
         w["cycle"], w["begins"] = index, begins

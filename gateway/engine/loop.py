@@ -28,7 +28,7 @@ from gateway.engine.tables import NEVER
 from gateway.jit import call_entry, kernel
 from gateway.monitors.bus_health import disproved, elapsed, watch_clock
 from gateway.monitors.communication import ACCEPT, REJECT
-from gateway.monitors.shape import FAILED, TIMER
+from gateway.monitors.contract import FAILED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
     OK,
@@ -87,6 +87,9 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
         emit(T, t_ns, T.emits[h.emit])
     for k in range(out.n):
         r = out.results[k]
+        if r.fault < 0 or r.fault >= h.faults:  # never another monitor's
+            clock.results_unknown += 1
+            continue
         fault = h.fault + r.fault
         place = tested(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
         if place >= 0 or T.debounces[fault].timed == 1:

@@ -18,7 +18,7 @@ from gateway.monitors.communication import (
     check_crc,
     counter_step,
 )
-from gateway.monitors.shape import NOT_TESTED
+from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
 
 

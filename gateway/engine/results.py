@@ -8,7 +8,7 @@ from gateway.engine.debounce import count, fault_detection_counter, hold, turn
 from gateway.engine.events import RESULT_CHANGED
 from gateway.engine.gate import closed
 from gateway.jit import kernel
-from gateway.monitors.shape import FAILED, NOT_TESTED, PASSED
+from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
 
 
 @kernel

@@ -2,96 +2,139 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.engine.debounce import NEVER
-from gateway.jit import COMPILED, f8, i4, i8, record, u1
-from gateway.monitors.shape import EVIDENCE
+from gateway.jit import COMPILED, Record, f8, f8s, i4, i8, means, u1
+from gateway.monitors.contract import EVIDENCE
 
 __all__ = [
-    "CLOCK",
-    "HANDLER",
     "MOST_REPORTS",
     "NEVER",
-    "REPORT",
-    "VECTOR",
+    "Clock",
+    "Handler",
+    "Report",
     "Tables",
+    "Vector",
     "table",
 ]
 
-#: One row of the vector table, for each message of the decode plan: the monitors it triggers
-#: (``handlers[first:first + count]``, by priority), its communication check (-1: none), the operation
-#: cycles it may begin or end (``watches[first_watch:+watches]``), and when its data were last accepted
-#: [ns, -1: never].
-VECTOR = record(first=i4, count=i4, check=i4, first_watch=i4, watches=i4, arrived_ns=i8)
-
-#: One configured monitor: addresses of its kernel and records, its inputs
-#: (``slots[first_slot:+slots]`` to ``pool[inputs:]``, in 8-byte cells), the messages its inputs
-#: come from (``sources[first_source:+sources]``), its faults, the message it
-#: sends (-1: none), and when it wants to be woken.
-HANDLER = record(
-    entry=i8,
-    state=i8,
-    const=i8,
-    inputs_address=i8,
-    inputs=i4,
-    first_slot=i4,
-    slots=i4,
-    first_source=i4,
-    sources=i4,
-    fault=i4,
-    faults=i4,
-    emit=i4,
-    bus=u1,
-    tested=u1,
-    wake_ns=i8,
-    steps=i8,
-    skipped=i8,
-)
-
-#: A test result that is none of a monitor's: of the gateway itself (see Engine.report).
-REPORT = record(fault=i4, failed=u1, value=f8, limit=f8, evidence=(f8, EVIDENCE))
-#: So many of them wait at most.
+#: Test results of the gateway itself that wait at most (see Engine.report).
 MOST_REPORTS = 16
 
-#: Clock and counters. ``deadline_ns`` is a lower bound of every timer's deadline; ``timed`` tells whether a
-#: fault is debounced by time, ``held`` whether test results count at present; ``reported`` of the results in ``reports``
-#: wait. ``offset_ns`` is what the wall clock is ahead of the engine's: it changes where the wall clock is set
-#: (``clock_steps`` times), so that ``now_ns`` goes on evenly. Of the outbox's ``sent`` frames the first ``fed`` went
-#: through the engine themselves, the first ``taken`` have left.
-CLOCK = record(
-    now_ns=i8,
-    offset_ns=i8,
-    deadline_ns=i8,
-    started=u1,
-    stop=u1,
-    timed=u1,
-    held=u1,
-    reported=i8,
-    events=i8,
-    events_lost=i8,
-    frames=i8,
-    decoded=i8,
-    unknown=i8,
-    remote=i8,
-    error=i8,
-    late=i8,
-    clock_steps=i8,
-    too_short=i8,
-    unknown_mux=i8,
-    invalid_values=i8,
-    crc_failed=i8,
-    repeated=i8,
-    timeouts=i8,
-    results_lost=i8,
-    sent=i8,
-    fed=i8,
-    taken=i8,
-    sent_lost=i8,
-)
+
+class VectorPlace(Record):
+    """What a message does, for each message of the decode plan."""
+
+    first: i4 = means(
+        "of the monitors that it triggers, handlers[first:first + count], by priority"
+    )
+    count: i4
+    check: i4 = means("its communication check; -1: none")
+    first_watch: i4 = means("of the operation cycles that it may begin or end")
+    watches: i4
+
+
+class VectorState(Record):
+    """What has come."""
+
+    arrived_ns: i8 = means("when its data were last accepted; -1: never", "ns")
+
+
+class Vector(VectorState, VectorPlace):
+    """One row of the vector table."""
+
+
+class HandlerPlace(Record):
+    """One configured monitor: addresses of its kernel and records, and its places in other tables."""
+
+    entry: i8
+    state: i8
+    const: i8
+    inputs_address: i8
+    inputs: i4 = means("first of its cells in the pool")
+    first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
+    slots: i4
+    first_source: i4 = means(
+        "sources[first_source:+sources]: the messages that its inputs come from"
+    )
+    sources: i4
+    fault: i4
+    faults: i4
+    emit: i4 = means("the message that it sends; -1: none")
+    bus: u1
+
+
+class HandlerState(Record):
+    """What it has done, and when it wants to be woken."""
+
+    tested: u1
+    wake_ns: i8 = means(unit="ns")
+    steps: i8
+    skipped: i8
+
+
+class Handler(HandlerState, HandlerPlace):
+    """One configured monitor."""
+
+
+class Report(Record):
+    """A test result that is none of a monitor's: of the gateway itself."""
+
+    fault: i4
+    failed: u1
+    value: f8
+    limit: f8
+    evidence: Annotated[f8s, EVIDENCE]
+
+
+class ClockPass(Record):
+    """What one pass of the loop needs.
+
+    Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
+    """
+
+    stop: u1
+    timed: u1 = means("whether a fault is debounced by time")
+    held: u1 = means("whether test results do not count at present")
+    reported: i8 = means("results of the gateway itself that wait")
+    events: i8
+    sent: i8
+    fed: i8
+    taken: i8
+
+
+class ClockState(Record):
+    """Time and counters."""
+
+    now_ns: i8 = means(unit="ns")
+    offset_ns: i8 = means("what the wall clock is ahead of the engine's", "ns")
+    deadline_ns: i8 = means("lower bound of every timer's deadline", "ns")
+    started: u1
+    events_lost: i8
+    frames: i8
+    decoded: i8
+    unknown: i8
+    remote: i8
+    error: i8
+    late: i8
+    clock_steps: i8 = means("how often the wall clock was set")
+    too_short: i8
+    unknown_mux: i8
+    invalid_values: i8
+    crc_failed: i8
+    repeated: i8
+    timeouts: i8
+    results_lost: i8 = means("results that there was no room for")
+    results_unknown: i8 = means("results of a fault that the monitor does not have")
+    sent_lost: i8
+
+
+class Clock(ClockState, ClockPass):
+    """Clock and counters."""
 
 
 class Tables(NamedTuple):
@@ -141,7 +184,7 @@ class Tables(NamedTuple):
     clock: NDArray[np.void]
 
 
-def table(count: int, dtype: np.dtype[np.void]) -> Any:
+def table(count: int, kind: type[Record] | np.dtype[np.void]) -> Any:
     """Return zeroed records that kernels can address by attribute, compiled or not."""
-    array = np.zeros(count, dtype)
+    array = np.zeros(count, kind)
     return array if COMPILED else array.view(np.recarray)

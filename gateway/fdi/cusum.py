@@ -11,15 +11,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
 
-CONST = record(nu=f8, threshold=f8, most=f8)
-#: For calibration: ``peak``, the largest T_norm; ``samples``, ``total`` and ``squares`` of |r|.
-STATE = record(value=f8, peak=f8, samples=f8, total=f8, squares=f8)
+
+class Const(Record):
+    """Constants."""
+
+    nu: f8
+    threshold: f8
+    most: f8
+
+
+class State(Record):
+    """For calibration: ``peak``, the largest T_norm; ``samples``, ``total`` and ``squares`` of |r|."""
+
+    value: f8
+    peak: f8
+    samples: f8
+    total: f8
+    squares: f8
+
 
 #: Limit of T in units of J.
 MOST = 5.0
@@ -29,9 +43,9 @@ MARGIN, FLOOR = 0.5, 25.0
 LEAST = 100
 
 
-def prepare(c: Any, nu: float, threshold: float, most: float = MOST) -> None:
+def prepare(c: Const, nu: float, threshold: float, most: float = MOST) -> None:
     """Fill a record of CONST."""
-    c["nu"], c["threshold"], c["most"] = nu, threshold, most * threshold
+    c.nu, c.threshold, c.most = nu, threshold, most * threshold
 
 
 @kernel
@@ -41,7 +55,7 @@ def grown(value: float, excess: float, most: float) -> float:
 
 
 @kernel
-def update(s: Any, c: Any, residual: float) -> None:
+def update(s: State, c: Const, residual: float) -> None:
     """Take a residual."""
     s.samples += 1.0
     s.total += abs(residual)
@@ -51,12 +65,12 @@ def update(s: Any, c: Any, residual: float) -> None:
 
 
 @kernel
-def normalised(s: Any, c: Any) -> float:
+def normalised(s: State, c: Const) -> float:
     """Return T_norm: above 1 the test has fired."""
     return float(s.value / c.threshold)
 
 
-def nus(residuals: Sequence[str], sums: Any) -> dict[str, float]:
+def nus(residuals: Sequence[str], sums: f8s) -> dict[str, float]:
     """Return nu by residual: the largest of its quantities'; none of a residual with less than :data:`LEAST` samples.
 
     Args:

@@ -6,14 +6,22 @@ The normalised innovation squared is a distance, too; the filters give it (:mod:
 from __future__ import annotations
 
 from math import pi
-from typing import Any
 
 from gateway.fdi.filters.transforms import wrap
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 
-#: Of an increment: what was measured last; of a leaky sum: the sum.
-INCREMENT = record(last=f8, started=i8)
-LEAKY = record(total=f8)
+
+class Increment(Record):
+    """Of an increment: what was measured last; of a leaky sum: the sum."""
+
+    last: f8
+    started: i8
+
+
+class Leaky(Record):
+    """Leaky."""
+
+    total: f8
 
 
 @kernel
@@ -29,7 +37,7 @@ def modulo_pi(measured: float, estimated: float, pole_pairs: float) -> float:
 
 
 @kernel
-def increment(s: Any, measured: float, speed: float, dt: float, turn: float) -> float:
+def increment(s: Increment, measured: float, speed: float, dt: float, turn: float) -> float:
     """Difference of a measured angle's step and the one that the estimated speed makes [rad].
 
     Args:
@@ -48,7 +56,7 @@ def increment(s: Any, measured: float, speed: float, dt: float, turn: float) -> 
 
 
 @kernel
-def leaky(s: Any, x: float, share: float) -> float:
+def leaky(s: Leaky, x: float, share: float) -> float:
     """Sum that forgets: time constant of 1/share samples.
 
     Args:

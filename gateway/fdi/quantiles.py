@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from gateway.jit import f8s, i8s
 
-def normal_above(share: Any) -> Any:
+
+def normal_above(share: float | f8s) -> Any:
     """Return the value that a standard normal variable exceeds with a probability; also of arrays."""
     from scipy.special import ndtri  # noqa: PLC0415 - slow to load
 
     return -ndtri(share)
 
 
-def chi2_above(share: Any, degrees: Any) -> Any:
+def chi2_above(share: float | f8s, degrees: float | f8s | i8s) -> Any:
     """Return the value that chi-square with so many degrees of freedom exceeds with a probability; also of arrays."""
     from scipy.special import gammainccinv  # noqa: PLC0415 - slow to load
 

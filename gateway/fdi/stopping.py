@@ -16,13 +16,13 @@ cut off at ``most``, so that an alarm ends soon after its cause has.
 from __future__ import annotations
 
 from math import log
-from typing import Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
 from gateway.fdi.cusum import grown
 from gateway.fdi.quantiles import chi2_above
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
 Rule = Literal["direct", "gma", "cusum", "sprt", "chi_square"]
 RULES: tuple[Rule, ...] = get_args(Rule)
@@ -30,15 +30,34 @@ _DIRECT, _GMA, _CUSUM, _SPRT, _CHI_SQUARE = range(5)
 #: Longest window of chi-square.
 WINDOW = 64
 
-CONST = record(
-    rule=i8, threshold=f8, share=f8, drift=f8, shift=f8, variance=f8, low=f8, most=f8, window=i8
-)
-#: ``peak``: largest level since somebody set it to 0.
-STATE = record(level=f8, up=f8, down=f8, ring=(f8, WINDOW), at=i8, peak=f8)
+
+class Const(Record):
+    """Constants."""
+
+    rule: i8
+    threshold: f8
+    share: f8
+    drift: f8
+    shift: f8
+    variance: f8
+    low: f8
+    most: f8
+    window: i8
+
+
+class State(Record):
+    """State: ``peak``: largest level since somebody set it to 0."""
+
+    level: f8
+    up: f8
+    down: f8
+    ring: Annotated[f8s, WINDOW]
+    at: i8
+    peak: f8
 
 
 def prepare(
-    c: np.void,
+    c: Const,
     rule: Rule,
     threshold: float,
     *,
@@ -69,9 +88,9 @@ def prepare(
     """
     if not 1 <= window <= WINDOW:
         raise ValueError(f"a window has 1 to {WINDOW} samples, not {window}")
-    c["rule"], c["threshold"] = RULES.index(rule), threshold
-    c["share"], c["drift"], c["shift"], c["variance"] = 1.0 - forget, drift, shift, sigma**2
-    c["low"], c["most"], c["window"] = low, most, window
+    c.rule, c.threshold = RULES.index(rule), threshold
+    c.share, c.drift, c.shift, c.variance = 1.0 - forget, drift, shift, sigma**2
+    c.low, c.most, c.window = low, most, window
 
 
 def sprt_bounds(false_alarm: float, missed: float) -> tuple[float, float]:
@@ -95,7 +114,7 @@ def assured(seconds: float, alarms: int) -> float:
 
 
 @kernel
-def update(s: Any, c: Any, x: float) -> bool:
+def update(s: State, c: Const, x: float) -> bool:
     """Take one value of a symptom; returns whether the level has reached the threshold.
 
     Args:
@@ -137,7 +156,7 @@ def update(s: Any, c: Any, x: float) -> bool:
 
 
 @kernel
-def reset(s: Any) -> None:
+def reset(s: State) -> None:
     """Start anew; the peak stays."""
     s.level = 0.0
     s.up = 0.0

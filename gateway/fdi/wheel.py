@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import PlainSerializer, PlainValidator
 
@@ -106,7 +106,7 @@ class Wheel:
         return cls(text, tuple(turned))
 
 
-def _wheel(value: Any) -> Wheel:
+def _wheel(value: object) -> Wheel:
     return value if isinstance(value, Wheel) else Wheel.parse(str(value))
 
 

@@ -12,10 +12,30 @@ is compiled once for all engines.
 
 from gateway.jit.intrinsics import call_entry, lowest_bit
 from gateway.jit.kernels import Kernel, bound, entry_point, kernel
-from gateway.jit.records import f8, i1, i2, i4, i8, record, record_at, u1, u4
+from gateway.jit.records import (
+    Meaning,
+    Record,
+    f8,
+    f8s,
+    i1,
+    i2,
+    i4,
+    i4s,
+    i8,
+    i8s,
+    labels,
+    means,
+    record,
+    record_at,
+    u1,
+    u1s,
+    u4,
+    zeros,
+)
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 
 __all__ = [
-    "BOUNDSCHECK", "COMPILED", "Kernel", "bound", "cache_directory", "call_entry", "entry_point", "f8",
-    "i1", "i2", "i4", "i8", "kernel", "lowest_bit", "record", "record_at", "u1", "u4",
+    "BOUNDSCHECK", "COMPILED", "Kernel", "Meaning", "Record", "bound", "cache_directory", "call_entry", "entry_point",
+    "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel", "labels", "lowest_bit", "means", "record", "record_at",
+    "u1", "u1s", "u4", "zeros",
 ]  # fmt: skip

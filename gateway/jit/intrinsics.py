@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from gateway.errors import KernelError
 from gateway.jit.records import record_at
 
 
@@ -52,7 +53,17 @@ PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]] 
 def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
     """Call the entry at an address with the addresses of its four records; returns 0, or what went wrong."""
     step, dtypes = PYTHON_ENTRIES[int(address)]
-    step(*(record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True)))
+    records = (record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True))
+    try:
+        step(*records)
+    except Exception as error:
+        where, at = "", error.__traceback__
+        while at is not None:  # the last line that is not NumPy's
+            if at.tb_frame.f_globals.get("__name__", "").partition(".")[0] != "numpy":
+                where = f"{at.tb_frame.f_code.co_filename}:{at.tb_lineno}"
+            at = at.tb_next
+        told = f"{type(error).__name__}: {error}"
+        raise KernelError(f"the kernel {step.__qualname__} failed ({where}): {told}") from error
     return 0
 
 

@@ -1,1 +1,1 @@
-"""Monitored systems, one file each, all of one shape (see :mod:`gateway.monitors.shape`)."""
+"""Monitored systems, one file each, all of one shape (see :mod:`gateway.monitors.contract`)."""

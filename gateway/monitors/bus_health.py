@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -38,9 +38,9 @@ from gateway.bus.conditions import (
     TX_TIMEOUT,
     TX_WARNING,
 )
-from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 from gateway.monitors.clock_health import OWN_FAULTS
-from gateway.monitors.shape import Debounce, Fault, MonitorParams
+from gateway.monitors.contract import Debounce, Fault, MonitorParams
 
 OFF, PASSIVE, ERRORS, GONE, OVERFLOW, CLOCK_STEPPED = range(6)
 
@@ -129,26 +129,37 @@ class Params(MonitorParams):
     )
 
 
-#: Constants and state of one bus, or of the gateway itself: it has OWN_FAULTS, after those of buses. ``fault`` is the engine's index of each fault, -1: not judged; ``failed`` and
-#: ``passed`` are the verdicts of the last frame, a bit for each fault; ``bad`` the faults that any frame received
-#: disproves; ``until`` when a fault heals by silence.
-HEALTH = record(
-    fault=(i4, len(FAULTS) + len(OWN_FAULTS)),
-    most=i8,
-    window_ns=i8,
-    failed=i4,
-    passed=i4,
-    bad=u1,
-    count=i8,
-    since_ns=i8,
-    deadline_ns=i8,
-    until=(i8, len(FAULTS) + len(OWN_FAULTS)),
-    lost=i8,
-    counts=(i8, len(COUNTED)),
-    value=f8,
-    limit=f8,
-    evidence=(f8, 3),
-)
+class HealthPlace(Record):
+    """Places in other tables, and settings that the state does not depend on."""
+
+    fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means(
+        "the engine's index of each fault; -1: not judged"
+    )
+    most: i8
+    window_ns: i8 = means(unit="ns")
+
+
+class HealthState(Record):
+    """How it does."""
+
+    failed: i4 = means("verdicts of the last frame, a bit for each fault")
+    passed: i4 = means("likewise")
+    bad: u1 = means("faults that any frame received disproves")
+    count: i8
+    since_ns: i8 = means(unit="ns")
+    deadline_ns: i8 = means(unit="ns")
+    until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means(
+        "when a fault heals by silence", "ns"
+    )
+    lost: i8
+    counts: Annotated[i8s, len(COUNTED)]
+    value: f8
+    limit: f8
+    evidence: Annotated[f8s, 3]
+
+
+class Health(HealthState, HealthPlace):
+    """Health of one bus, or of the gateway itself: it has OWN_FAULTS, after those of buses."""
 
 
 def codes_of(buses: Sequence[Params]) -> list[str]:
@@ -197,7 +208,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
     """Take an error frame; its verdicts are in ``h.failed`` and ``h.passed``.
 
     Args:
-        h: record of HEALTH.
+        h: record of Health.
         t_ns: the frame's time.
         can_id: its identifier with flags.
         word: the first 8 bytes of its data, little endian.
@@ -254,7 +265,7 @@ def note_step(h: Any, t_ns: int, step_s: float, steps: int) -> None:
     """Take a step of the wall clock; its verdict is in ``h.failed``.
 
     Args:
-        h: the gateway's own record of HEALTH.
+        h: the gateway's own record of Health.
         t_ns: when.
         step_s: by how much [s].
         steps: how many there have been.

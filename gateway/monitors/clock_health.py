@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from gateway.monitors.shape import Debounce, Fault, MonitorParams
+from gateway.monitors.contract import Debounce, Fault, MonitorParams
 
 #: First part of the ids of the gateway's own faults.
 OWN = "gateway"

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from gateway.jit import i4, i8, kernel, record, u1
-from gateway.monitors.shape import Debounce, Fault, MonitorParams
+from gateway.jit import Record, i4, i4s, i8, kernel, means, u1
+from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway.signals.crc import crc8
 from gateway.tomlfile import StrictModel
 
@@ -124,28 +124,42 @@ class Params(MonitorParams):
         return replace(fault, dtc=f"{base}-{fault.dtc.rpartition('-')[2]}")
 
 
-#: Constants and state of the checks of one message. ``fault`` is the engine's index of each fault,
-#: -1 where that check is not asked for; ``counter`` the place of the counter among the message's
-#: signals; ``unread`` the frames rejected since the counter was last read.
-CHECK = record(
-    fault=(i4, len(FAULTS)),
-    timeout_ns=i8,
-    counter=i4,
-    modulo=i4,
-    max_step=i4,
-    crc_byte=i4,
-    data_id=i4,
-    crc_init=i4,
-    crc_xor=i4,
-    crc_table=i4,
-    length=i4,
-    deadline_ns=i8,
-    silent_ns=i8,
-    last_counter=i4,
-    unread=i4,
-    seen=u1,
-    bus=u1,
-)
+class CheckPlace(Record):
+    """Places in other tables."""
+
+    fault: Annotated[i4s, len(FAULTS)] = means(
+        "the engine's index of each fault; -1: not asked for"
+    )
+    counter: i4 = means("place of the counter among the message's signals")
+    bus: u1
+
+
+class CheckConst(Record):
+    """What is asked of the message."""
+
+    timeout_ns: i8 = means(unit="ns")
+    modulo: i4
+    max_step: i4
+    crc_byte: i4
+    data_id: i4
+    crc_init: i4
+    crc_xor: i4
+    crc_table: i4
+    length: i4
+
+
+class CheckState(Record):
+    """What has come."""
+
+    deadline_ns: i8 = means(unit="ns")
+    silent_ns: i8 = means(unit="ns")
+    last_counter: i4
+    unread: i4 = means("frames rejected since the counter was last read")
+    seen: u1
+
+
+class Check(CheckState, CheckConst, CheckPlace):
+    """The checks of one message."""
 
 
 @kernel
@@ -153,7 +167,7 @@ def check_crc(check: Any, words: Any, length: int, tables: Any) -> tuple[int, in
     """Return the CRC that a frame carries and the one its payload asks for.
 
     Args:
-        check: record of :data:`CHECK`.
+        check: record of :class:`Check`.
         words: payload as 8 little-endian uint64 words.
         length: payload length [byte].
         tables: uint8, shape (algorithms, 256).

@@ -12,7 +12,7 @@ from __future__ import annotations
 from cmath import exp
 from functools import cached_property
 from math import expm1, sqrt
-from typing import Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -22,40 +22,52 @@ from gateway.fdi.linear.gains import Gain, from_noise, from_poles
 from gateway.fdi.linear.plant import unobservable
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.fdi.quantiles import chi2_above, normal_above
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors import linear_plant
-from gateway.monitors.linear_plant import PlantParams
-from gateway.monitors.shape import TIMER, Debounce, Fault, Monitor, report
+from gateway.monitors.contract import TIMER, Debounce, Fault, Monitor, Out, Readout, report
+from gateway.monitors.linear_plant import Inputs, PlantParams
 
-CONST = record(
-    sampling=linear_plant.CONST,
-    n=i8,
-    m=i8,
-    p=i8,
-    phi=(f8, (MOST_STATES, MOST_STATES)),
-    gamma=(f8, (MOST_STATES, MOST_INPUTS)),
-    c=(f8, (MOST_OUTPUTS, MOST_STATES)),
-    gain=(f8, (MOST_STATES, MOST_OUTPUTS)),
-    weight=(f8, (MOST_OUTPUTS, MOST_OUTPUTS)),
-    spread=(f8, MOST_OUTPUTS),
-    rule=stopping.CONST,
-    total=f8,
-    start=i8,
-)
-STATE = record(
-    sampling=linear_plant.STATE,
-    x=(f8, MOST_STATES),
-    next=(f8, MOST_STATES),
-    e=(f8, MOST_OUTPUTS),
-    rules=(stopping.STATE, MOST_OUTPUTS),
-    nis=f8,
-    samples=i8,
-    missing=i8,
-)
+
+class Const(Record):
+    """Constants."""
+
+    sampling: linear_plant.Const
+    n: i8
+    m: i8
+    p: i8
+    phi: Annotated[f8s, MOST_STATES, MOST_STATES]
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
+    gain: Annotated[f8s, MOST_STATES, MOST_OUTPUTS]
+    weight: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
+    spread: Annotated[f8s, MOST_OUTPUTS]
+    rule: stopping.Const
+    total: f8
+    start: i8
+
+
+class State(Record):
+    """State."""
+
+    sampling: linear_plant.State
+    x: Annotated[f8s, MOST_STATES]
+    next: Annotated[f8s, MOST_STATES]
+    e: Annotated[f8s, MOST_OUTPUTS]
+    rules: Annotated[list[stopping.State], MOST_OUTPUTS]
+    nis: f8
+    samples: i8
+    missing: i8
+
+
+class Evidence(Record):
+    """Evidence of each fault."""
+
+    innovation: f8
+    nis: f8 = means("normalised innovation squared")
+
 
 #: Innovation of the whole; then of each sensor.
 WHOLE = 0
-_EVIDENCE = ("innovation", "normalised innovation squared")
 #: Change of the mean that the CUSUM looks for, in standard deviations.
 SHIFT = 1.0
 
@@ -126,42 +138,48 @@ def level_for(rule: str, samples: float) -> float:
     return float(brentq(short, 1e-6, 200.0))
 
 
-def _named(p: Params) -> tuple[Fault, ...]:
+def _faults(p: Params) -> tuple[Fault, ...]:
     debounce = Debounce(failed_after=3, passed_after=50)
     found = [
         Fault(
             "innovation",
             "C1B30-64",
             "the plant does not do what its model does",
-            _EVIDENCE,
+            labels(Evidence),
             debounce,
         )
     ]
     for k, part in enumerate(p.output, start=1):
         text = f"{part.name} is not what the observer expects"
         found.append(
-            Fault(f"innovation_{part.name}", part.dtc or f"C1B3{k}-64", text, _EVIDENCE, debounce)
+            Fault(
+                f"innovation_{part.name}",
+                part.dtc or f"C1B3{k}-64",
+                text,
+                labels(Evidence),
+                debounce,
+            )
         )
     return tuple(found)
 
 
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
+def _prepare(p: Params, s: State, c: Const) -> None:
     plant, observer = p.plant, p.observer
     n, m, q = plant.states, plant.inputs, plant.outputs
-    linear_plant.prepare(c["sampling"], p)
-    c["n"], c["m"], c["p"] = n, m, q
-    c["phi"][:n, :n], c["gamma"][:n, :m], c["c"][:q, :n] = plant.phi, plant.gamma, plant.c
-    c["gain"][:n, :q] = observer.gain
-    c["weight"][:q, :q] = np.linalg.inv(observer.innovation)
-    c["spread"][:q] = np.sqrt(np.diag(observer.innovation))
+    linear_plant.prepare(c.sampling, p)
+    c.n, c.m, c.p = n, m, q
+    c.phi[:n, :n], c.gamma[:n, :m], c.c[:q, :n] = plant.phi, plant.gamma, plant.c
+    c.gain[:n, :q] = observer.gain
+    c.weight[:q, :q] = np.linalg.inv(observer.innovation)
+    c.spread[:q] = np.sqrt(np.diag(observer.innovation))
     level = p.threshold
-    stopping.prepare(c["rule"], p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
-    c["total"] = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
-    c["start"] = round(p.start_s / plant.period)
+    stopping.prepare(c.rule, p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
+    c.total = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
+    c.start = round(p.start_s / plant.period)
 
 
 @kernel
-def _advance(s: Any, c: Any, u: Any) -> None:
+def _advance(s: State, c: Const, u: f8s) -> None:
     """Step the observer to the next sample."""
     for i in range(c.n):
         value = 0.0
@@ -177,7 +195,7 @@ def _advance(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample."""
     if u.trigger == TIMER:
         return
@@ -202,29 +220,27 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
             s.nis += s.e[j] * c.weight[j, i] * s.e[i]
     s.samples += 1
     if s.samples > c.start:
-        at = report(out, WHOLE, s.nis >= c.total, s.nis, c.total)
-        if at >= 0:
-            out.results[at].evidence[0] = sqrt(s.nis)
-            out.results[at].evidence[1] = s.nis
+        e = report(out, WHOLE, s.nis >= c.total, s.nis, c.total)
+        e.innovation, e.nis = sqrt(s.nis), s.nis
         for j in range(c.p):
             alarm = stopping.update(s.rules[j], c.rule, s.e[j] / c.spread[j])
-            at = report(out, 1 + j, alarm, s.rules[j].level, c.rule.threshold)
-            if at >= 0:
-                out.results[at].evidence[0] = s.e[j]
-                out.results[at].evidence[1] = s.nis
+            e = report(out, 1 + j, alarm, s.rules[j].level, c.rule.threshold)
+            e.innovation, e.nis = s.e[j], s.nis
     _advance(s, c, u.u)
 
 
 MONITOR = Monitor(
     type="linear_observer",
+    api=2,
     params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=linear_plant.INPUTS,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
     step=step,
-    faults=(),
-    named=_named,
-    wire=linear_plant.wire,
+    connect=linear_plant.connect,
+    triggers=linear_plant.triggers,
     prepare=_prepare,
-    readout=("nis", "missing"),
+    faults=_faults,
+    capabilities=(Readout(("nis", "missing")),),
 )

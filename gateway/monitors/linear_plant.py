@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
-from gateway.jit import f8, i8, kernel, record
-from gateway.monitors.shape import MonitorParams, Wiring, inputs
+from gateway.jit import Record, f8, f8s, i8, kernel
+from gateway.monitors import contract
+from gateway.monitors.contract import Connection, MonitorParams, Signal
 from gateway.tomlfile import StrictModel
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -18,10 +19,28 @@ Matrix = tuple[tuple[float, ...], ...]
 #: Samples missing in a row over which a plant is predicted; behind more of them it is found anew.
 MOST_MISSING = 5
 
-CONST = record(period_ns=i8, counted=i8)
-#: ``t_ns`` of the last sample, and its ``counter``.
-STATE = record(started=i8, t_ns=i8, counter=i8)
-INPUTS = inputs(y=(f8, MOST_OUTPUTS), u=(f8, MOST_INPUTS), counter=f8)
+
+class Const(Record):
+    """Constants."""
+
+    period_ns: i8
+    counted: i8
+
+
+class State(Record):
+    """State: ``t_ns`` of the last sample, and its ``counter``."""
+
+    started: i8
+    t_ns: i8
+    counter: i8
+
+
+class Inputs(contract.Inputs):
+    """Inputs."""
+
+    y: Annotated[f8s, MOST_OUTPUTS]
+    u: Annotated[f8s, MOST_INPUTS]
+    counter: f8
 
 
 class Input(StrictModel):
@@ -125,31 +144,31 @@ class PlantParams(MonitorParams):
         return tuple(part.name for part in self.output)
 
 
-def wire(p: PlantParams) -> Wiring:
-    """Return what a linear plant needs from the bus."""
-    first = p.output[0].signal
-    outputs = [part.signal for part in p.output]
-    commands = [part.signal for part in p.input]
-    signals = (
-        outputs
-        + [first] * (MOST_OUTPUTS - len(outputs))  # not looked at
-        + commands
-        + [first] * (MOST_INPUTS - len(commands))
-        + [p.counter or first]
-    )
-    message = p.trigger or outputs[-1].rpartition(".")[0]
-    units = {part.signal: part.unit for part in p.output if part.unit is not None}
-    units |= {part.signal: part.unit for part in p.input if part.unit is not None}
-    return Wiring((message,), tuple(signals), units=units)
+def connect(p: PlantParams) -> Mapping[str, Connection]:
+    """Return what the inputs of a linear plant's monitor are connected to."""
+
+    def signals(parts: Sequence[Input | Output], most: int) -> list[Signal | None]:
+        return [*(Signal(part.signal, part.unit) for part in parts), *[None] * (most - len(parts))]
+
+    return {
+        "y": signals(p.output, MOST_OUTPUTS),
+        "u": signals(p.input, MOST_INPUTS),
+        "counter": None if p.counter is None else Signal(p.counter),
+    }
 
 
-def prepare(c: np.void, p: PlantParams) -> None:
+def triggers(p: PlantParams) -> tuple[str, ...]:
+    """Return the message that steps it."""
+    return (p.trigger or p.output[-1].signal.rpartition(".")[0],)
+
+
+def prepare(c: Const, p: PlantParams) -> None:
     """Fill a record of CONST."""
-    c["period_ns"], c["counted"] = round(p.sample_ms * 1e6), p.counter is not None
+    c.period_ns, c.counted = round(p.sample_ms * 1e6), p.counter is not None
 
 
 @kernel
-def samples(s: Any, c: Any, u: Any) -> int:
+def samples(s: State, c: Const, u: Inputs) -> int:
     """Return how many samples further this frame is: 0: it was seen already; more than 1: some are missing."""
     told = int(u.counter) if c.counted == 1 else 0
     steps = 1

@@ -6,7 +6,7 @@ cycle finds the new one whole; one that cannot be written, until all that waits 
 
 from __future__ import annotations
 
-from gateway.monitors.shape import Debounce, Fault
+from gateway.monitors.contract import Debounce, Fault
 
 #: First part of the ids of the gateway's own faults.
 OWNER = "gateway"

@@ -7,16 +7,16 @@ import pytest
 
 from gateway.bus.frames import EXTENDED, FD, empty, put
 from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
-from gateway.jit import f8, i8, kernel, record
-from gateway.monitors import communication
-from gateway.monitors.shape import (
+from gateway.jit import Record, f8, i8, kernel, labels, means
+from gateway.monitors import communication, contract
+from gateway.monitors.contract import (
     TIMER,
     Debounce,
     Fault,
     Monitor,
     MonitorParams,
-    Wiring,
-    inputs,
+    Readout,
+    Signal,
     report,
 )
 from gateway.signals.database import load_database
@@ -46,9 +46,26 @@ class Params(MonitorParams):
     tag: float = 0.0
 
 
-STATE = record(steps=i8, last_ns=i8, total=f8)
-CONST = record(limit=f8, wake_ns=i8, tag=f8)
-INPUTS = inputs(a=f8, b=f8)
+class State(Record):
+    steps: i8
+    last_ns: i8
+    total: f8
+
+
+class Const(Record):
+    limit: f8
+    wake_ns: i8
+    tag: f8
+
+
+class Inputs(contract.Inputs):
+    a: f8
+    b: f8
+
+
+class Evidence(Record):
+    tag: f8
+    total: f8 = means("sum")
 
 
 @kernel
@@ -62,32 +79,42 @@ def step(s, c, u, out):
         out.wake_ns = u.t_ns + c.wake_ns
         report(out, 1, False, 0.0, 0.0)
     s.total += u.a
-    at = report(out, 0, u.a > c.limit, u.a, c.limit)
-    if at >= 0:
-        out.results[at].evidence[0] = c.tag
-        out.results[at].evidence[1] = s.total
+    e = report(out, 0, u.a > c.limit, u.a, c.limit)
+    e.tag, e.total = c.tag, s.total
 
 
 def _prepare(p, s, c):
-    c["limit"] = p.limit
-    c["wake_ns"] = int(p.wake_ms * 1e6)
-    c["tag"] = p.tag
+    c.limit = p.limit
+    c.wake_ns = int(p.wake_ms * 1e6)
+    c.tag = p.tag
+
+
+def _connect(p):
+    signals = [Signal(name, triggers=name.rpartition(".")[0] in p.messages) for name in p.signals]
+    return dict(zip(("a", "b"), [*signals, None, None], strict=False))
+
+
+def _faults(_):
+    return (
+        Fault("high", "C1000-00", "too high", labels(Evidence), Debounce(2, 2)),
+        Fault("silent", "C1001-00", "woken by the timer", (), Debounce(1, 1)),
+    )
 
 
 SCRIPTED = Monitor(
-    "scripted",
-    Params,
-    STATE,
-    CONST,
-    INPUTS,
-    step,
-    (
-        Fault("high", "C1000-00", "too high", ("tag", "sum"), Debounce(2, 2)),
-        Fault("silent", "C1001-00", "woken by the timer", (), Debounce(1, 1)),
-    ),
-    lambda p: Wiring(p.messages, p.signals),
-    _prepare,
-    readout=("steps", "last_ns", "total"),
+    type="scripted",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    step=step,
+    connect=_connect,
+    triggers=lambda p: p.messages,
+    prepare=_prepare,
+    faults=_faults,
+    capabilities=(Readout(("steps", "last_ns", "total")),),
 )
 
 

@@ -1,5 +1,6 @@
 """An engine that takes over from another one: the same configuration changes nothing, a changed one only what changed."""
 
+import numpy as np
 import pytest
 from amount import examples
 from hypothesis import HealthCheck, given, settings
@@ -9,8 +10,25 @@ from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
 from gateway.engine.build import BusInstance
+from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
+from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState
 from gateway.engine.events import QUALIFIED_FAILED
-from gateway.monitors.shape import Debounce
+from gateway.engine.gate import Condition, CycleWatch, Watch, WatchConst, WatchPlace, WatchState
+from gateway.engine.tables import (
+    Clock,
+    ClockPass,
+    ClockState,
+    Handler,
+    HandlerPlace,
+    HandlerState,
+    Vector,
+    VectorPlace,
+    VectorState,
+)
+from gateway.monitors.bus_health import Health, HealthPlace, HealthState
+from gateway.monitors.communication import Check, CheckConst, CheckPlace, CheckState
+from gateway.monitors.contract import Debounce
+from gateway.signals.tables import SignalRef
 
 CHECK = {"message": "Alpha", "timeout_ms": 50.0, "counter": {"signal": "Count"}}
 MONITOR = ("m", 0, {"wake_ms": 70.0, "tag": 1.0})
@@ -127,3 +145,116 @@ def test_settings_of_the_health_are_the_new_ones(build, tools):
     errors = [(k, ERROR | c.PROTOCOL, bytes(8)) for k in range(4)]
     events, last = run([old, new], [errors[:2], errors[2:]], tools, 10)
     assert (2.0, "a.bus_errors") in failures(events, last), "two before, the third after the change"
+
+
+RECORDS = {
+    "debounces": (DebounceConst, DebounceState),
+    "checks": (CheckConst, CheckState),
+    "handlers": (None, HandlerState),
+    "health": (None, HealthState),
+    "vectors": (None, VectorState),
+}
+SCRIPTS = st.fixed_dictionaries(
+    {"limit": st.sampled_from([5.0, 10.0]), "wake_ms": st.sampled_from([0.0, 70.0])}
+)
+CONFIGURATIONS = st.fixed_dictionaries(
+    {
+        "monitors": st.dictionaries(st.sampled_from("mnop"), SCRIPTS, max_size=4),
+        "check": st.fixed_dictionaries(
+            {"timeout_ms": st.sampled_from([50.0, 80.0]), "length": st.booleans()},
+            optional={"counter": st.just({"signal": "Count"})},
+        ),
+        "failed_after": st.sampled_from([1, 3]),
+    }
+)
+
+
+def built(build, configuration):
+    debounce = Debounce(configuration["failed_after"], 2)
+    monitors = [
+        (name, k, params) for k, (name, params) in enumerate(configuration["monitors"].items())
+    ]
+    return build(
+        *monitors, checks=[{"message": "Alpha", **configuration["check"]}], buses=[BusInstance("a")],
+        debounce=lambda name, fault: debounce,
+    )  # fmt: skip
+
+
+def named(engine, table):
+    """Return the rows of a table by what they are of."""
+    rows = getattr(engine.tables, table)
+    names = {
+        "debounces": [slot.id for slot in engine.faults],
+        "handlers": [instance.name for instance in engine.monitors],
+        "vectors": [name for _, name in engine.plan.message_names],
+    }.get(table, [*range(len(rows))])
+    return dict(zip(names, rows, strict=False))
+
+
+@settings(max_examples=examples(80), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(CONFIGURATIONS, CONFIGURATIONS, st.lists(st.integers(0, 31), min_size=1, max_size=30))
+def test_between_random_configurations_all_state_is_kept_whose_constants_are_equal(
+    build, tools, before, after, values
+):
+    old, new = built(build, before), built(build, after)
+    frames = [
+        tools.alpha(20.0 * k, value - 8.0, count=value % 16) for k, value in enumerate(values)
+    ]
+    old.process(tools.batch(*frames), tools.Collector())
+    adopt(new, old, {0: 0}, {})
+    now = new.now_ns
+    assert now == old.now_ns
+    same = {
+        name for name, params in after["monitors"].items() if before["monitors"].get(name) == params
+    }
+    for table, (const, state) in RECORDS.items():
+        theirs = named(old, table)
+        for name, row in named(new, table).items():
+            other = theirs.get(name)
+            if other is None or (table == "handlers" and name not in same):
+                continue
+            equal = const is None or all(row[f] == other[f] for f in const.dtype.names)
+            kept = all(np.array_equal(row[f], other[f], equal_nan=True) for f in state.dtype.names)
+            assert kept or not equal, (table, name)
+    for k, instance in enumerate(new.monitors):
+        if instance.name in same:
+            place = [other.name for other in old.monitors].index(instance.name)
+            assert new.state_of(k).tobytes() == old.state_of(place).tobytes()
+        else:
+            assert new.state_of(k)["steps"] == 0
+    for ref, slot in zip(new.plan.slot_names, new.tables.mailbox[:-1], strict=True):
+        if ref in old.plan.slot_names:
+            assert slot == old.tables.mailbox[old.plan.slot_names.index(ref)]
+
+
+def test_what_begins_a_cycle_remembers_how_low_its_signal_was(build, tools):
+    """It was forgotten once: a signal that rose before a reload began its cycle again behind it."""
+    place = SignalRef(0, "Alpha", "Value")
+    watch = CycleWatch(begins=Condition(place, 5.0, rise=2.0), ends=Condition(place, high=-5.0))
+    old, new = (make(build, cycles=[watch]) for _ in range(2))
+    old.process(
+        tools.batch(tools.alpha(0.0, -3.0), tools.alpha(10.0, 4.0, count=1)), tools.Collector()
+    )
+    adopt(new, old, {0: 0}, {0: 0})
+    assert new.tables.watches["lowest"].tolist() == old.tables.watches["lowest"].tolist()
+    new.process(tools.batch(tools.alpha(20.0, 6.0, count=2)), tools.Collector())
+    assert new.tables.cycles[0] == 1, "it has risen by 9 V since the lowest"
+
+
+def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():
+    for whole, *parts in (
+        (DebounceRow, DebouncePlace, DebounceConst, DebounceState),
+        (Check, CheckPlace, CheckConst, CheckState),
+        (Health, HealthPlace, HealthState),
+        (Watch, WatchPlace, WatchConst, WatchState),
+        (Emit, EmitPlace, EmitConst, EmitState),
+        (Handler, HandlerPlace, HandlerState),
+        (Vector, VectorPlace, VectorState),
+        (Clock, ClockPass, ClockState),
+    ):
+        names = [name for part in parts for name in part.dtype.names]
+        assert sorted(names) == sorted(whole.dtype.names)
+    with pytest.raises(TypeError, match="two of its bases have counter"):
+
+        class Both(DebounceState, CheckPlace):
+            pass

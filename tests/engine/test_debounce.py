@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.engine.debounce import (
-    DEBOUNCE,
+    DebounceRow,
     configure,
     count,
     fault_detection_counter,
@@ -17,12 +17,12 @@ from gateway.engine.debounce import (
     turn,
 )
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
-from gateway.engine.tables import table
-from gateway.monitors.shape import FAILED, PASSED, Debounce
+from gateway.jit import zeros
+from gateway.monitors.contract import FAILED, PASSED, Debounce
 
 
 def row(debounce):
-    rows = table(1, DEBOUNCE)
+    rows = zeros(1, DebounceRow)
     configure(rows[0], debounce)
     return rows
 

@@ -11,8 +11,17 @@ from hypothesis import strategies as st
 from gateway.bus.frames import CYCLIC, empty, payload, put
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.errors import InputError, InputErrors
-from gateway.jit import f8, i8, kernel, record
-from gateway.monitors.shape import Emission, Fault, Monitor, MonitorParams, Wiring, inputs, report
+from gateway.jit import Record, f8, i8, kernel
+from gateway.monitors import contract
+from gateway.monitors.contract import (
+    Emission,
+    Fault,
+    Monitor,
+    MonitorParams,
+    Readout,
+    Signal,
+    report,
+)
 from gateway.signals.database import load_database
 
 DBC = """VERSION ""
@@ -32,15 +41,28 @@ class Params(MonitorParams):
     """Nothing."""
 
 
-STATE = record(steps=i8, last=f8)
-CONST = record(unused=f8)
+class State(Record):
+    steps: i8
+    last: f8
+
+
+class Const(Record):
+    unused: f8
+
+
+class Inputs(contract.Inputs):
+    value: f8
+
+
+class Outputs(Record):
+    double: f8
 
 
 @kernel
 def _double(s, c, u, out):
     s.steps += 1
     s.last = u.value
-    out.values[0] = 2.0 * u.value
+    out.values.double = 2.0 * u.value
     out.send = 1
 
 
@@ -53,21 +75,23 @@ def _listen(s, c, u, out):
 
 def monitor(name, step, message, signal, emission=None, faults=()):
     return Monitor(
-        name,
-        Params,
-        STATE,
-        CONST,
-        inputs(value=f8),
-        step,
-        faults,
-        lambda p: Wiring((message,), (f"{message}.{signal}",)),
-        lambda p, s, c: None,
-        ("steps", "last"),
-        emission,
+        type=name,
+        api=2,
+        params=Params,
+        state=State,
+        const=Const,
+        inputs=Inputs,
+        outputs=None if emission is None else Outputs,
+        step=step,
+        connect=lambda p: {"value": Signal(f"{message}.{signal}", triggers=True)},
+        prepare=lambda p, s, c: None,
+        faults=lambda p: faults,
+        emits=None if emission is None else lambda p: emission,
+        capabilities=(Readout(("steps", "last")),),
     )
 
 
-DOUBLE = monitor("double", _double, "Input", "Value", Emission("Output", ("Double",)))
+DOUBLE = monitor("double", _double, "Input", "Value", Emission("Output", {"double": "Double"}))
 LISTEN = monitor("listen", _listen, "Output", "Double", faults=(Fault("high", "P0100-11", ""),))
 
 

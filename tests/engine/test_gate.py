@@ -14,7 +14,7 @@ from gateway.engine.events import (
 )
 from gateway.engine.gate import Condition, CycleWatch, Gate
 from gateway.errors import InputError
-from gateway.monitors.shape import Debounce
+from gateway.monitors.contract import Debounce
 from gateway.signals.tables import SignalRef
 
 BETA = SignalRef(0, "Beta", "Value")

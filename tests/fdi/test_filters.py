@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from gateway.engine.tables import table
 from gateway.fdi.filters import (
     ekf_alpha_beta,
     ekf_dq,
@@ -24,6 +23,7 @@ from gateway.fdi.filters import (
 )
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park, wrap
+from gateway.jit import zeros
 
 M = Motor()
 T = 1e-3
@@ -32,7 +32,7 @@ angles = st.floats(-20, 20)
 
 
 def pair(module, *arguments, **options):
-    c, s = table(1, module.CONST), table(1, module.STATE)
+    c, s = zeros(1, module.Const), zeros(1, module.State)
     module.prepare(c[0], *arguments, **options)
     return s[0], c[0]
 
@@ -67,7 +67,7 @@ def test_wrap_stays_within_half_a_turn(angle, turn):
 def test_torque_balances_power():
     """(14): I_q = 10 A, I_d = -3 A, 90 and 120 uH: 0.4554 N m from the power; the printed c_M I_q says 0.300."""
     m = Motor(ld=90e-6, lq=120e-6)
-    c = table(1, motor.CONST)
+    c = zeros(1, motor.Const)
     motor.prepare(c[0], m)
     i_d, i_q, omega = -3.0, 10.0, 50.0
     u_d = m.resistance * i_d - m.pole_pairs * omega * m.lq * i_q

@@ -7,17 +7,17 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.engine.tables import table
 from gateway.evaluate.voters.cases import IDEAL, SPAN, Case, Run, make
 from gateway.evaluate.voters.follow import VOTERS, follow
 from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.jit import zeros
 from gateway.vecu import strokes
 
 volts = st.floats(-10, 10)
 
 
 def ready(module, channels=2, beta=0.3, lower=True, **predictor):
-    s, c = table(1, module.STATE)[0], table(1, module.CONST)[0]
+    s, c = zeros(1, module.State)[0], zeros(1, module.Const)[0]
     hybrid.prepare(c["hybrid"], channels, beta=beta, lower=lower)
     module.prepare(c, **predictor)
     return s, c
@@ -35,7 +35,7 @@ def run_of(readings, truth=None):
 
 @given(st.lists(volts, min_size=2, max_size=3))
 def test_average_and_median_are_numpys(y):
-    s, c = table(1, simple.STATE)[0], table(1, simple.CONST)[0]
+    s, c = zeros(1, simple.State)[0], zeros(1, simple.Const)[0]
     simple.prepare(c, len(y))
     readings = np.array([*y, 0.0])
     simple.average(s, c, readings)
@@ -132,7 +132,7 @@ def test_ten_microvolts_of_noise_latch_the_scheme_from_the_start():
 
 
 def test_a_reading_that_moves_less_than_predicted_is_rejected_as_printed():
-    s, c = table(1, hybrid.STATE)[0], table(1, hybrid.CONST)[0]
+    s, c = zeros(1, hybrid.State)[0], zeros(1, hybrid.Const)[0]
     for lower, believed in ((True, 0b10), (False, 0b11)):
         hybrid.prepare(c, 2, beta=0.3, lower=lower)
         s["value"], s["before"], s["started"] = 1.0, 0.9, 1

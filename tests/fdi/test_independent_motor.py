@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gateway.engine.tables import table
 from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import Motor
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 
 pytestmark = [
     pytest.mark.long,
@@ -92,7 +91,7 @@ def follow(per, noise, rng, load=True):
     """Return the errors of EKF ab [rad, mechanical] with frames of ``per`` steps."""
     rows = drive()
     m, period = MOTOR, per * TAU
-    c, s = table(1, ekf_alpha_beta.CONST), table(1, ekf_alpha_beta.STATE)
+    c, s = zeros(1, ekf_alpha_beta.Const), zeros(1, ekf_alpha_beta.State)
     ekf_alpha_beta.prepare(c[0], m, period, load=load, slow=0.0)
     ekf_alpha_beta.begin(s[0], c[0], 0.0)
     theta = rows[:, 1] * m.pole_pairs
@@ -138,8 +137,8 @@ def test_the_filter_follows_a_motor_of_other_make():
 def test_the_emf_lies_where_the_rotor_is():
     rows = drive()
     m = MOTOR
-    c, s = table(1, feedforward.CONST), table(1, feedforward.STATE)
-    printed_c, printed = table(1, feedforward.CONST), table(1, feedforward.STATE)
+    c, s = zeros(1, feedforward.Const), zeros(1, feedforward.State)
+    printed_c, printed = zeros(1, feedforward.Const), zeros(1, feedforward.State)
     feedforward.prepare(c[0], m, TAU)
     feedforward.prepare(printed_c[0], m, TAU, printed=True)
     theta = rows[:, 1] * m.pole_pairs

@@ -6,14 +6,14 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.engine.tables import table
 from gateway.fdi import distances, stopping
+from gateway.jit import zeros
 
 values = st.lists(st.floats(-5, 5), min_size=1, max_size=150)
 
 
 def run(x, rule, threshold=np.inf, **options):
-    c, s = table(1, stopping.CONST), table(1, stopping.STATE)
+    c, s = zeros(1, stopping.Const), zeros(1, stopping.State)
     stopping.prepare(c[0], rule, threshold, **options)
     found = []
     for value in x:
@@ -122,7 +122,7 @@ def test_positions_differ_modulo_a_turn(a, b, turns):
 
 
 def test_increments_and_leaky_sums():
-    s, leak = table(1, distances.INCREMENT), table(1, distances.LEAKY)
+    s, leak = zeros(1, distances.Increment), zeros(1, distances.Leaky)
     turn = np.pi / 2
     assert distances.increment(s[0], 1.5, 0.0, 1e-3, turn) == 0.0
     assert distances.increment(s[0], 1.5 + 0.06 - turn, 60.0, 1e-3, turn) == pytest.approx(

@@ -7,18 +7,17 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gateway.engine.tables import table
 from gateway.fdi.voting.tracking import habits, mismatch, motion, shape
 from gateway.fdi.voting.tracking.vote import vote
-from gateway.jit import COMPILED, kernel
+from gateway.jit import COMPILED, kernel, zeros
 from gateway.vecu.strokes import exponential
 
 SPAN, NOISE, STEP = 5.0, 0.002, 5 / 4096
-STATE = shape.STATE
+STATE = shape.State
 
 
 def voter(channels=2, noise=NOISE, step=STEP, **options):
-    s, c = table(1, STATE)[0], table(1, shape.CONST)[0]
+    s, c = zeros(1, STATE)[0], zeros(1, shape.Const)[0]
     shape.prepare(c, channels, low=0.0, high=SPAN, noise=noise, step=step, **options)
     return s, c
 
@@ -50,7 +49,7 @@ def wave(n, rng, channels=2, hertz=1.0, noise=NOISE):
 def test_the_filter_is_filterpys():
     rng = np.random.default_rng(3)
     print("seed 3")
-    m = table(1, motion.STATE)[0]
+    m = zeros(1, motion.State)[0]
     q, r = 0.0008, NOISE**2
     motion.restart(m, 1.0, 0.01, r, 1e-4)
     kf = KalmanFilter(dim_x=2, dim_z=1)
@@ -72,7 +71,7 @@ def test_the_filter_is_filterpys():
 
 def test_two_samples_at_once_are_two_samples():
     """A lost frame: predicting over two periods is predicting twice."""
-    one, two = table(1, motion.STATE)[0], table(1, motion.STATE)[0]
+    one, two = zeros(1, motion.State)[0], zeros(1, motion.State)[0]
     for m in (one, two):
         motion.restart(m, 1.0, 0.02, 1e-4, 1e-4)
     motion.predict(one, 2.0, 0.001, 10.0)
@@ -83,7 +82,7 @@ def test_two_samples_at_once_are_two_samples():
 
 
 def test_the_mismatch_follows_a_drift_and_not_an_impulse():
-    b = table(1, mismatch.STATE)[0]
+    b = zeros(1, mismatch.State)[0]
     mismatch.learn(b, 0, 0.01, 1.0)
     mismatch.learn(b, 0, -0.01, 1.0)
     assert float(b["level"][0]) == 0.0
@@ -95,7 +94,7 @@ def test_the_mismatch_follows_a_drift_and_not_an_impulse():
 
 
 def test_a_line_that_moves_while_another_channel_repeats_itself():
-    h = table(1, habits.STATE)[0]
+    h = zeros(1, habits.State)[0]
     rows = [[1.0 + 0.05 * k, 2.0] for k in range(8)]
     habits.start(h, 2, np.array(rows[0]))
     found = []

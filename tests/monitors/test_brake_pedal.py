@@ -31,7 +31,7 @@ def engine_of(preset="brake", send=False, **params):
     database = load_database([PEDAL])
     monitor, model = (TRIPLE, TripleParams) if preset == "brake_3" else (PAIR, PairParams)
     chosen = model(preset=preset, **params)
-    emission = database.message(monitor.emission_of(chosen).message) if send else None
+    emission = database.message(monitor.emits(chosen).message) if send else None
     instance = MonitorInstance("pedal", monitor, chosen, emission=emission)
     return build_engine([(0, database)], [instance], [])
 
@@ -125,7 +125,9 @@ def test_a_drift_is_seen_in_a_pair_and_named_in_a_triple():
     triple, engine = found(drive(drifting, preset="brake_3"), "brake_3")
     assert triple.failed()[-1] == "channel_1_drifts"
     assert engine.readout()["pedal"]["isolated"] == 0b001
-    assert "channel_1_drifts" not in [f.name for f in PAIR.faults], "nobody could tell"
+    assert "channel_1_drifts" not in [f.name for f in PAIR.faults(PairParams())], (
+        "nobody could tell"
+    )
 
 
 @pytest.mark.skipif(not COMPILED, reason="seconds of samples")
@@ -189,10 +191,10 @@ def test_both_pedals_have_their_own_message_and_dtcs():
         ("accelerator", "GW_AcceleratorPedal", "P2120-2A"),
     ):
         params = PairParams(preset=preset)
-        assert PAIR.emission_of(params).message == name
-        assert {f.name: f.dtc for f in PAIR.faults_of(params)}["channel_1_stuck"] == dtc
+        assert PAIR.emits(params).message == name
+        assert {f.name: f.dtc for f in PAIR.faults(params)}["channel_1_stuck"] == dtc
     for monitor, params in ((PAIR, PairParams()), (TRIPLE, TripleParams())):
-        codes = [fault.dtc for fault in monitor.faults_of(params)]
+        codes = [fault.dtc for fault in monitor.faults(params)]
         assert len(set(codes)) == len(codes), "each fault its own"
 
 

@@ -82,7 +82,7 @@ def test_one_invalid_value_is_as_a_frame_that_was_not_there(case):
         assert engine.counters()["invalid_values"] == spoilt, told
         assert not failed, told
         assert bad <= usual, told
-        assert not any(np.isnan(engine.tables.mailbox)), told
+        assert not any(np.isnan(engine.tables.mailbox[:-1])), told
 
 
 def test_invalid_values_for_ever_are_not_tested_and_accuse_nobody(case):

@@ -7,15 +7,14 @@ import pytest
 
 from gateway.app import Gateway
 from gateway.config import load_config, monitor_of
-from gateway.engine.tables import table
 from gateway.errors import InputError, InputErrors
 from gateway.evaluate.pi_bank import example
 from gateway.evaluate.pi_bank.bank import FEEDBACK, drive, noise
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.monitors import linear_observer, linear_plant
+from gateway.monitors.contract import FAILED
 from gateway.monitors.pi_bank import MONITOR as BANK
 from gateway.monitors.pi_bank.params import Params
-from gateway.monitors.shape import FAILED, RESULTS
 from gateway.replay import replay
 from gateway.resources import shipped
 from gateway.vecu.linear_ecu import linear_frames
@@ -67,7 +66,7 @@ def test_the_study_s_plant_is_the_shipped_configuration_s():
 
 
 def test_faults_are_named_by_the_user_s_parts():
-    faults = BANK.faults_of(Params(**entry("belt", "belt")))
+    faults = BANK.faults(Params(**entry("belt", "belt")))
     assert [fault.name for fault in faults] == [
         "unexplained", "actuator_voltage", "sensor_motor_speed", "sensor_load_speed", "sensor_current",
     ]  # fmt: skip
@@ -78,7 +77,7 @@ def test_faults_are_named_by_the_user_s_parts():
         "P0A41-64",
         "P0A42-64",
     ]
-    assert BANK.faults_of(Params(**entry("aircraft")))[2].dtc == "C1B12-64"
+    assert BANK.faults(Params(**entry("aircraft")))[2].dtc == "C1B12-64"
 
 
 @pytest.mark.parametrize(
@@ -128,7 +127,7 @@ def test_check_tells_what_hides_what():
 
 
 def inputs(y, u, **options):
-    rows = table(len(y), linear_plant.INPUTS)
+    rows = zeros(len(y), linear_plant.Inputs)
     rows["y"][:, : y.shape[1]], rows["u"][:, : u.shape[1]] = y, u
     rows["t_ns"] = np.arange(len(y)) * 100_000_000
     rows["counter"] = np.arange(len(y)) % 16
@@ -140,9 +139,9 @@ def inputs(y, u, **options):
 def walked(rows, monitor=BANK, config="aircraft", **options):
     """Step a monitor through inputs; returns its state and, for each fault, the rows in which it failed."""
     p = monitor.params(**{**entry(config), **options})
-    s, c, out = table(1, monitor.state), table(1, monitor.const), table(1, RESULTS)
+    s, c, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
     monitor.prepare(p, s[0], c[0])
-    names = [fault.name for fault in monitor.faults_of(p)]
+    names = [fault.name for fault in monitor.faults(p)]
     failed = {name: [] for name in names}
     for k in range(len(rows)):
         out[0]["n"] = 0
@@ -211,7 +210,7 @@ def test_the_paper_s_own_logic_pulses():
 @compiled
 def test_evidence_has_the_size():
     p = Params(**entry("aircraft"))
-    s, c, out = table(1, BANK.state), table(1, BANK.const), table(1, RESULTS)
+    s, c, out = zeros(1, BANK.state), zeros(1, BANK.const), zeros(1, BANK.results)
     BANK.prepare(p, s[0], c[0])
     sizes = []
     for row in inputs(*flight((ACTUATOR,))):
@@ -246,7 +245,7 @@ def test_one_observer_detects_at_the_rate_it_promises(rule):
     options = {"rule": rule, "mtfa_s": 1000.0, "start_s": 20.0}
     y, u = flight(seconds=10_000.0, seed=9)
     p = monitor.params(**{**entry("aircraft"), **options})
-    s, c, out = table(1, monitor.state), table(1, monitor.const), table(1, RESULTS)
+    s, c, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
     monitor.prepare(p, s[0], c[0])
     alarms, before = 0, np.zeros(4, bool)
     for row in inputs(y, u):

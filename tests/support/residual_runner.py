@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.engine.tables import table
+from gateway.jit import zeros
 
 
 class Runner:
@@ -11,7 +11,7 @@ class Runner:
     def __init__(self, loaded, **bandwidths):
         self.loaded = loaded
         self.s, self.c, self.u = (
-            table(1, dtype) for dtype in (loaded.state, loaded.const, loaded.inputs)
+            zeros(1, dtype) for dtype in (loaded.state, loaded.const, loaded.inputs)
         )
         loaded.prepare(self.c[0], **bandwidths)
         loaded.reset(self.s[0], self.c[0])

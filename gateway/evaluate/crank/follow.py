@@ -9,13 +9,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.crank.peers import PEER, ratio, threshold
 from gateway.fdi.wheel import Wheel
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
+from gateway.monitors.contract import FAILED
 from gateway.monitors.crank_sync import adaptive, constant_speed, place
-from gateway.monitors.crank_sync.monitor import Params
-from gateway.monitors.shape import FAILED, RESULTS
+from gateway.monitors.crank_sync.monitor import MONITOR, Params
 
 Method = Literal["adaptive", "paper", "ratio", "threshold"]
 METHODS: tuple[Method, ...] = ("adaptive", "paper", "ratio", "threshold")
@@ -50,7 +49,7 @@ def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
     for j in range(out.n):
         r = out.results[j]
         if r.result == FAILED and n < reports.shape[0]:
-            reports[n, 0], reports[n, 1], reports[n, 2] = pulse, r.fault, r.evidence[0]
+            reports[n, 0], reports[n, 1], reports[n, 2] = pulse, r.fault, r.cells[0]
             n += 1
     return n
 
@@ -102,7 +101,7 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         method: one of ours by its name in the configuration, or a peer (see :mod:`.peers`).
         wheel: the wheel.
     """
-    out = table(1, RESULTS)
+    out = zeros(1, MONITOR.results)
     defaults = Params(wheel=wheel)
     pulses, gap = wheel.pulses, max(wheel.pitches)
 
@@ -115,18 +114,18 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         s: Any
         c: Any
         if method == "adaptive":
-            s, c = table(1, place.STATE), table(1, place.CONST)
+            s, c = zeros(1, place.State), zeros(1, place.Const)
             place.prepare(
                 s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm
             )
             n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)
         elif method == "paper":
-            s, c = table(1, constant_speed.STATE), table(1, constant_speed.CONST)
+            s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)
             constant_speed.prepare(s[0], c[0], wheel, defaults.gain, 0.5, False)
             n = _paper(s[0], c[0], out[0], y, teeth, proven, reports)
             alarms = int(s[0]["alarms"])
         else:
-            s = table(1, PEER)
+            s = zeros(1, PEER)
             (_ratio if method == "ratio" else _threshold)(s[0], pulses, gap, y, teeth, proven)
             alarms = int(s[0]["losses"])
         found = reports[:n].astype(np.int64)

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.hybrid.follow import Trace, calibrated, follow, inputs
 from gateway.fdi import cusum
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
 from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.monitors.hybrid_powertrain.records import T4_ABSOLUTE, T4_FIXED, T4_SIGNED
 from gateway.vecu.truck_params import TruckFault, TruckParams
@@ -68,7 +67,7 @@ def _sum(s: Any, c: Any, residual: Any, wanted: Any, out: Any) -> None:
 
 def _always(trace: Trace, nu: float) -> Array:
     """Return T of a quantity that is updated whenever the residual is there."""
-    s, c = table(1, cusum.STATE), table(1, cusum.CONST)
+    s, c = zeros(1, cusum.State), zeros(1, cusum.Const)
     cusum.prepare(c[0], nu, 1.0, _UNLIMITED)
     out = np.empty(len(trace.t))
     _sum(s[0], c[0], np.ascontiguousarray(trace.residual[:, _T4]), trace.settled, out)

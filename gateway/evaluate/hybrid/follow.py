@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
+from gateway.monitors.contract import FAILED
 from gateway.monitors.hybrid_powertrain import MONITOR, dynamic, monitor, observer
 from gateway.monitors.hybrid_powertrain.messages import MESSAGES
 from gateway.monitors.hybrid_powertrain.observer import ERRORS
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params, Thresholds
-from gateway.monitors.shape import FAILED, RESULTS
 from gateway.vecu.packing import carried
 from gateway.vecu.protection import message_of
 from gateway.vecu.truck_control import PERIOD
@@ -48,7 +47,7 @@ def inputs(truck: TruckParams, fault: TruckFault | None, seed: int) -> NDArray[n
     """
     driven = _driven(truck, fault)
     columns = signals_of(truck, driven, np.random.default_rng(seed))
-    u: NDArray[np.void] = table(len(driven.samples), MONITOR.inputs)
+    u: NDArray[np.void] = zeros(len(driven.samples), MONITOR.inputs)
     u["t_ns"] = np.rint(np.arange(len(u)) * PERIOD * 1e9).astype(np.int64)
     for name, fields in MESSAGES.items():
         mine = {signal: columns[signal] for signal, _ in fields.values()}
@@ -126,9 +125,9 @@ def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, flags: Any, rows: Any) -
 
 
 def _run(u: NDArray[np.void], params: Params, keep: bool) -> tuple[Any, Array, Any, Any]:
-    s, c, out = (table(1, dtype) for dtype in (MONITOR.state, MONITOR.const, RESULTS))
+    s, c, out = (zeros(1, dtype) for dtype in (MONITOR.state, MONITOR.const, MONITOR.results))
     MONITOR.prepare(params, s[0], c[0])
-    first = np.full(len(MONITOR.faults_of(params)), -1, np.int64)
+    first = np.full(len(MONITOR.faults(params)), -1, np.int64)
     length = len(u) if keep else 0
     flags = np.zeros((length, 2), np.bool_)
     rows = np.empty((length, len(RESIDUALS) + len(QUANTITIES) + ERRORS + 2))

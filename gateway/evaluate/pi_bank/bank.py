@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.pi_bank import example
 from gateway.fdi.pi_bank import isolation
 from gateway.fdi.pi_bank.design import Noise, Observer, check, design
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
 from gateway.vecu.linear_params import LinearFault, LinearParams, Swing
 from gateway.vecu.linear_plant import simulate
 
@@ -59,7 +58,7 @@ def observers() -> tuple[Observer, ...]:
 
 def records(start_s: float, *, known: bool) -> tuple[Any, Any]:
     """Return state and constants of a bank before its first sample."""
-    s, c = table(1, isolation.STATE), table(1, isolation.CONST)
+    s, c = zeros(1, isolation.State), zeros(1, isolation.Const)
     isolation.prepare(
         c[0],
         s[0],

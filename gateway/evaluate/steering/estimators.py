@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.pool import Progress, run
 from gateway.evaluate.steering.cases import DURATION
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
 from gateway.vecu.steering_course import sweep, times
 from gateway.vecu.steering_plant import Plant, drive, undisturbed
 
@@ -139,9 +138,9 @@ def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False)
     parts: list[Any] = []
 
     def add(module: Any, constants: bool = True, **options: Any) -> None:
-        parts.append(table(1, module.STATE)[0])
+        parts.append(zeros(1, module.State)[0])
         if constants:
-            c = table(1, module.CONST)
+            c = zeros(1, module.Const)
             module.prepare(c[0], m, period, **options)
             parts.append(c[0])
 
@@ -158,7 +157,7 @@ def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False)
     add(ekf_alpha_beta)
     for at in (9, 11, 13):  # the feed-forward filters begin at the sensor's angle
         parts[at]["theta_e"] = m.pole_pairs * samples["sensor"][0]
-    x = table(len(samples), samples.dtype)
+    x = zeros(len(samples), samples.dtype)
     x[:] = samples
     out = np.zeros((len(samples), COLUMNS))
     everything: Any = _estimate

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.steering.cases import DURATION
-from gateway.jit import kernel
-from gateway.monitors.shape import FAILED, RESULTS
+from gateway.jit import kernel, zeros
+from gateway.monitors.contract import FAILED
 from gateway.monitors.steering_angle import MONITOR, monitor
 from gateway.monitors.steering_angle.faults import FAULTS
 from gateway.monitors.steering_angle.params import Params
@@ -141,13 +140,13 @@ def _walk(
 def follow(run: Run, params: Params | None = None, warm: float = 1.0) -> Followed:
     """Put a run through the monitor."""
     params = params or Params()
-    s, c, out = (table(1, dtype) for dtype in (MONITOR.state, MONITOR.const, RESULTS))
+    s, c, out = (zeros(1, dtype) for dtype in (MONITOR.state, MONITOR.const, MONITOR.results))
     MONITOR.prepare(params, s[0], c[0])
     n = len(run.inputs)
     found = np.empty(n, np.int64)
     first = np.full(len(FAULTS), -1, np.int64)
     trace, peaks = np.empty((n, 8)), np.zeros(7)
-    u = table(n, MONITOR.inputs)
+    u = zeros(n, MONITOR.inputs)
     u[:] = run.inputs
     _walk(s[0], c[0], u, out[0], found, first, trace, peaks, round(warm * n / DURATION))
     return Followed(found, first, trace, peaks)

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-
 from gateway.fdi.filters import (
     ekf_alpha_beta,
     ekf_dq,
@@ -29,6 +27,7 @@ from gateway.fdi.filters import (
     reduced_luenberger,
     transforms,
 )
+from gateway.jit import zeros
 
 _COUNTS: Counter[str] = Counter()
 
@@ -130,9 +129,9 @@ def _fields(record: Any, wrap: Any) -> SimpleNamespace:
 
 
 def _pair(module: Any, **options: Any) -> tuple[Any, Any]:
-    c = np.zeros(1, module.CONST)
+    c = zeros(1, module.Const)
     module.prepare(c[0], motor.Motor(), 1e-3, **options)
-    return _fields(np.zeros(1, module.STATE)[0], Scalar), _fields(c[0], float)
+    return _fields(zeros(1, module.State)[0], Scalar), _fields(c[0], float)
 
 
 def _measure(step: Any) -> dict[str, int]:

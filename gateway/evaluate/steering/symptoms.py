@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.steering.estimators import (
     ANCHORED,
     EKF4_DQ,
@@ -23,7 +22,7 @@ from gateway.evaluate.steering.estimators import (
 from gateway.evaluate.steering.follow import Followed, Run
 from gateway.fdi import distances, stopping
 from gateway.fdi.stopping import RULES
-from gateway.jit import kernel
+from gateway.jit import kernel, zeros
 
 Array = NDArray[np.float64]
 
@@ -67,11 +66,11 @@ def _symptoms(
 
 def symptoms(run: Run, followed: Followed, period: float = 1e-3) -> Array:
     """Return the symptoms of a run, shape (n, 9)."""
-    x = table(len(run.samples), run.samples.dtype)
+    x = zeros(len(run.samples), run.samples.dtype)
     x[:] = run.samples
     est = estimate(run.samples, period, mean_dq=True)
     out = np.empty((len(x), len(SYMPTOMS)))
-    steps, sums = table(4, distances.INCREMENT), table(3, distances.LEAKY)
+    steps, sums = zeros(4, distances.Increment), zeros(3, distances.Leaky)
     _symptoms(x, est, followed.trace[:, 2], len(NAMES), period, out, steps, sums)
     return out
 
@@ -93,7 +92,7 @@ def levels(values: Array, scale: float) -> Array:
     out = np.empty((len(values), len(RULES)))
     column = np.empty(len(values))
     for j, rule in enumerate(RULES):
-        c, s = table(1, stopping.CONST), table(1, stopping.STATE)
+        c, s = zeros(1, stopping.Const), zeros(1, stopping.State)
         stopping.prepare(
             c[0], rule, np.inf, drift=0.5 * scale, shift=scale, sigma=max(scale / 3.0, 1e-12)
         )

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.tables import table
 from gateway.evaluate.voters.cases import SPAN, Environment, Run
 from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
-from gateway.jit import kernel
+from gateway.jit import Record, kernel, zeros
 
 #: The detector's width; the paper gives none. KHR* is the repaired reading of it.
 BETA, REPAIRED_BETA = 0.3, 0.5
@@ -78,29 +77,31 @@ def _tracking(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drif
         isolated[k], drift[k] = s.isolated, s.drift
 
 
-def _prepare_simple(c: np.void, channels: int, environment: Environment) -> None:
+def _prepare_simple(c: simple.Const, channels: int, environment: Environment) -> None:
     simple.prepare(c, channels)
 
 
-def _prepare_khr(c: np.void, channels: int, environment: Environment) -> None:
-    hybrid.prepare(c["hybrid"], channels, beta=BETA, lower=True)
+def _prepare_khr(c: kalman_hybrid.Const, channels: int, environment: Environment) -> None:
+    hybrid.prepare(c.hybrid, channels, beta=BETA, lower=True)
     kalman_hybrid.prepare(c)
 
 
-def _prepare_repaired(c: np.void, channels: int, environment: Environment) -> None:
+def _prepare_repaired(c: kalman_hybrid.Const, channels: int, environment: Environment) -> None:
     floor = FLOOR * environment.noise
     hybrid.prepare(
-        c["hybrid"], channels, beta=REPAIRED_BETA, lower=False, floor=floor, low=0.0, high=SPAN
+        c.hybrid, channels, beta=REPAIRED_BETA, lower=False, floor=floor, low=0.0, high=SPAN
     )
     kalman_hybrid.prepare(c)
 
 
-def _prepare_predictive(c: np.void, channels: int, environment: Environment) -> None:
-    hybrid.prepare(c["hybrid"], channels, beta=BETA, lower=True)
+def _prepare_predictive(
+    c: predictive_hybrid.Const, channels: int, environment: Environment
+) -> None:
+    hybrid.prepare(c.hybrid, channels, beta=BETA, lower=True)
     predictive_hybrid.prepare(c, alpha=ALPHA)
 
 
-def _prepare_tracking(c: np.void, channels: int, environment: Environment) -> None:
+def _prepare_tracking(c: shape.Const, channels: int, environment: Environment) -> None:
     shape.prepare(c, channels, low=0.0, high=SPAN, noise=environment.noise, step=environment.step)
 
 
@@ -109,35 +110,35 @@ class Voter:
     """A voter as it is evaluated: how many channels it is given, its records and its loop over a run."""
 
     channels: int
-    const: np.dtype[np.void]
-    state: np.dtype[np.void]
-    prepare: Callable[[np.void, int, Environment], None]
+    const: type[Record]
+    state: type[Record]
+    prepare: Callable[[Any, int, Environment], None]
     loop: Callable[..., None]
 
     @cache  # noqa: B019 - the few voters live as long as the process
     def constants(self, environment: Environment) -> Any:
         """Return its constants in an environment, whose noise and resolution alone it is told."""
-        c = table(1, self.const)[0]
+        c = zeros(1, self.const)[0]
         self.prepare(c, self.channels, environment)
         return c
 
     def begin(self) -> Any:
         """Return its state before the first sample."""
-        return table(1, self.state)[0]
+        return zeros(1, self.state)[0]
 
 
 #: The paper gives three channels to the simple voters and two to the hybrid ones.
 VOTERS = {
-    "average": Voter(3, simple.CONST, simple.STATE, _prepare_simple, _average),
-    "average of 2": Voter(2, simple.CONST, simple.STATE, _prepare_simple, _average),
-    "median": Voter(3, simple.CONST, simple.STATE, _prepare_simple, _median),
+    "average": Voter(3, simple.Const, simple.State, _prepare_simple, _average),
+    "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, _average),
+    "median": Voter(3, simple.Const, simple.State, _prepare_simple, _median),
     "predictive": Voter(
-        2, predictive_hybrid.CONST, predictive_hybrid.STATE, _prepare_predictive, _predictive
+        2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _predictive
     ),
-    "KHR": Voter(2, kalman_hybrid.CONST, kalman_hybrid.STATE, _prepare_khr, _kalman),
-    "KHR*": Voter(2, kalman_hybrid.CONST, kalman_hybrid.STATE, _prepare_repaired, _kalman),
-    "tracking": Voter(2, shape.CONST, shape.STATE, _prepare_tracking, _tracking),
-    "tracking of 3": Voter(3, shape.CONST, shape.STATE, _prepare_tracking, _tracking),
+    "KHR": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_khr, _kalman),
+    "KHR*": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_repaired, _kalman),
+    "tracking": Voter(2, shape.Const, shape.State, _prepare_tracking, _tracking),
+    "tracking of 3": Voter(3, shape.Const, shape.State, _prepare_tracking, _tracking),
 }
 
 

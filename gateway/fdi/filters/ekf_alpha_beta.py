@@ -17,7 +17,7 @@ turn during the step, so that a turning frame costs nothing.
 from __future__ import annotations
 
 from math import cos, pi, sin
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
@@ -25,35 +25,39 @@ from gateway.fdi.filters import gaussian, motor
 from gateway.fdi.filters.gaussian import ENTRIES, STATES
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import inverse_park, wrap
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
-CONST = record(
-    motor=motor.CONST,
-    n=i8,
-    steps=i8,
-    h=f8,
-    inductance=f8,
-    q=(f8, ENTRIES),
-    r=f8,
-    start=(f8, STATES),
-    slow=f8,
-    sensor=f8,
-)
-#: ``resistance``: as warm as it is [Ohm]; it may be set between steps. ``held``: anchored in the last step.
-STATE = record(
-    x=(f8, STATES),
-    p=(f8, ENTRIES),
-    f=(f8, ENTRIES),
-    w=(f8, ENTRIES),
-    resistance=f8,
-    nis=f8,
-    held=i8,
-    started=i8,
-)
+
+class Const(Record):
+    """Constants."""
+
+    motor: motor.Const
+    n: i8
+    steps: i8
+    h: f8
+    inductance: f8
+    q: Annotated[f8s, ENTRIES]
+    r: f8
+    start: Annotated[f8s, STATES]
+    slow: f8
+    sensor: f8
+
+
+class State(Record):
+    """State: ``resistance``: as warm as it is [Ohm]; it may be set between steps. ``held``: anchored in the last step."""
+
+    x: Annotated[f8s, STATES]
+    p: Annotated[f8s, ENTRIES]
+    f: Annotated[f8s, ENTRIES]
+    w: Annotated[f8s, ENTRIES]
+    resistance: f8
+    nis: f8
+    held: i8
+    started: i8
 
 
 def prepare(
-    c: np.void,
+    c: Const,
     m: Motor,
     period: float,
     *,
@@ -83,11 +87,11 @@ def prepare(
     """
     from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
 
-    motor.prepare(c["motor"], m)
+    motor.prepare(c.motor, m)
     inductance = 0.5 * (m.ld + m.lq)
     n = 5 if load else 4
-    c["n"], c["steps"], c["h"], c["r"] = n, steps, period / steps, current**2
-    c["inductance"], c["slow"], c["sensor"] = inductance, slow, sensor**2
+    c.n, c.steps, c.h, c.r = n, steps, period / steps, current**2
+    c.inductance, c.slow, c.sensor = inductance, slow, sensor**2
     a = np.zeros((n, n))
     a[0, 0] = a[1, 1] = -m.resistance / inductance
     a[1, 2] = -m.emf / inductance
@@ -101,12 +105,12 @@ def prepare(
     q[0, 0] = q[1, 1] = 0.5 * (q[0, 0] + q[1, 1])  # the frame of the linearisation is no direction
     q[:2, 2:] = q[2:, :2] = 0.0
     q[0, 1] = q[1, 0] = 0.0
-    c["q"][: n * n] = q.ravel()
-    c["start"][:n] = [1.0, 1.0, 1.0, 1e-4, 0.1][:n]
+    c.q[: n * n] = q.ravel()
+    c.start[:n] = [1.0, 1.0, 1.0, 1e-4, 0.1][:n]
 
 
 @kernel
-def begin(s: Any, c: Any, theta: float) -> None:
+def begin(s: State, c: Const, theta: float) -> None:
     """Start at rest at a mechanical angle [rad]."""
     n = c.n
     s.started = 1
@@ -120,7 +124,7 @@ def begin(s: Any, c: Any, theta: float) -> None:
 
 
 @kernel
-def _advance(s: Any, c: Any, u_alpha: float, u_beta: float) -> None:
+def _advance(s: State, c: Const, u_alpha: float, u_beta: float) -> None:
     """Take an Euler sub-step of state and covariance."""
     m, x, f, n, h = c.motor, s.x, s.f, c.n, c.h
     resistance, inductance = s.resistance, c.inductance
@@ -156,7 +160,7 @@ def _advance(s: Any, c: Any, u_alpha: float, u_beta: float) -> None:
 
 
 @kernel
-def predict(s: Any, c: Any, u_d: float, u_q: float, frame: float, turned: float) -> None:
+def predict(s: State, c: Const, u_d: float, u_q: float, frame: float, turned: float) -> None:
     """Predict over a step, (41), (45).
 
     Args:
@@ -176,13 +180,13 @@ def predict(s: Any, c: Any, u_d: float, u_q: float, frame: float, turned: float)
 
 
 @kernel
-def correct(s: Any, c: Any, i_alpha: float, i_beta: float) -> None:
+def correct(s: State, c: Const, i_alpha: float, i_beta: float) -> None:
     """Correct by the currents, (42) to (44) [A]; ``s.nis`` is the normalised innovation squared."""
     s.nis = gaussian.correct(s.x, s.p, s.w, i_alpha, i_beta, c.r, c.n)
 
 
 @kernel
-def hold(s: Any, c: Any, theta: float, doubt: float) -> None:
+def hold(s: State, c: Const, theta: float, doubt: float) -> None:
     """Anchor the angle at the sensor's while the motor is slow.
 
     Args:
@@ -200,8 +204,8 @@ def hold(s: Any, c: Any, theta: float, doubt: float) -> None:
 
 @kernel
 def step(
-    s: Any,
-    c: Any,
+    s: State,
+    c: Const,
     u_d: float,
     u_q: float,
     frame: float,

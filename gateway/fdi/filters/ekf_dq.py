@@ -16,29 +16,42 @@ The Park transform uses the sensor that is monitored, or, with ``own``, the filt
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.filters import gaussian, motor
 from gateway.fdi.filters.gaussian import ENTRIES, STATES
 from gateway.fdi.filters.motor import Motor
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
-CONST = record(motor=motor.CONST, n=i8, steps=i8, h=f8, q=(f8, ENTRIES), r=f8, start=(f8, STATES))
-STATE = record(
-    x=(f8, STATES),
-    p=(f8, ENTRIES),
-    f=(f8, ENTRIES),
-    w=(f8, ENTRIES),
-    theta=f8,
-    nis=f8,
-    started=i8,
-)
+
+class Const(Record):
+    """Constants."""
+
+    motor: motor.Const
+    n: i8
+    steps: i8
+    h: f8
+    q: Annotated[f8s, ENTRIES]
+    r: f8
+    start: Annotated[f8s, STATES]
+
+
+class State(Record):
+    """State."""
+
+    x: Annotated[f8s, STATES]
+    p: Annotated[f8s, ENTRIES]
+    f: Annotated[f8s, ENTRIES]
+    w: Annotated[f8s, ENTRIES]
+    theta: f8
+    nis: f8
+    started: i8
 
 
 def prepare(
-    c: np.void,
+    c: Const,
     m: Motor,
     period: float,
     *,
@@ -64,9 +77,9 @@ def prepare(
     """
     from filterpy.common import van_loan_discretization  # noqa: PLC0415 - slow to load
 
-    motor.prepare(c["motor"], m)
+    motor.prepare(c.motor, m)
     n = 4 if load else 3
-    c["n"], c["steps"], c["h"], c["r"] = n, steps, period / steps, current**2
+    c.n, c.steps, c.h, c.r = n, steps, period / steps, current**2
     a = np.zeros((n, n))
     a[0, 0], a[1, 1], a[1, 2] = -m.resistance / m.ld, -m.resistance / m.lq, -m.emf / m.lq
     a[2, 1], a[2, 2] = m.torque / m.inertia, -m.friction / m.inertia
@@ -75,12 +88,12 @@ def prepare(
     g = np.diag([x * intensity for x in noise] + [wander] * load)
     if load:
         a[2, 3] = -1.0 / m.inertia
-    c["q"][: n * n] = van_loan_discretization(a, g, period / steps)[1].ravel()
-    c["start"][:n] = [1.0, 1.0, 100.0, 1.0][:n]
+    c.q[: n * n] = van_loan_discretization(a, g, period / steps)[1].ravel()
+    c.start[:n] = [1.0, 1.0, 100.0, 1.0][:n]
 
 
 @kernel
-def _advance(s: Any, c: Any, u_d: float, u_q: float) -> None:
+def _advance(s: State, c: Const, u_d: float, u_q: float) -> None:
     """Take an Euler sub-step of state and covariance."""
     m, x, f, n, h = c.motor, s.x, s.f, c.n, c.h
     i_d, i_q, omega = x[0], x[1], x[2]
@@ -110,7 +123,7 @@ def _advance(s: Any, c: Any, u_d: float, u_q: float) -> None:
 
 
 @kernel
-def predict(s: Any, c: Any, u_d: float, u_q: float) -> None:
+def predict(s: State, c: Const, u_d: float, u_q: float) -> None:
     """Predict over a step, (41), (45); voltages: means over it [V]."""
     n = c.n
     if s.started == 0:
@@ -122,13 +135,13 @@ def predict(s: Any, c: Any, u_d: float, u_q: float) -> None:
 
 
 @kernel
-def correct(s: Any, c: Any, i_d: float, i_q: float) -> None:
+def correct(s: State, c: Const, i_d: float, i_q: float) -> None:
     """Correct by the currents, (42) to (44) [A]; ``s.nis`` is the normalised innovation squared."""
     s.nis = gaussian.correct(s.x, s.p, s.w, i_d, i_q, c.r, c.n)
 
 
 @kernel
-def step(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
+def step(s: State, c: Const, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
     """Take one step: predict with the voltages, correct by the currents."""
     predict(s, c, u_d, u_q)
     correct(s, c, i_d, i_q)

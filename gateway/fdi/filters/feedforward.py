@@ -14,21 +14,37 @@ L_d = L_q. The angle is known modulo pi (electrical) alone, because an arctangen
 from __future__ import annotations
 
 from math import atan2, hypot, pi
-from typing import Any
-
-import numpy as np
 
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import wrap
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 
-CONST = record(resistance=f8, inductance=f8, period=f8, sign=f8, held=f8, pole_pairs=f8)
-#: EMF and angles at the middle of the step; ``theta``: mechanical, counted over the half turns [rad].
-STATE = record(alpha=f8, beta=f8, e_alpha=f8, e_beta=f8, theta_e=f8, theta=f8, started=i8)
+
+class Const(Record):
+    """Constants."""
+
+    resistance: f8
+    inductance: f8
+    period: f8
+    sign: f8
+    held: f8
+    pole_pairs: f8
+
+
+class State(Record):
+    """EMF and angles at the middle of the step; ``theta``: mechanical, counted over the half turns [rad]."""
+
+    alpha: f8
+    beta: f8
+    e_alpha: f8
+    e_beta: f8
+    theta_e: f8
+    theta: f8
+    started: i8
 
 
 def prepare(
-    c: np.void, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False
+    c: Const, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False
 ) -> None:
     """Fill a record of CONST.
 
@@ -39,14 +55,20 @@ def prepare(
         held: below this EMF the angle is held [V].
         printed: the sign of (46) as printed.
     """
-    c["resistance"], c["inductance"] = motor.resistance, 0.5 * (motor.ld + motor.lq)
-    c["period"], c["held"], c["pole_pairs"] = period, held, motor.pole_pairs
-    c["sign"] = -1.0 if printed else 1.0
+    c.resistance, c.inductance = motor.resistance, 0.5 * (motor.ld + motor.lq)
+    c.period, c.held, c.pole_pairs = period, held, motor.pole_pairs
+    c.sign = -1.0 if printed else 1.0
 
 
 @kernel
 def emf(
-    s: Any, c: Any, u_alpha: float, u_beta: float, i_alpha: float, i_beta: float, resistance: float
+    s: State,
+    c: Const,
+    u_alpha: float,
+    u_beta: float,
+    i_alpha: float,
+    i_beta: float,
+    resistance: float,
 ) -> tuple[float, float]:
     """Return the EMF's mean over the step that ends now [V]; keeps the currents.
 
@@ -67,7 +89,7 @@ def emf(
 
 
 @kernel
-def step(s: Any, c: Any, u_alpha: float, u_beta: float, i_alpha: float, i_beta: float) -> None:
+def step(s: State, c: Const, u_alpha: float, u_beta: float, i_alpha: float, i_beta: float) -> None:
     """Take one step; arguments as of :func:`emf`."""
     e_alpha, e_beta = emf(s, c, u_alpha, u_beta, i_alpha, i_beta, c.resistance)
     if s.started == 0:

@@ -5,16 +5,14 @@ Matrices are flat, row by row, ``p[i * n + j]``. Correction: (42) evaluates g at
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 #: Largest number of states, and of entries of a covariance.
 STATES, ENTRIES = 5, 25
 
 
 @kernel
-def propagate(p: Any, f: Any, q: Any, w: Any, n: int) -> None:
+def propagate(p: f8s, f: f8s, q: f8s, w: f8s, n: int) -> None:
     """P = F P F^T + Q, (45), in place.
 
     Args:
@@ -40,7 +38,7 @@ def propagate(p: Any, f: Any, q: Any, w: Any, n: int) -> None:
 
 
 @kernel
-def correct(x: Any, p: Any, w: Any, y_1: float, y_2: float, r: float, n: int) -> float:
+def correct(x: f8s, p: f8s, w: f8s, y_1: float, y_2: float, r: float, n: int) -> float:
     """Correct state and covariance by measurements of states 0 and 1, (42) to (44), in place.
 
     Args:
@@ -72,7 +70,7 @@ def correct(x: Any, p: Any, w: Any, y_1: float, y_2: float, r: float, n: int) ->
 
 
 @kernel
-def anchor(x: Any, p: Any, w: Any, state: int, innovation: float, r: float, n: int) -> None:
+def anchor(x: f8s, p: f8s, w: f8s, state: int, innovation: float, r: float, n: int) -> None:
     """Correct by a measurement of one state; its innovation comes from the caller, who knows how to wrap it."""
     s = 1.0 / (p[state * n + state] + r)
     for i in range(n):

@@ -12,16 +12,29 @@ paper's own rule, that a filter uses only signals independent of what it checks,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.filters.motor import Motor
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
 
-CONST = record(a=(f8, 4), b=(f8, 2), k=(f8, 2), period=f8)
-#: ``theta``: mechanical angle [rad], the integral of the speed.
-STATE = record(current=f8, omega=f8, theta=f8)
+
+class Const(Record):
+    """Constants."""
+
+    a: Annotated[f8s, 4]
+    b: Annotated[f8s, 2]
+    k: Annotated[f8s, 2]
+    period: f8
+
+
+class State(Record):
+    """State: ``theta``: mechanical angle [rad], the integral of the speed."""
+
+    current: f8
+    omega: f8
+    theta: f8
 
 
 def design(
@@ -40,15 +53,15 @@ def design(
 
 
 def prepare(
-    c: np.void, motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)
+    c: Const, motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)
 ) -> None:
     """Fill a record of CONST; period [s], continuous poles [1/s]."""
     a, b, k = design(motor, period, poles)
-    c["a"], c["b"], c["k"], c["period"] = a.ravel(), b.ravel(), k.ravel(), period
+    c.a, c.b, c.k, c.period = a.ravel(), b.ravel(), k.ravel(), period
 
 
 @kernel
-def step(s: Any, c: Any, u_q: float, i_q: float) -> None:
+def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step.
 
     Args:

@@ -14,16 +14,25 @@ Correction: (14) and (16) have c_M I_q with c_M = z_p psi. The power that is nei
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, kernel
 
 #: Temperature coefficient of copper's resistance, at 20 degC [1/K].
 COPPER = 0.0039
 
-CONST = record(pole_pairs=f8, flux=f8, resistance=f8, ld=f8, lq=f8, inertia=f8, friction=f8)
+
+class Const(Record):
+    """Constants."""
+
+    pole_pairs: f8
+    flux: f8
+    resistance: f8
+    ld: f8
+    lq: f8
+    inertia: f8
+    friction: f8
 
 
 @dataclass(frozen=True)
@@ -70,14 +79,14 @@ class Motor:
         return a, np.array([[1.0 / self.lq], [0.0]]), np.array([[1.0, 0.0]])
 
 
-def prepare(c: np.void, motor: Motor) -> None:
+def prepare(c: Const, motor: Motor) -> None:
     """Fill a record of CONST."""
-    for name in CONST.names or ():
-        c[name] = getattr(motor, name)
+    for name in Const.dtype.names or ():
+        setattr(c, name, getattr(motor, name))
 
 
 @kernel
-def torque(c: Any, i_d: float, i_q: float) -> float:
+def torque(c: Const, i_d: float, i_q: float) -> float:
     """Return the air gap's torque [N m], (14) corrected."""
     return float(1.5 * c.pole_pairs * (c.flux * i_q + (c.ld - c.lq) * i_d * i_q))
 

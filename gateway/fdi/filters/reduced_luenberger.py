@@ -13,16 +13,28 @@ default motor: unstable. The pole is at a = -p for K_r = (b/J - p) L / c_M. A lo
 from __future__ import annotations
 
 from math import exp
-from typing import Any
-
-import numpy as np
 
 from gateway.fdi.filters.motor import Motor
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, kernel
 
-CONST = record(a=f8, current=f8, voltage=f8, gain=f8, period=f8)
-#: ``theta``: mechanical angle [rad], the integral of the speed.
-STATE = record(x=f8, omega=f8, theta=f8, current=f8)
+
+class Const(Record):
+    """Constants."""
+
+    a: f8
+    current: f8
+    voltage: f8
+    gain: f8
+    period: f8
+
+
+class State(Record):
+    """State: ``theta``: mechanical angle [rad], the integral of the speed."""
+
+    x: f8
+    omega: f8
+    theta: f8
+    current: f8
 
 
 def printed_pole(motor: Motor) -> float:
@@ -30,21 +42,21 @@ def printed_pole(motor: Motor) -> float:
     return -motor.friction / motor.inertia + motor.emf / motor.lq
 
 
-def prepare(c: np.void, motor: Motor, period: float, pole: float = -700.0) -> None:
+def prepare(c: Const, motor: Motor, period: float, pole: float = -700.0) -> None:
     """Fill a record of CONST for a continuous pole [1/s], discretised exactly; period [s]."""
     gain = (motor.friction / motor.inertia + pole) * motor.lq / motor.emf
     a = pole
-    c["a"] = exp(a * period)
-    held = (c["a"] - 1.0) / a
-    c["current"] = held * (
+    c.a = exp(a * period)
+    held = (c.a - 1.0) / a
+    c.current = held * (
         a * gain + motor.torque / motor.inertia + gain * motor.resistance / motor.lq
     )
-    c["voltage"] = -held * gain / motor.lq
-    c["gain"], c["period"] = gain, period
+    c.voltage = -held * gain / motor.lq
+    c.gain, c.period = gain, period
 
 
 @kernel
-def step(s: Any, c: Any, u_q: float, i_q: float) -> None:
+def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step; the current in between is taken for the mean of both ends.
 
     Args:

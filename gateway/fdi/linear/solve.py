@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def decompose(j: Any, factor: Any, m: int) -> None:
+def decompose(j: f8s, factor: f8s, m: int) -> None:
     """Put Cholesky's factor of the positive definite ``j`` (m x m) into ``factor``."""
     for r in range(m):
         for q in range(r + 1):
@@ -20,7 +19,7 @@ def decompose(j: Any, factor: Any, m: int) -> None:
 
 
 @kernel
-def solve(factor: Any, b: Any, x: Any, m: int) -> float:
+def solve(factor: f8s, b: f8s, x: f8s, m: int) -> float:
     """Solve with the factor: x = J^-1 b; returns b^T J^-1 b. ``x`` may be ``b``."""
     square = 0.0
     for r in range(m):

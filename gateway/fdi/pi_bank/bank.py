@@ -8,37 +8,43 @@ Observer 0 takes all sensors, observer k from 1 on all but the k-th.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from typing import Annotated
 
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.pi_bank.design import Observer, augmented
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8s, i8, kernel
 
 #: Largest plant.
 MOST_STATES, MOST_INPUTS, MOST_OUTPUTS = 8, 4, 6
 #: States with faults; observers.
 MOST, BANK = MOST_STATES + MOST_INPUTS, MOST_OUTPUTS + 1
 
-CONST = record(
-    n=i8,
-    m=i8,
-    p=i8,
-    phi=(f8, (MOST, MOST)),
-    gamma=(f8, (MOST_STATES, MOST_INPUTS)),
-    c=(f8, (MOST_OUTPUTS, MOST_STATES)),
-    gain=(f8, (BANK, MOST, MOST_OUTPUTS)),
-)
-#: ``z``: state and fault of each observer; ``e``: what it left of each sensor, 0 for the one that it does not take.
-STATE = record(
-    z=(f8, (BANK, MOST)),
-    e=(f8, (BANK, MOST_OUTPUTS)),
-    work=(f8, MOST),
-)
+
+class Const(Record):
+    """Constants."""
+
+    n: i8
+    m: i8
+    p: i8
+    phi: Annotated[f8s, MOST, MOST]
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
+    gain: Annotated[f8s, BANK, MOST, MOST_OUTPUTS]
 
 
-def prepare(c: np.void, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
+class State(Record):
+    """State.
+
+    ``z``: state and fault of each observer; ``e``: what it left of each sensor, 0 for the one that it does not
+    take.
+    """
+
+    z: Annotated[f8s, BANK, MOST]
+    e: Annotated[f8s, BANK, MOST_OUTPUTS]
+    work: Annotated[f8s, MOST]
+
+
+def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
     """Fill a record of CONST.
 
     Raises:
@@ -49,17 +55,17 @@ def prepare(c: np.void, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
         raise ValueError(
             f"{n} states, {m} inputs, {p} outputs: at most {MOST_STATES}, {MOST_INPUTS}, {MOST_OUTPUTS}"
         )
-    c["n"], c["m"], c["p"] = n, m, p
-    c["phi"][: n + m, : n + m] = augmented(plant)
-    c["gamma"][:n, :m] = plant.gamma
-    c["c"][:p, :n] = plant.c
+    c.n, c.m, c.p = n, m, p
+    c.phi[: n + m, : n + m] = augmented(plant)
+    c.gamma[:n, :m] = plant.gamma
+    c.c[:p, :n] = plant.c
     for k, observer in enumerate(bank):
         rows = [j for j in range(p) if j != observer.left_out]
-        c["gain"][k][: n + m, rows] = observer.gain.gain
+        c.gain[k][: n + m, rows] = observer.gain.gain
 
 
 @kernel
-def innovate(s: Any, c: Any, k: int, y: Any) -> None:
+def innovate(s: State, c: Const, k: int, y: f8s) -> None:
     """Compute what observer k leaves of a sample of the outputs."""
     for j in range(c.p):
         if j == k - 1:
@@ -72,7 +78,7 @@ def innovate(s: Any, c: Any, k: int, y: Any) -> None:
 
 
 @kernel
-def advance(s: Any, c: Any, k: int, u: Any) -> None:
+def advance(s: State, c: Const, k: int, u: f8s) -> None:
     """Step observer k to the next sample, the commands ``u`` held till then."""
     size = c.n + c.m
     for i in range(c.n):
@@ -94,7 +100,7 @@ def advance(s: Any, c: Any, k: int, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, y: Any, u: Any) -> None:
+def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take one sample with the whole bank."""
     for k in range(c.p + 1):
         innovate(s, c, k, y)
@@ -102,7 +108,7 @@ def step(s: Any, c: Any, y: Any, u: Any) -> None:
 
 
 @kernel
-def missing(s: Any, c: Any, k: int, u: Any) -> None:
+def missing(s: State, c: Const, k: int, u: f8s) -> None:
     """Step observer k over a sample that did not come: nothing corrects it."""
     for j in range(c.p):
         s.e[k, j] = 0.0

@@ -17,7 +17,7 @@ it; its flag is held until that is gone.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from gateway.fdi.pi_bank import bank, jump, start
 from gateway.fdi.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.pi_bank.design import Noise, Observer, augmented
 from gateway.fdi.quantiles import chi2_above, normal_above
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
 #: No sensor.
 NONE = -1
@@ -41,45 +41,52 @@ WEAK = 6.0
 #: Standard deviation of an actuator's fault beforehand, in thresholds.
 PRIOR = 100.0
 
-CONST = record(
-    bank=bank.CONST,
-    jump=jump.CONST,
-    start=start.CONST,
-    actuator=(f8, MOST_INPUTS),
-    sensor=(f8, MOST_OUTPUTS),
-    spread=(f8, MOST_OUTPUTS),
-    sure=f8,
-    heard=f8,
-    struck=(f8, BANK),
-    persistence=i8,
-    hold=i8,
-)
 
-#: ``active``: the observer in use; ``latched``: the sensor at fault, ``confirmed`` once its
-#: offset was beyond its threshold, ``doubted`` for so many samples before; ``undecided``: samples since something was heard;
-#: ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags, with
-#: ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the sensor's fault.
-STATE = record(
-    bank=bank.STATE,
-    jump=jump.STATE,
-    start=start.STATE,
-    started=i8,
-    active=i8,
-    latched=i8,
-    confirmed=i8,
-    doubted=i8,
-    undecided=i8,
-    unexplained=i8,
-    tested=i8,
-    actuator=(i8, MOST_INPUTS),
-    count=(i8, MOST_INPUTS),
-    fault=(f8, MOST_INPUTS),
-    limit=(f8, MOST_INPUTS),
-    offset=(f8, MOST_OUTPUTS),
-    well=i8,
-    agreed=i8,
-    explains=(i8, BANK),
-)
+class Const(Record):
+    """Constants."""
+
+    bank: bank.Const
+    jump: jump.Const
+    start: start.Const
+    actuator: Annotated[f8s, MOST_INPUTS]
+    sensor: Annotated[f8s, MOST_OUTPUTS]
+    spread: Annotated[f8s, MOST_OUTPUTS]
+    sure: f8
+    heard: f8
+    struck: Annotated[f8s, BANK]
+    persistence: i8
+    hold: i8
+
+
+class State(Record):
+    """State.
+
+    ``active``: the observer in use; ``latched``: the sensor at fault, ``confirmed`` once its offset was beyond
+    its threshold, ``doubted`` for so many samples before; ``undecided``: samples since something was heard;
+    ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags,
+    with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the
+    sensor's fault.
+    """
+
+    bank: bank.State
+    jump: jump.State
+    start: start.State
+    started: i8
+    active: i8
+    latched: i8
+    confirmed: i8
+    doubted: i8
+    undecided: i8
+    unexplained: i8
+    tested: i8
+    actuator: Annotated[i8s, MOST_INPUTS]
+    count: Annotated[i8s, MOST_INPUTS]
+    fault: Annotated[f8s, MOST_INPUTS]
+    limit: Annotated[f8s, MOST_INPUTS]
+    offset: Annotated[f8s, MOST_OUTPUTS]
+    well: i8
+    agreed: i8
+    explains: Annotated[i8s, BANK]
 
 
 def settled(plant: LinearPlant, observer: Observer) -> float:
@@ -91,8 +98,8 @@ def settled(plant: LinearPlant, observer: Observer) -> float:
 
 
 def prepare(
-    c: np.void,
-    s: np.void,
+    c: Const,
+    s: State,
     plant: LinearPlant,
     noise: Noise,
     observers: tuple[Observer, ...],
@@ -125,33 +132,33 @@ def prepare(
         ValueError: the plant is too large.
     """
     n, m, p = plant.states, plant.inputs, plant.outputs
-    bank.prepare(c["bank"], plant, observers)
-    jump.prepare(c["jump"], s["jump"], plant, observers, PRIOR * actuator)
+    bank.prepare(c.bank, plant, observers)
+    jump.prepare(c.jump, s.jump, plant, observers, PRIOR * actuator)
     # What y can be says how large states are at most: not known, as far as the sensors tell.
     unknown = np.concatenate([np.full(n, 1e3 * noise.outputs.max()), PRIOR * actuator])
     start.prepare(
-        c["start"],
+        c.start,
         plant,
         noise,
         max(round(start_s / plant.period), 1),
         np.zeros(n + m) if known else unknown,
     )
-    c["actuator"][:m], c["sensor"][:p] = actuator, sensor
+    c.actuator[:m], c.sensor[:p] = actuator, sensor
     for j in range(p):
         x = observers[j + 1].gain.error[:n, :n]
-        c["spread"][j] = np.sqrt(plant.c[j] @ x @ plant.c[j] + noise.outputs[j] ** 2)
+        c.spread[j] = np.sqrt(plant.c[j] @ x @ plant.c[j] + noise.outputs[j] ** 2)
     # Estimates change as slowly as their observer forgets; innovations are new with every sample.
-    c["sure"] = normal_above(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
-    c["heard"] = chi2_above(min(plant.period / mtfa_s, 0.01), m)
+    c.sure = normal_above(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
+    c.heard = chi2_above(min(plant.period / mtfa_s, 0.01), m)
     for k in range(p + 1):
-        c["struck"][k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
-    c["persistence"] = persistence
-    c["hold"] = max(round(hold_s / plant.period), 1)
-    s["latched"] = NONE
+        c.struck[k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
+    c.persistence = persistence
+    c.hold = max(round(hold_s / plant.period), 1)
+    s.latched = NONE
 
 
 @kernel
-def restart(s: Any, c: Any) -> None:
+def restart(s: State, c: Const) -> None:
     """Begin anew: nothing is known of the plant's state."""
     start.anew(s.start, c.start)
     jump.forget(s.jump)
@@ -166,7 +173,7 @@ def restart(s: Any, c: Any) -> None:
 
 
 @kernel
-def _follow(s: Any, o: Any, active: int, y: Any) -> None:
+def _follow(s: State, o: bank.Const, active: int, y: f8s) -> None:
     """Give all observers the state of one, and forget the window."""
     jump.merge(s.jump, o, active, s.bank.z)
     for k in range(o.p + 1):
@@ -178,7 +185,7 @@ def _follow(s: Any, o: Any, active: int, y: Any) -> None:
 
 
 @kernel
-def _decided(s: Any, c: Any, y: Any, actuators: bool) -> None:
+def _decided(s: State, c: Const, y: f8s, actuators: bool) -> None:
     """Open the faults that explain the window: of all observers, or of the active one."""
     o = c.bank
     for k in range(o.p + 1):
@@ -194,7 +201,7 @@ def _decided(s: Any, c: Any, y: Any, actuators: bool) -> None:
 
 
 @kernel
-def _latch(s: Any, c: Any, y: Any, who: int) -> None:
+def _latch(s: State, c: Const, y: f8s, who: int) -> None:
     """Believe the observer ``who`` alone: the sensor that it does not take is at fault."""
     s.latched, s.active = who - 1, who
     s.well = s.confirmed = s.doubted = 0
@@ -202,7 +209,7 @@ def _latch(s: Any, c: Any, y: Any, who: int) -> None:
 
 
 @kernel
-def _needs_least(s: Any, c: Any) -> int:
+def _needs_least(s: State, c: Const) -> int:
     """Return the only observer that explains its innovations without any fault of actuators, 0: none or several."""
     found = 0
     for k in range(1, c.bank.p + 1):
@@ -212,7 +219,7 @@ def _needs_least(s: Any, c: Any) -> int:
 
 
 @kernel
-def _look(s: Any, c: Any, y: Any) -> None:
+def _look(s: State, c: Const, y: f8s) -> None:
     """Ask all observers whether actuators explain what was heard, and decide if the answers allow it."""
     o = c.bank
     s.undecided += 1
@@ -244,7 +251,7 @@ def _look(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def _disagree(s: Any, c: Any, i: int) -> bool:
+def _disagree(s: State, c: Const, i: int) -> bool:
     """Tell whether an observer contradicts that actuator i is at fault."""
     o = c.bank
     way = 1.0 if s.fault[i] > 0.0 else -1.0
@@ -256,7 +263,7 @@ def _disagree(s: Any, c: Any, i: int) -> bool:
 
 
 @kernel
-def _judge(s: Any, c: Any, y: Any) -> None:
+def _judge(s: State, c: Const, y: f8s) -> None:
     """Set the flags of the actuators, and end that of a sensor whose fault is gone."""
     o, k = c.bank, s.active
     for i in range(o.m):
@@ -292,7 +299,7 @@ def _judge(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def _agree(s: Any, c: Any) -> bool:
+def _agree(s: State, c: Const) -> bool:
     """Tell whether all observers find the same faults of the actuators, as far as they know them."""
     o = c.bank
     for k in range(1, o.p + 1):
@@ -305,7 +312,7 @@ def _agree(s: Any, c: Any) -> bool:
 
 
 @kernel
-def _lost(s: Any, c: Any, y: Any, u: Any) -> None:
+def _lost(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Go on with a bank that contradicts itself, until it has agreed for long enough."""
     o = c.bank
     bank.step(s.bank, o, y, u)
@@ -315,7 +322,7 @@ def _lost(s: Any, c: Any, y: Any, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, y: Any, u: Any) -> None:
+def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take one sample of outputs ``y`` with the commands ``u`` that are held from it on; sets flags and sizes."""
     o = c.bank
     s.tested = 0
@@ -355,7 +362,7 @@ def step(s: Any, c: Any, y: Any, u: Any) -> None:
 
 
 @kernel
-def missing(s: Any, c: Any, u: Any) -> None:
+def missing(s: State, c: Const, u: f8s) -> None:
     """Step over a sample that did not come."""
     o = c.bank
     s.tested = 0

@@ -17,16 +17,17 @@ G(d) vanishes, that becomes the observer's own estimate.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.linear.solve import decompose, solve
 from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
+from gateway.fdi.pi_bank.bank import Const as Bank
 from gateway.fdi.pi_bank.design import Observer, augmented
 from gateway.fdi.quantiles import chi2_above
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8s, i8, i8s, kernel
 
 #: Samples that are kept, and searched for the beginning; a power of 2.
 WINDOW = 32
@@ -35,44 +36,53 @@ PHASES = 4
 #: Share of healthy windows that would be called not explained.
 REFUSED = 1e-6
 
-#: ``weighted``: (C G(d))^T V^-1; ``inverse``: of the information up to d; ``inverse_v``: V^-1; ``limit``: of the energy
-#: left in so many samples; ``variance``: of omega, stationary; ``prior``: information on a beforehand, diagonal.
-CONST = record(
-    weighted=(f8, (BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS)),
-    inverse=(f8, (BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS)),
-    inverse_v=(f8, (BANK, MOST_OUTPUTS, MOST_OUTPUTS)),
-    limit=(f8, (BANK, WINDOW + 1)),
-    variance=(f8, (BANK, MOST_INPUTS)),
-    prior=(f8, MOST_INPUTS),
-)
 
-#: ``r``: innovations that the present estimate leaves, newest at ``at``; ``b``: of each beginning in the window, for the
-#: observer that is listened to. Of each observer: whether a fault is ``open``, its ``g``, information ``j``, ``h``, and
-#: estimate ``a`` with standard deviation ``sigma`` of the corrected omega.
-STATE = record(
-    r=(f8, (BANK, WINDOW, MOST_OUTPUTS)),
-    at=i8,
-    kept=i8,
-    b=(f8, (WINDOW, MOST_INPUTS)),
-    open=(i8, BANK),
-    g=(f8, (BANK, MOST, MOST_INPUTS)),
-    j=(f8, (BANK, MOST_INPUTS, MOST_INPUTS)),
-    h=(f8, (BANK, MOST_INPUTS)),
-    a=(f8, (BANK, MOST_INPUTS)),
-    sigma=(f8, (BANK, MOST_INPUTS)),
-    factor=(f8, (MOST_INPUTS, MOST_INPUTS)),
-    work=(f8, MOST_INPUTS),
-    shown=(f8, (MOST_OUTPUTS, MOST_INPUTS)),
-    next=(f8, (MOST, MOST_INPUTS)),
-    age=(i8, BANK),
-    phase=(i8, BANK),
-    left=(f8, BANK),
-    gained=(f8, BANK),
-)
+class Const(Record):
+    """Constants.
+
+    ``weighted``: (C G(d))^T V^-1; ``inverse``: of the information up to d; ``inverse_v``: V^-1; ``limit``: of the
+    energy left in so many samples; ``variance``: of omega, stationary; ``prior``: information on a beforehand,
+    diagonal.
+    """
+
+    weighted: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS]
+    inverse: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS]
+    inverse_v: Annotated[f8s, BANK, MOST_OUTPUTS, MOST_OUTPUTS]
+    limit: Annotated[f8s, BANK, WINDOW + 1]
+    variance: Annotated[f8s, BANK, MOST_INPUTS]
+    prior: Annotated[f8s, MOST_INPUTS]
+
+
+class State(Record):
+    """State.
+
+    ``r``: innovations that the present estimate leaves, newest at ``at``; ``b``: of each beginning in the window,
+    for the observer that is listened to. Of each observer: whether a fault is ``open``, its ``g``, information
+    ``j``, ``h``, and estimate ``a`` with standard deviation ``sigma`` of the corrected omega.
+    """
+
+    r: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS]
+    at: i8
+    kept: i8
+    b: Annotated[f8s, WINDOW, MOST_INPUTS]
+    open: Annotated[i8s, BANK]
+    g: Annotated[f8s, BANK, MOST, MOST_INPUTS]
+    j: Annotated[f8s, BANK, MOST_INPUTS, MOST_INPUTS]
+    h: Annotated[f8s, BANK, MOST_INPUTS]
+    a: Annotated[f8s, BANK, MOST_INPUTS]
+    sigma: Annotated[f8s, BANK, MOST_INPUTS]
+    factor: Annotated[f8s, MOST_INPUTS, MOST_INPUTS]
+    work: Annotated[f8s, MOST_INPUTS]
+    shown: Annotated[f8s, MOST_OUTPUTS, MOST_INPUTS]
+    next: Annotated[f8s, MOST, MOST_INPUTS]
+    age: Annotated[i8s, BANK]
+    phase: Annotated[i8s, BANK]
+    left: Annotated[f8s, BANK]
+    gained: Annotated[f8s, BANK]
 
 
 def prepare(
-    c: np.void, s: np.void, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray
+    c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray
 ) -> None:
     """Fill records of CONST and STATE.
 
@@ -85,31 +95,31 @@ def prepare(
     """
     n, m, p = plant.states, plant.inputs, plant.outputs
     phi = augmented(plant)
-    c["prior"][:m] = 1.0 / largest**2
+    c.prior[:m] = 1.0 / largest**2
     for k, observer in enumerate(bank):
         rows = [j for j in range(p) if j != observer.left_out]
         shown = np.hstack([plant.c[rows], np.zeros((len(rows), m))])
         f = phi - observer.gain.gain @ shown
         weight = np.linalg.inv(observer.gain.innovation)
-        c["inverse_v"][k][np.ix_(rows, rows)] = weight
-        c["variance"][k][:m] = np.diag(observer.gain.error)[n:]
-        s["sigma"][k][:m] = np.sqrt(c["variance"][k][:m])
+        c.inverse_v[k][np.ix_(rows, rows)] = weight
+        c.variance[k][:m] = np.diag(observer.gain.error)[n:]
+        s.sigma[k][:m] = np.sqrt(c.variance[k][:m])
         late = np.vstack([np.zeros((n, m)), np.eye(m)])
         for phase in range(PHASES):
             theta = phase / PHASES
-            g, information = (1.0 - theta) * late, np.diag(c["prior"][:m])
+            g, information = (1.0 - theta) * late, np.diag(c.prior[:m])
             for d in range(WINDOW):
                 signature = shown @ g
-                c["weighted"][k][phase][d][:m, rows] = signature.T @ weight
+                c.weighted[k][phase][d][:m, rows] = signature.T @ weight
                 information = information + signature.T @ weight @ signature
-                c["inverse"][k][phase][d][:m, :m] = np.linalg.inv(information)
+                c.inverse[k][phase][d][:m, :m] = np.linalg.inv(information)
                 g = f @ g + (theta * late if d == 0 else 0.0)
         counts = np.arange(1, WINDOW + 1)
-        c["limit"][k][1:] = chi2_above(REFUSED, len(rows) * counts)
+        c.limit[k][1:] = chi2_above(REFUSED, len(rows) * counts)
 
 
 @kernel
-def forget(s: Any) -> None:
+def forget(s: State) -> None:
     """Forget the window."""
     s.kept = 0
     for i in range(WINDOW):
@@ -118,7 +128,7 @@ def forget(s: Any) -> None:
 
 
 @kernel
-def _show(s: Any, o: Any, k: int) -> None:
+def _show(s: State, o: Bank, k: int) -> None:
     """Compute C G of observer k."""
     for j in range(o.p):
         for i in range(o.m):
@@ -130,7 +140,7 @@ def _show(s: Any, o: Any, k: int) -> None:
 
 
 @kernel
-def keep(s: Any, o: Any, k: int, e: Any) -> None:
+def keep(s: State, o: Bank, k: int, e: f8s) -> None:
     """Keep what the present estimate leaves of observer k's innovation ``e``, at place ``at``."""
     for j in range(o.p):
         s.r[k, s.at, j] = e[k, j]
@@ -142,7 +152,7 @@ def keep(s: Any, o: Any, k: int, e: Any) -> None:
 
 
 @kernel
-def energy(s: Any, c: Any, o: Any, k: int, place: int) -> float:
+def energy(s: State, c: Const, o: Bank, k: int, place: int) -> float:
     """Return r^T V^-1 r of one sample of observer k."""
     total = 0.0
     for i in range(o.p):
@@ -152,7 +162,7 @@ def energy(s: Any, c: Any, o: Any, k: int, place: int) -> float:
 
 
 @kernel
-def listen(s: Any, c: Any, o: Any, k: int) -> float:
+def listen(s: State, c: Const, o: Bank, k: int) -> float:
     """Take the newest sample of observer k; returns the largest log likelihood ratio of a beginning, doubled."""
     m, p, at = o.m, o.p, s.at
     newest, begun, weighted, inverse = s.r[k, at], s.b, c.weighted[k, 0], c.inverse[k, 0]
@@ -177,7 +187,7 @@ def listen(s: Any, c: Any, o: Any, k: int) -> float:
 
 
 @kernel
-def search(s: Any, c: Any, o: Any, k: int) -> bool:
+def search(s: State, c: Const, o: Bank, k: int) -> bool:
     """Find the best beginning for observer k; tells whether it explains the window.
 
     Sets ``age``, samples since then, 0: none is better; ``phase``, the share of a sample in quarters; and the energy that it leaves, ``left``,
@@ -208,7 +218,7 @@ def search(s: Any, c: Any, o: Any, k: int) -> bool:
 
 
 @kernel
-def merge(s: Any, o: Any, k: int, z: Any) -> None:
+def merge(s: State, o: Bank, k: int, z: f8s) -> None:
     """Put the estimate of observer k into its state ``z``, and close it."""
     if s.open[k] == 1:
         for q in range(o.n + o.m):
@@ -218,7 +228,7 @@ def merge(s: Any, o: Any, k: int, z: Any) -> None:
 
 
 @kernel
-def _onwards(s: Any, o: Any, k: int) -> None:
+def _onwards(s: State, o: Bank, k: int) -> None:
     """Step G of observer k by one sample."""
     size = o.n + o.m
     _show(s, o, k)
@@ -236,7 +246,7 @@ def _onwards(s: Any, o: Any, k: int) -> None:
 
 
 @kernel
-def _learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
+def _learn(s: State, c: Const, o: Bank, k: int, e: f8s) -> None:
     """Take one innovation into information and estimate of observer k."""
     _show(s, o, k)
     for i in range(o.m):
@@ -250,7 +260,7 @@ def _learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
 
 
 @kernel
-def begin(s: Any, c: Any, o: Any, k: int) -> None:
+def begin(s: State, c: Const, o: Bank, k: int) -> None:
     """Open the fault that :func:`search` found for observer k, up to the sample before the newest."""
     s.open[k] = 1
     theta = s.phase[k] / PHASES
@@ -271,7 +281,7 @@ def begin(s: Any, c: Any, o: Any, k: int) -> None:
 
 
 @kernel
-def learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
+def learn(s: State, c: Const, o: Bank, k: int, e: f8s) -> None:
     """Estimate observer k's open fault with its newest innovation; sets ``a`` and ``sigma``."""
     for i in range(o.m):
         s.sigma[k, i] = c.variance[k, i]
@@ -288,7 +298,7 @@ def learn(s: Any, c: Any, o: Any, k: int, e: Any) -> None:
 
 
 @kernel
-def corrected(s: Any, o: Any, k: int, z: Any, q: int) -> float:
+def corrected(s: State, o: Bank, k: int, z: f8s, q: int) -> float:
     """Return entry q of observer k's state or fault, without the transient of the open fault."""
     value = z[k, q]
     if s.open[k] == 1:
@@ -298,7 +308,7 @@ def corrected(s: Any, o: Any, k: int, z: Any, q: int) -> float:
 
 
 @kernel
-def onwards(s: Any, o: Any, k: int, z: Any) -> None:
+def onwards(s: State, o: Bank, k: int, z: f8s) -> None:
     """Step observer k's open fault to the next sample, behind the bank's own step; closes it once it has settled."""
     if s.open[k] == 0:
         return

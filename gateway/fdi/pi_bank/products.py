@@ -12,13 +12,11 @@ where p - 1 = m: r_s is a pulse of some samples.
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def sensor(e: Any, p: int, i: int, threshold: float) -> bool:
+def sensor(e: f8s, p: int, i: int, threshold: float) -> bool:
     """Return r_si of (15).
 
     Args:
@@ -35,7 +33,7 @@ def sensor(e: Any, p: int, i: int, threshold: float) -> bool:
 
 
 @kernel
-def actuator(z: Any, n: int, p: int, i: int, threshold: float, printed: bool) -> bool:
+def actuator(z: f8s, n: int, p: int, i: int, threshold: float, printed: bool) -> bool:
     """Return r_ai of (16).
 
     Args:

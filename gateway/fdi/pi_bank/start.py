@@ -10,28 +10,37 @@ then z = [[Phi, Gamma], [0, 1]] z + [Gamma; 0] u, and P likewise with the noise 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_OUTPUTS
+from gateway.fdi.pi_bank.bank import Const as Bank
 from gateway.fdi.pi_bank.design import Noise, covariances
-from gateway.jit import f8, i8, kernel, record
-
-CONST = record(samples=i8, q=(f8, MOST), r=(f8, MOST_OUTPUTS), unknown=(f8, MOST))
-STATE = record(
-    done=i8,
-    p=(f8, (BANK, MOST, MOST)),
-    gain=(f8, MOST),
-    work=(f8, (MOST, MOST)),
-    next=(f8, MOST),
-)
+from gateway.jit import Record, f8s, i8, kernel
 
 
-def prepare(
-    c: np.void, plant: LinearPlant, noise: Noise, samples: int, unknown: np.ndarray
-) -> None:
+class Const(Record):
+    """Constants."""
+
+    samples: i8
+    q: Annotated[f8s, MOST]
+    r: Annotated[f8s, MOST_OUTPUTS]
+    unknown: Annotated[f8s, MOST]
+
+
+class State(Record):
+    """State."""
+
+    done: i8
+    p: Annotated[f8s, BANK, MOST, MOST]
+    gain: Annotated[f8s, MOST]
+    work: Annotated[f8s, MOST, MOST]
+    next: Annotated[f8s, MOST]
+
+
+def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: np.ndarray) -> None:
     """Fill a record of CONST.
 
     Args:
@@ -42,13 +51,13 @@ def prepare(
         unknown: standard deviation of states and faults before it, shape (n + m,).
     """
     q, r = covariances(plant, noise)
-    c["samples"] = samples
-    c["q"][: len(q)], c["r"][: len(r)] = np.diag(q), np.diag(r)
-    c["unknown"][: len(unknown)] = unknown**2
+    c.samples = samples
+    c.q[: len(q)], c.r[: len(r)] = np.diag(q), np.diag(r)
+    c.unknown[: len(unknown)] = unknown**2
 
 
 @kernel
-def anew(s: Any, c: Any) -> None:
+def anew(s: State, c: Const) -> None:
     """Start again."""
     s.done = 0
     for k in range(BANK):
@@ -58,7 +67,7 @@ def anew(s: Any, c: Any) -> None:
 
 
 @kernel
-def _take(s: Any, o: Any, k: int, z: Any, j: int, y: float, r: float) -> None:
+def _take(s: State, o: Bank, k: int, z: f8s, j: int, y: float, r: float) -> None:
     """Correct observer k with sensor j."""
     size = o.n + o.m
     expected, spread = 0.0, r
@@ -78,7 +87,7 @@ def _take(s: Any, o: Any, k: int, z: Any, j: int, y: float, r: float) -> None:
 
 
 @kernel
-def _predict(s: Any, c: Any, o: Any, k: int, z: Any, u: Any) -> None:
+def _predict(s: State, c: Const, o: Bank, k: int, z: f8s, u: f8s) -> None:
     """Step observer k to the next sample."""
     size = o.n + o.m
     for i in range(size):
@@ -105,7 +114,7 @@ def _predict(s: Any, c: Any, o: Any, k: int, z: Any, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, o: Any, z: Any, y: Any, u: Any) -> bool:
+def step(s: State, c: Const, o: Bank, z: f8s, y: f8s, u: f8s) -> bool:
     """Take one sample with the whole bank; tells whether the start is over."""
     for k in range(o.p + 1):
         for j in range(o.p):
@@ -117,7 +126,7 @@ def step(s: Any, c: Any, o: Any, z: Any, y: Any, u: Any) -> bool:
 
 
 @kernel
-def missing(s: Any, c: Any, o: Any, z: Any, u: Any) -> None:
+def missing(s: State, c: Const, o: Bank, z: f8s, u: f8s) -> None:
     """Step over a sample that did not come."""
     for k in range(o.p + 1):
         _predict(s, c, o, k, z, u)

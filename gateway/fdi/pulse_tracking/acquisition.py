@@ -8,9 +8,9 @@ fits; the place is found when the best one is likelier than the second by :data:
 from __future__ import annotations
 
 from math import exp, log, sqrt
-from typing import Any
+from typing import Annotated
 
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
 WINDOW = 8
 #: Least deviation that is assumed of ln(interval).
@@ -20,18 +20,25 @@ WORST_DEVIATION = 0.35
 #: [nat] of the best place against the second.
 ODDS = 6.0
 
-#: ``logs`` of the last intervals, the latest at ``(seen - 1) % WINDOW``; what the last call found.
-SEARCH = record(seen=i8, logs=(f8, WINDOW), period=f8, growth=f8, variance=f8)
+
+class Search(Record):
+    """Search: ``logs`` of the last intervals, the latest at ``(seen - 1) % WINDOW``; what the last call found."""
+
+    seen: i8
+    logs: Annotated[f8s, WINDOW]
+    period: f8
+    growth: f8
+    variance: f8
 
 
 @kernel
-def restart(se: Any) -> None:
+def restart(se: Search) -> None:
     """Forget the intervals."""
     se.seen = 0
 
 
 @kernel
-def seek(se: Any, logs: Any, period: int, y: float) -> int:
+def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     """Take an interval; returns the index of the tooth that ended it, -1: not known yet.
 
     Args:

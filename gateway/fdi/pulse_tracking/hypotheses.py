@@ -12,20 +12,20 @@ acceleration an engine can have), an outlier of one edge, and pulses missed or a
 from __future__ import annotations
 
 from math import exp, log
-from typing import Any
+from typing import Annotated
 
 from gateway.fdi.pulse_tracking.motion import (
-    HYPOTHESIS,
     LEAST_SQUARE,
     MOST_GROWTH,
     TORQUE,
+    Hypothesis,
     correct,
     spread,
     torque,
     travel,
 )
 from gateway.fdi.wheel import MOST_TEETH
-from gateway.jit import f8, i4, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i4, i8, kernel
 
 #: Hypotheses held at once.
 MOST = 16
@@ -68,35 +68,38 @@ FIRST_PERIOD, FIRST_GROWTH = 0.04**2, 0.04**2
 LEAST_VARIANCE, MOST_VARIANCE = 0.008**2, 0.3**2
 ADAPTATION = 0.03
 
-#: ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which.
-#: ``variance`` of an edge [pitch^2]; ``pitches`` as learned, ``slack`` their
-#: variance while they are not [pitch^2]; ``residual``
-#: of the best hypothesis if the latest pulse was its next tooth; ``stress`` what the pulses cost
-#: lately [nat].
-TRACKER = record(
-    bank=i4,
-    count=i4,
-    banks=(HYPOTHESIS, 2 * MOST),
-    spare=(HYPOTHESIS, 1),
-    variance=f8,
-    wander=f8,
-    residual=f8,
-    last=f8,
-    stress=f8,
-    open=i8,
-    pitches=(f8, MOST_TEETH),
-    slack=(f8, MOST_TEETH),
-)
+
+class Tracker(Record):
+    """Tracker.
+
+    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance``
+    of an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2];
+    ``residual`` of the best hypothesis if the latest pulse was its next tooth; ``stress`` what the pulses cost
+    lately [nat].
+    """
+
+    bank: i4
+    count: i4
+    banks: Annotated[list[Hypothesis], 2 * MOST]
+    spare: Annotated[list[Hypothesis], 1]
+    variance: f8
+    wander: f8
+    residual: f8
+    last: f8
+    stress: f8
+    open: i8
+    pitches: Annotated[f8s, MOST_TEETH]
+    slack: Annotated[f8s, MOST_TEETH]
 
 
 @kernel
-def best(tr: Any) -> Any:
+def best(tr: Tracker) -> Hypothesis:
     """Return the cheapest hypothesis; it is always the first."""
     return tr.banks[tr.bank * MOST]
 
 
 @kernel
-def speaker(tr: Any) -> Any:
+def speaker(tr: Tracker) -> Hypothesis:
     """Return the hypothesis whose tooth is told to others.
 
     The best, unless it has missed or added pulses that are not decided and one without is nearly as good:
@@ -118,7 +121,7 @@ def speaker(tr: Any) -> Any:
 
 
 @kernel
-def copy(a: Any, b: Any) -> None:
+def copy(a: Hypothesis, b: Hypothesis) -> None:
     """Copy hypothesis ``b`` to ``a``."""
     a.lag = b.lag
     a.period = b.period
@@ -139,7 +142,7 @@ def copy(a: Any, b: Any) -> None:
 
 
 @kernel
-def _insert(tr: Any, made: int) -> int:
+def _insert(tr: Tracker, made: int) -> int:
     """Put the spare hypothesis into the other bank; returns how many are there now.
 
     One that says the same as another - same tooth, nearly the same motion - merges with it.
@@ -171,7 +174,9 @@ def _insert(tr: Any, made: int) -> int:
 
 
 @kernel
-def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, made: int) -> int:
+def _expand(
+    tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple: float, made: int
+) -> int:
     """Make the successors of one hypothesis in the other bank; returns how many there are now."""
     child = tr.spare[0]
     span = 0.0
@@ -242,7 +247,7 @@ def _expand(tr: Any, h: Any, pulses: int, acceleration: float, ripple: float, ma
 
 
 @kernel
-def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> float:
+def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float) -> float:
     """Take one pulse into all hypotheses.
 
     Args:
@@ -289,7 +294,7 @@ def take(tr: Any, pulses: int, acceleration: float, ripple: float, y: float) -> 
 
 
 @kernel
-def _adapt(tr: Any, e: float) -> None:
+def _adapt(tr: Tracker, e: float) -> None:
     """Follow the variance of the edges by the change from residual to residual.
 
     Residuals that keep their sign are not edges that jitter but a speed that is wrong; they must not make a
@@ -303,7 +308,7 @@ def _adapt(tr: Any, e: float) -> None:
 
 
 @kernel
-def _prune(tr: Any, made: int) -> float:
+def _prune(tr: Tracker, made: int) -> float:
     """Make the other bank current: the best first, those too dear dropped; returns the best's cost."""
     tr.bank = 1 - tr.bank
     first = tr.bank * MOST
@@ -332,7 +337,7 @@ def _prune(tr: Any, made: int) -> float:
 
 
 @kernel
-def agreed(tr: Any) -> bool:
+def agreed(tr: Tracker) -> bool:
     """Tell whether all hypotheses that are credible have the same counts of missed and added pulses."""
     first = tr.bank * MOST
     h = tr.banks[first]
@@ -344,14 +349,14 @@ def agreed(tr: Any) -> bool:
 
 
 @kernel
-def keep_best(tr: Any) -> None:
+def keep_best(tr: Tracker) -> None:
     """Drop all hypotheses but the best."""
     tr.count = 1
     tr.open = 0
 
 
 @kernel
-def settle(tr: Any) -> None:
+def settle(tr: Tracker) -> None:
     """Count missed and added pulses from the best hypothesis on.
 
     One that disagrees has counts below zero; should it win later, it takes the decision back.
@@ -364,7 +369,7 @@ def settle(tr: Any) -> None:
 
 
 @kernel
-def begin(tr: Any, index: int, period: float, growth: float, variance: float) -> None:
+def begin(tr: Tracker, index: int, period: float, growth: float, variance: float) -> None:
     """Begin with one hypothesis, its last tooth the latest pulse."""
     tr.bank = 0
     tr.count = 1
@@ -388,7 +393,7 @@ def begin(tr: Any, index: int, period: float, growth: float, variance: float) ->
 
 
 @kernel
-def jump(tr: Any, pulses: int, number: int) -> None:
+def jump(tr: Tracker, pulses: int, number: int) -> None:
     """Pass over pulses that the sensor gave but nobody told us the times of."""
     first = tr.bank * MOST
     for k in range(tr.count):
@@ -410,7 +415,7 @@ def jump(tr: Any, pulses: int, number: int) -> None:
 
 
 @kernel
-def shift(tr: Any, pulses: int, number: int) -> None:
+def shift(tr: Tracker, pulses: int, number: int) -> None:
     """Shift the index of every hypothesis."""
     first = tr.bank * MOST
     for k in range(tr.count):
@@ -419,7 +424,7 @@ def shift(tr: Any, pulses: int, number: int) -> None:
 
 
 @kernel
-def rebase(tr: Any, before: float, after: float) -> None:
+def rebase(tr: Tracker, before: float, after: float) -> None:
     """Keep the motion right when ripple moves from it into the pitches, or back.
 
     Args:

@@ -19,34 +19,37 @@ without the correlation -1/2 that pulse times have when edges jitter. Correction
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
-from gateway.jit import f8, i4, kernel, record, u1
+from gateway.jit import Record, f8, i4, kernel, u1
 
-#: One hypothesis about which pulse was which tooth.
-#:
-#: ``lag`` time since its last tooth (filtered) [us]; ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance;
-#: ``cost`` minus log likelihood above the best; ``index`` of its last tooth; ``missed``, ``added``
-#: pulses since all hypotheses agreed; ``pending`` pulses held for spurious since its last tooth;
-#: ``fresh`` its last tooth is the latest pulse; ``outlier`` it took that for an edge far off.
-HYPOTHESIS = record(
-    lag=f8,
-    period=f8,
-    growth=f8,
-    p11=f8,
-    p12=f8,
-    p13=f8,
-    p22=f8,
-    p23=f8,
-    p33=f8,
-    cost=f8,
-    index=i4,
-    missed=i4,
-    added=i4,
-    pending=i4,
-    fresh=u1,
-    outlier=u1,
-)
+
+class Hypothesis(Record):
+    """Hypothesis.
+
+    One hypothesis about which pulse was which tooth.  ``lag`` time since its last tooth (filtered) [us];
+    ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance; ``cost`` minus log likelihood above the best;
+    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed; ``pending`` pulses held
+    for spurious since its last tooth; ``fresh`` its last tooth is the latest pulse; ``outlier`` it took that for
+    an edge far off.
+    """
+
+    lag: f8
+    period: f8
+    growth: f8
+    p11: f8
+    p12: f8
+    p13: f8
+    p22: f8
+    p23: f8
+    p33: f8
+    cost: f8
+    index: i4
+    missed: i4
+    added: i4
+    pending: i4
+    fresh: u1
+    outlier: u1
+
 
 #: Process noise per pitch: variances of the position [pitch^2] and of ln T. They are the engine's, not the
 #: sensor's: a noisy sensor is smoothed, not followed. That of the growth depends on the speed.
@@ -62,14 +65,14 @@ LASTS = 10.0
 
 
 @kernel
-def travel(h: Any, span: float) -> tuple[float, float]:
+def travel(h: Hypothesis, span: float) -> tuple[float, float]:
     """Return time [us] over ``span`` pitches from the last tooth, and ``q = sqrt(1 + r S)``."""
     q = sqrt(max(1.0 + h.growth * span, LEAST_SQUARE))
     return 2.0 * h.period * span / (1.0 + q), q
 
 
 @kernel
-def torque(h: Any, acceleration: float) -> float:
+def torque(h: Hypothesis, acceleration: float) -> float:
     """Return the variance of the growth that the engine's torque can bring.
 
     Args:
@@ -81,7 +84,7 @@ def torque(h: Any, acceleration: float) -> float:
 
 
 @kernel
-def spread(h: Any, span: float, scale: float) -> float:
+def spread(h: Hypothesis, span: float, scale: float) -> float:
     """Return the predicted variance of the position over ``span`` pitches (units of the edge's).
 
     Args:
@@ -101,7 +104,7 @@ def spread(h: Any, span: float, scale: float) -> float:
 
 @kernel
 def correct(
-    h: Any,
+    h: Hypothesis,
     span: float,
     e: float,
     q: float,

@@ -12,10 +12,10 @@ there only the low orders fall.
 from __future__ import annotations
 
 from math import exp, log
-from typing import Any
+from typing import Annotated
 
 from gateway.fdi.wheel import MOST_TEETH
-from gateway.jit import f8, i4, i8, kernel, record, u1
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
 
 #: Share of a new revolution in the profile, once it is old.
 SHARE = 0.15
@@ -28,48 +28,56 @@ MOST_ORDERS = 6
 #: The ripple's share is computed anew when the speed has changed by so much.
 SPEED_STEP = 1.1
 
-#: What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, which
-#: slots are or follow a gap, and the first order's cosine and sine in the middle of each slot.
-WHEEL = record(
-    pulses=i4,
-    orders=i4,
-    whole=f8,
-    nominal=(f8, MOST_TEETH),
-    gap=(u1, MOST_TEETH),
-    cosine=(f8, MOST_TEETH),
-    sine=(f8, MOST_TEETH),
-)
 
-#: ``intervals`` of this revolution [us], ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
-#: ``clean`` this revolution so far, ``turns`` learned from, ``period`` [us] at which it was learned
-#: ``first``
-#: amplitude of the first order, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
-PROFILE = record(
-    intervals=(f8, MOST_TEETH),
-    logs=(f8, MOST_TEETH),
-    ripple=(f8, MOST_TEETH),
-    turn_us=f8,
-    last_us=f8,
-    trend=f8,
-    period=f8,
-    slow=f8,
-    fast=f8,
-    first=f8,
-    share=f8,
-    clean=u1,
-    turns=i8,
-)
+class LearnedWheel(Record):
+    """Wheel.
+
+    What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, which slots
+    are or follow a gap, and the first order's cosine and sine in the middle of each slot.
+    """
+
+    pulses: i4
+    orders: i4
+    whole: f8
+    nominal: Annotated[f8s, MOST_TEETH]
+    gap: Annotated[u1s, MOST_TEETH]
+    cosine: Annotated[f8s, MOST_TEETH]
+    sine: Annotated[f8s, MOST_TEETH]
+
+
+class Profile(Record):
+    """Profile.
+
+    ``intervals`` of this revolution [us], ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
+    ``clean`` this revolution so far, ``turns`` learned from, ``period`` [us] at which it was learned ``first``
+    amplitude of the first order, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches
+    hold, as they are.
+    """
+
+    intervals: Annotated[f8s, MOST_TEETH]
+    logs: Annotated[f8s, MOST_TEETH]
+    ripple: Annotated[f8s, MOST_TEETH]
+    turn_us: f8
+    last_us: f8
+    trend: f8
+    period: f8
+    slow: f8
+    fast: f8
+    first: f8
+    share: f8
+    clean: u1
+    turns: i8
 
 
 @kernel
-def note(pr: Any, slot: int, y: float) -> None:
+def note(pr: Profile, slot: int, y: float) -> None:
     """Note the interval of one slot [us]."""
     pr.intervals[slot] = y
     pr.turn_us += y
 
 
 @kernel
-def turn(pr: Any, wh: Any, pitches: Any) -> bool:
+def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
     """End a revolution; returns whether it was clean.
 
     Args:
@@ -92,7 +100,7 @@ def turn(pr: Any, wh: Any, pitches: Any) -> bool:
 
 
 @kernel
-def _learn(pr: Any, wh: Any, growth: float) -> None:
+def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> None:
     pr.turns += 1
     share = max(SHARE, 1.0 / pr.turns)
     angle = -wh.whole / 2
@@ -138,7 +146,7 @@ def _power(re: float, im: float, order: int) -> tuple[float, float]:
 
 
 @kernel
-def apply(pr: Any, wh: Any, period: float, pitches: Any) -> None:
+def apply(pr: Profile, wh: LearnedWheel, period: float, pitches: f8s) -> None:
     """Compute the pitches for a speed: the ripple's share falls with its square, and is not known below."""
     share = min((period / pr.period) ** 2, 1.0)
     pr.share = share
@@ -154,20 +162,20 @@ def apply(pr: Any, wh: Any, period: float, pitches: Any) -> None:
 
 
 @kernel
-def smooth(pr: Any, slot: int) -> float:
+def smooth(pr: Profile, slot: int) -> float:
     """Return the ripple that the pitch of a slot contains, as ln(pitch / nominal)."""
     return float(pr.share * pr.ripple[slot])
 
 
 @kernel
-def follow(pr: Any, wh: Any, period: float, pitches: Any) -> None:
+def follow(pr: Profile, wh: LearnedWheel, period: float, pitches: f8s) -> None:
     """Keep the pitches those of the present speed."""
     if pr.turns > 0 and (period > pr.slow or period < pr.fast):
         apply(pr, wh, period, pitches)
 
 
 @kernel
-def worst(pr: Any, wh: Any) -> int:
+def worst(pr: Profile, wh: LearnedWheel) -> int:
     """Return the slot whose pitch is farthest from nominal."""
     place, most = 0, 0.0
     for i in range(wh.pulses):

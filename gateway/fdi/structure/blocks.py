@@ -5,10 +5,8 @@ An equation depends on those that compute its other variables. A block of more t
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.fdi.structure.incidence import BITS
-from gateway.jit import kernel, lowest_bit
+from gateway.fdi.structure.incidence import BITS, Masks
+from gateway.jit import i8s, kernel, lowest_bit
 
 #: Number of an equation that is in no block (yet).
 NO_BLOCK = -1
@@ -16,15 +14,15 @@ NO_BLOCK = -1
 
 @kernel
 def find_blocks(
-    rows: Any,
-    members: Any,
+    rows: Masks,
+    members: i8s,
     count: int,
-    owner: Any,
-    within: Any,
+    owner: i8s,
+    within: Masks,
     first: int,
-    block: Any,
-    scratch: Any,
-    rest: Any,
+    block: i8s,
+    scratch: i8s,
+    rest: Masks,
 ) -> int:
     """Number the blocks of some equations in order of computation.
 

@@ -15,12 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.incidence import BITS, Sets, pack
+from gateway.fdi.structure.incidence import BITS, Flags, Masks, Sets, pack
 from gateway.fdi.structure.matching import make_free
 from gateway.fdi.structure.model import Model, Solvable
 from gateway.fdi.structure.sequence import (
@@ -31,7 +30,7 @@ from gateway.fdi.structure.sequence import (
     match_set,
     sequence,
 )
-from gateway.jit import kernel
+from gateway.jit import i8s, kernel
 
 #: Classes of causality of Table IV, widest first.
 CAUSALITIES = ("SDI", "SI", "SD", "S")
@@ -46,7 +45,7 @@ _NONE, _UNIQUE = int(Solvable.NONE), int(Solvable.UNIQUE)
 
 
 @kernel
-def _loop_status(loops: Any, solvable: Any, equations: Any, variables: Any) -> int:
+def _loop_status(loops: Masks, solvable: i8s, equations: Masks, variables: Masks) -> int:
     """Return how a loop can be solved; one that is not declared cannot."""
     split = len(equations)
     for k in range(loops.shape[0]):
@@ -62,8 +61,8 @@ def _loop_status(loops: Any, solvable: Any, equations: Any, variables: Any) -> i
 
 @kernel
 def _classify_one(
-    used: Any, count: int, steps: int, mate: Any, step: Any, kind: Any, solve: Any,
-    loops: Any, loop_solvable: Any, equations: Any, variables: Any, bits: int, result: Any,
+    used: i8s, count: int, steps: int, mate: i8s, step: i8s, kind: i8s, solve: i8s,
+    loops: Masks, loop_solvable: i8s, equations: Masks, variables: Masks, bits: int, result: i8s,
 ) -> None:  # fmt: skip
     """Write status, whether it integrates, and how often it differentiates, of one sequence into ``result``."""
     result[0], result[1], result[2] = _UNIQUE, 0, 0
@@ -100,10 +99,10 @@ def _classify_one(
 
 @kernel
 def _classify(
-    rows: Any, members: Any, starts: Any, choices: Any, choice_starts: Any, state: Any, solve: Any,
-    loops: Any, loop_solvable: Any, bits: int, everything: Any, mate: Any, owner: Any, came: Any, queue: Any,
-    flags: Any, seen: Any, block: Any, step: Any, kind: Any, scratch: Any, rest: Any, masks: Any, one: Any, mate_one: Any, owner_one: Any, equations: Any, variables: Any,
-    results: Any,
+    rows: Masks, members: i8s, starts: i8s, choices: i8s, choice_starts: i8s, state: i8s, solve: i8s,
+    loops: Masks, loop_solvable: i8s, bits: int, everything: Masks, mate: i8s, owner: i8s, came: i8s, queue: i8s,
+    flags: Flags, seen: Masks, block: i8s, step: i8s, kind: i8s, scratch: i8s, rest: Masks, masks: Masks, one: i8s, mate_one: i8s, owner_one: i8s, equations: Masks, variables: Masks,
+    results: i8s,
 ) -> None:  # fmt: skip
     """Classify all choices of all sets into ``results``: status, integration, differentiations."""
     m, n = rows.shape[0], len(owner)

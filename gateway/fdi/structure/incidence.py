@@ -14,6 +14,8 @@ from gateway.fdi.structure.model import Equation, Model
 BITS = 62
 
 Masks = NDArray[np.int64]
+#: A flag for each equation.
+Flags = NDArray[np.bool_]
 #: Sets of equations, shape (sets, equations).
 Sets = NDArray[np.bool_]
 

@@ -7,16 +7,16 @@ that a variable is matched to, -1 if none; ``came`` and ``queue`` are scratch.
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.fdi.structure.incidence import BITS
-from gateway.jit import kernel, lowest_bit
+from gateway.fdi.structure.incidence import BITS, Flags, Masks
+from gateway.jit import i8s, kernel, lowest_bit
 
 FREE, ABSENT = -1, -2
 
 
 @kernel
-def _visit(rows: Any, owner: Any, came: Any, queue: Any, reached: Any, seen: Any, tail: int) -> int:
+def _visit(
+    rows: Masks, owner: i8s, came: i8s, queue: i8s, reached: Flags, seen: Masks, tail: int
+) -> int:
     """Follow alternating paths from the equations in the queue; returns how many are in it at the end.
 
     A path goes from an equation to any of its variables, and from that to the equation that it is matched to.
@@ -42,15 +42,15 @@ def _visit(rows: Any, owner: Any, came: Any, queue: Any, reached: Any, seen: Any
 
 @kernel
 def reach_from_free(
-    rows: Any,
+    rows: Masks,
     size: int,
-    mate: Any,
-    owner: Any,
+    mate: i8s,
+    owner: i8s,
     skip: int,
-    came: Any,
-    queue: Any,
-    reached: Any,
-    seen: Any,
+    came: i8s,
+    queue: i8s,
+    reached: Flags,
+    seen: Masks,
 ) -> int:
     """Mark what alternating paths reach from the free equations, all but ``skip``: the part with redundancy.
 
@@ -69,7 +69,7 @@ def reach_from_free(
 
 
 @kernel
-def take_from(mate: Any, owner: Any, came: Any, v: int) -> None:
+def take_from(mate: i8s, owner: i8s, came: i8s, v: int) -> None:
     """Give variable ``v`` to the equation it was reached by, that one's variable to the one before, up to a free one."""
     while v >= 0:
         e = came[v]
@@ -81,15 +81,15 @@ def take_from(mate: Any, owner: Any, came: Any, v: int) -> None:
 
 @kernel
 def make_free(
-    rows: Any,
+    rows: Masks,
     size: int,
-    mate: Any,
-    owner: Any,
+    mate: i8s,
+    owner: i8s,
     i: int,
-    came: Any,
-    queue: Any,
-    reached: Any,
-    seen: Any,
+    came: i8s,
+    queue: i8s,
+    reached: Flags,
+    seen: Masks,
 ) -> bool:
     """Change a matching so that equation ``i`` is free; False, and nothing changed, if it cannot be."""
     v = mate[i]
@@ -105,15 +105,15 @@ def make_free(
 
 @kernel
 def augment(
-    rows: Any,
-    mate: Any,
-    owner: Any,
+    rows: Masks,
+    mate: i8s,
+    owner: i8s,
     i: int,
-    allowed: Any,
-    came: Any,
-    queue: Any,
-    reached: Any,
-    seen: Any,
+    allowed: Masks,
+    came: i8s,
+    queue: i8s,
+    reached: Flags,
+    seen: Masks,
 ) -> bool:
     """Match a free equation ``i``, moving others if need be, with variables of the mask ``allowed``; False: impossible."""
     for k in range(len(reached)):

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from gateway.fdi.structure.decomposition import Matched
-from gateway.fdi.structure.incidence import Incidence, Sets, pack, unpack, words
+from gateway.fdi.structure.incidence import Flags, Incidence, Masks, Sets, pack, unpack, words
 from gateway.fdi.structure.matching import ABSENT, FREE, make_free, reach_from_free
-from gateway.jit import kernel
+from gateway.jit import i8s, kernel
 
 #: Sets found between two reports of progress.
 PORTION = 20_000
@@ -46,17 +46,17 @@ class TooManySetsError(ValueError):
 
 @kernel
 def _lump(
-    rows: Any,
-    ids: Any,
-    state: Any,
-    mate: Any,
-    owner: Any,
+    rows: Masks,
+    ids: Masks,
+    state: i8s,
+    mate: i8s,
+    owner: i8s,
     size: int,
-    came: Any,
-    queue: Any,
-    reached: Any,
-    seen: Any,
-    done: Any,
+    came: i8s,
+    queue: i8s,
+    reached: Flags,
+    seen: Masks,
+    done: Flags,
 ) -> int:
     """Lump the equivalence classes that may be left out; returns how many equations are left.
 
@@ -102,8 +102,8 @@ def _lump(
 
 @kernel
 def _search(
-    rows: Any, ids: Any, state: Any, mate: Any, owner: Any, size: Any, at: Any,
-    came: Any, queue: Any, reached: Any, seen: Any, done: Any, found: Any,
+    rows: Masks, ids: Masks, state: i8s, mate: i8s, owner: i8s, size: i8s, at: i8s,
+    came: i8s, queue: i8s, reached: Flags, seen: Masks, done: Flags, found: Masks,
 ) -> int:  # fmt: skip
     """Go on with the search until ``found`` is full or nothing is left; returns how many sets were found.
 
@@ -159,7 +159,7 @@ def _search(
     return count
 
 
-def _share(at: Any, size: Any) -> float:
+def _share(at: i8s, size: i8s) -> float:
     """Return how much of the first level's branches is done."""
     return float((at[1] - 1) / size[0]) if at[0] >= 0 and len(size) > 1 else 1.0
 

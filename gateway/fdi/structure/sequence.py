@@ -17,16 +17,15 @@ from __future__ import annotations
 from collections.abc import Sequence as Seq
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.fdi.structure.blocks import find_blocks
-from gateway.fdi.structure.incidence import BITS, full, words
+from gateway.fdi.structure.incidence import BITS, Flags, Masks, full, words
 from gateway.fdi.structure.matching import ABSENT, FREE, augment
 from gateway.fdi.structure.model import Equation, Model, state_of
-from gateway.jit import kernel
+from gateway.jit import i8s, kernel
 
 #: Kinds of step, as the kernel numbers them.
 SOLVE, INTEGRATE, DIFFERENTIATE, SINGULAR = 0, 1, 2, 3
@@ -42,14 +41,14 @@ class Kind(Enum):
 
 
 @kernel
-def _put(masks: Any, v: int) -> None:
+def _put(masks: Masks, v: int) -> None:
     masks[v // BITS] |= 1 << (v % BITS)
 
 
 @kernel
 def sequence(
-    rows: Any, members: Any, count: int, state: Any, mate: Any, owner: Any,
-    block: Any, step: Any, kind: Any, scratch: Any, rest: Any, masks: Any, flags: Any,
+    rows: Masks, members: i8s, count: int, state: i8s, mate: i8s, owner: i8s,
+    block: i8s, step: i8s, kind: i8s, scratch: i8s, rest: Masks, masks: Masks, flags: Flags,
 ) -> int:  # fmt: skip
     """Order a matched set of equations into steps.
 
@@ -154,8 +153,8 @@ def sequence(
 
 @kernel
 def match_set(
-    rows: Any, members: Any, count: int, mate: Any, owner: Any,
-    came: Any, queue: Any, flags: Any, seen: Any, everything: Any,
+    rows: Masks, members: i8s, count: int, mate: i8s, owner: i8s,
+    came: i8s, queue: i8s, flags: Flags, seen: Masks, everything: Masks,
 ) -> int:  # fmt: skip
     """Match a set of equations from nothing; returns how many stay free. Others are absent."""
     for i in range(len(mate)):

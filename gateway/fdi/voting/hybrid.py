@@ -13,22 +13,36 @@ all rejected, the output is held, and FT stays 0 for good. ``floor`` repairs tha
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
-#: ``lower`` 1: the interval has its lower bound, as printed; 0: repaired.
-CONST = record(channels=i8, beta=f8, lower=i8, floor=f8, low=f8, high=f8)
 
-#: ``value`` is r(k), ``before`` r(k-1), ``change`` FT(k); ``exception`` 1 while no reading was believed.
-STATE = record(value=f8, used=i8, before=f8, change=f8, exception=i8, started=i8)
+class Const(Record):
+    """Constants: ``lower`` 1: the interval has its lower bound, as printed; 0: repaired."""
+
+    channels: i8
+    beta: f8
+    lower: i8
+    floor: f8
+    low: f8
+    high: f8
+
+
+class State(Record):
+    """State: ``value`` is r(k), ``before`` r(k-1), ``change`` FT(k); ``exception`` 1 while no reading was believed."""
+
+    value: f8
+    used: i8
+    before: f8
+    change: f8
+    exception: i8
+    started: i8
 
 
 def prepare(
-    c: np.void,
+    c: Const,
     channels: int,
     *,
     beta: float,
@@ -48,12 +62,12 @@ def prepare(
         low: least output.
         high: largest output.
     """
-    c["channels"], c["beta"], c["lower"], c["floor"] = channels, beta, lower, floor
-    c["low"], c["high"] = low, high
+    c.channels, c.beta, c.lower, c.floor = channels, beta, lower, floor
+    c.low, c.high = low, high
 
 
 @kernel
-def start(s: Any, c: Any, y: Any) -> None:
+def start(s: State, c: Const, y: f8s) -> None:
     """Begin with the mean of the first readings."""
     total = 0.0
     for i in range(c.channels):
@@ -65,7 +79,7 @@ def start(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def _believed(s: Any, c: Any, y: Any, change: float) -> int:
+def _believed(s: State, c: Const, y: f8s, change: float) -> int:
     """Return the bits of the channels that the detector passes."""
     bits = 0
     least = (1.0 - c.beta) * change if c.lower == 1 else 0.0
@@ -82,7 +96,7 @@ def _believed(s: Any, c: Any, y: Any, change: float) -> int:
 
 
 @kernel
-def vote(s: Any, c: Any, y: Any, forecast: float) -> float:
+def vote(s: State, c: Const, y: f8s, forecast: float) -> float:
     """Detect, handle and vote for one sample.
 
     Args:

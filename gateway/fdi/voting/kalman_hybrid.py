@@ -11,39 +11,48 @@ difference. The change it is here, because that is what the detector needs.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from gateway.fdi.voting import hybrid
-from gateway.jit import f8, i8, kernel, record
-
-CONST = record(hybrid=hybrid.CONST, q=f8, r=f8)
-
-#: ``x``, ``p``: estimate of the change and its variance.
-STATE = record(value=f8, used=i8, hybrid=hybrid.STATE, x=f8, p=f8)
+from gateway.jit import Record, f8, f8s, i8, kernel
 
 
-def prepare(c: np.void, *, q: float = 1.0, r: float = 0.5) -> None:
-    """Fill the predictor's constants; those of ``c["hybrid"]`` come from :func:`.hybrid.prepare`.
+class Const(Record):
+    """Constants."""
+
+    hybrid: hybrid.Const
+    q: f8
+    r: f8
+
+
+class State(Record):
+    """State: ``x``, ``p``: estimate of the change and its variance."""
+
+    value: f8
+    used: i8
+    hybrid: hybrid.State
+    x: f8
+    p: f8
+
+
+def prepare(c: Const, *, q: float = 1.0, r: float = 0.5) -> None:
+    """Fill the predictor's constants; those of ``c.hybrid`` come from :func:`.hybrid.prepare`.
 
     Args:
         c: record of CONST.
         q: process noise Q.
         r: measurement noise R.
     """
-    c["q"], c["r"] = q, r
+    c.q, c.r = q, r
 
 
 @kernel
-def predict(s: Any, c: Any) -> float:
+def predict(s: State, c: Const) -> float:
     """Predict the change, (9); returns FT(k)."""
     s.p += c.q
     return float(s.x)
 
 
 @kernel
-def correct(s: Any, c: Any, observed: float) -> None:
+def correct(s: State, c: Const, observed: float) -> None:
     """Correct the change by what was observed, (5), (7), (8)."""
     k = s.p / (s.p + c.r)
     s.x += k * (observed - s.x)
@@ -51,7 +60,7 @@ def correct(s: Any, c: Any, observed: float) -> None:
 
 
 @kernel
-def vote(s: Any, c: Any, y: Any) -> None:
+def vote(s: State, c: Const, y: f8s) -> None:
     """Take the readings of one sample.
 
     Args:

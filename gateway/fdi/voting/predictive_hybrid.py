@@ -7,31 +7,39 @@ double exponential smoothing, ``level + trend`` one sample ahead. The smoothing 
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
 from gateway.fdi.voting import hybrid
-from gateway.jit import f8, i8, kernel, record
-
-CONST = record(hybrid=hybrid.CONST, alpha=f8)
-
-#: ``once``, ``twice``: the change smoothed once and twice.
-STATE = record(value=f8, used=i8, hybrid=hybrid.STATE, once=f8, twice=f8)
+from gateway.jit import Record, f8, f8s, i8, kernel
 
 
-def prepare(c: np.void, *, alpha: float) -> None:
-    """Fill the predictor's constants; those of ``c["hybrid"]`` come from :func:`.hybrid.prepare`.
+class Const(Record):
+    """Constants."""
+
+    hybrid: hybrid.Const
+    alpha: f8
+
+
+class State(Record):
+    """State: ``once``, ``twice``: the change smoothed once and twice."""
+
+    value: f8
+    used: i8
+    hybrid: hybrid.State
+    once: f8
+    twice: f8
+
+
+def prepare(c: Const, *, alpha: float) -> None:
+    """Fill the predictor's constants; those of ``c.hybrid`` come from :func:`.hybrid.prepare`.
 
     Args:
         c: record of CONST.
         alpha: smoothing constant, 0 to 1.
     """
-    c["alpha"] = alpha
+    c.alpha = alpha
 
 
 @kernel
-def vote(s: Any, c: Any, y: Any) -> None:
+def vote(s: State, c: Const, y: f8s) -> None:
     """Take the readings of one sample; arguments as in :func:`.kalman_hybrid.vote`."""
     h = s.hybrid
     if h.started == 0:

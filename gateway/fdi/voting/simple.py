@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 
 #: Readings that any voter can take.
 MOST_CHANNELS = 3
 
-CONST = record(channels=i8)
-STATE = record(value=f8, used=i8)
+
+class Const(Record):
+    """Constants."""
+
+    channels: i8
 
 
-def prepare(c: np.void, channels: int) -> None:
+class State(Record):
+    """State."""
+
+    value: f8
+    used: i8
+
+
+def prepare(c: Const, channels: int) -> None:
     """Fill the constants.
 
     Args:
         c: record of CONST.
         channels: 2 or 3.
     """
-    c["channels"] = channels
+    c.channels = channels
 
 
 @kernel
-def average(s: Any, c: Any, y: Any) -> None:
+def average(s: State, c: Const, y: f8s) -> None:
     """Vote for the mean of the readings.
 
     Args:
@@ -42,7 +48,7 @@ def average(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def middle(y: Any, n: int) -> float:
+def middle(y: f8s, n: int) -> float:
     """Return the median of two or three values."""
     if n < 3:
         return float((y[0] + y[n - 1]) / 2.0)
@@ -51,7 +57,7 @@ def middle(y: Any, n: int) -> float:
 
 
 @kernel
-def median(s: Any, c: Any, y: Any) -> None:
+def median(s: State, c: Const, y: f8s) -> None:
     """Vote for the median of the readings; of two it is their mean. Arguments as in :func:`average`."""
     n = c.channels
     s.value = middle(y, n)

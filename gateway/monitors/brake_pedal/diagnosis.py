@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
@@ -18,7 +16,7 @@ from gateway.fdi.voting.tracking.shape import (
 from gateway.fdi.voting.tracking.shape import (
     IMPLAUSIBLE as REJECTED,
 )
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import kernel
 from gateway.monitors.brake_pedal.faults import (
     CORRELATION,
     DRIFT,
@@ -32,8 +30,10 @@ from gateway.monitors.brake_pedal.faults import (
     PER_CHANNEL,
     RANGE,
     STUCK,
+    Evidence,
 )
-from gateway.monitors.shape import report
+from gateway.monitors.brake_pedal.records import Const, Outputs, State
+from gateway.monitors.contract import Out, report
 
 #: How a reading lies to its range.
 FINE, BELOW, ABOVE, OUTSIDE = range(4)
@@ -45,49 +45,57 @@ SPLIT_FAILS, SPLIT_PASSES = 0.5, 0.1
 #: Channels that agreed hardly ever before have not jumped together.
 SPLIT_JUMP = 0.3
 
-#: ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one; ``split``:
-#: share of the samples without agreement.
-STATE = record(erratic=(f8, MOST_CHANNELS), wrong=(i8, MOST_CHANNELS), split=f8)
-
 
 @kernel
 def _of_channel(
-    s: Any, i: int, fault: int, failed: bool, value: float, limit: float, out: Any
+    s: State,
+    i: int,
+    fault: int,
+    failed: bool,
+    value: float,
+    limit: float,
+    out: Out[Evidence, Outputs],
 ) -> None:
     """Report a test of channel ``i`` with its evidence; ``fault`` is its place among all."""
-    at = report(out, fault, failed, value, limit)
-    if at < 0 or not failed:
+    e = report(out, fault, failed, value, limit).channel
+    if not failed:
         return
     v = s.tracking
-    e = out.results[at].evidence
-    e[0] = s.reading[i]
-    e[1] = s.position[i]
-    e[2] = s.value
+    e.reading = s.reading[i]
+    e.position = s.position[i]
+    e.voted = s.value
     # A reading outside its range has not been seen by the voter.
-    e[3] = v.innovation[i] if s.place[i] == FINE else s.position[i] - s.value
-    e[4] = v.gate
-    e[5] = v.mismatch.level[i]
-    e[6] = v.rejected[i]
-    e[7] = v.habits.same[i]
+    e.innovation = v.innovation[i] if s.place[i] == FINE else s.position[i] - s.value
+    e.gate = v.gate
+    e.mismatch = v.mismatch.level[i]
+    e.rejected = v.rejected[i]
+    e.repeated = v.habits.same[i]
 
 
 @kernel
-def _of_all(s: Any, c: Any, fault: int, failed: bool, value: float, limit: float, out: Any) -> None:
+def _of_all(
+    s: State,
+    c: Const,
+    fault: int,
+    failed: bool,
+    value: float,
+    limit: float,
+    out: Out[Evidence, Outputs],
+) -> None:
     """Report a test of all channels with its evidence."""
-    at = report(out, c.channels * PER_CHANNEL + fault, failed, value, limit)
-    if at < 0 or not failed:
+    e = report(out, c.channels * PER_CHANNEL + fault, failed, value, limit).common
+    if not failed:
         return
-    e = out.results[at].evidence
     for i in range(c.channels):
-        e[i] = s.position[i]
-    e[3] = s.value
-    e[4] = s.speed
-    e[5] = s.tracking.spread
-    e[6] = s.diagnosis.split
+        e.channel[i] = s.position[i]
+    e.voted = s.value
+    e.speed = s.speed
+    e.mismatch = s.tracking.spread
+    e.split = s.diagnosis.split
 
 
 @kernel
-def _channel(s: Any, c: Any, i: int, out: Any) -> None:
+def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     """Test one channel."""
     v, d, place = s.tracking, s.diagnosis, s.place[i]
     first = i * PER_CHANNEL
@@ -99,14 +107,14 @@ def _channel(s: Any, c: Any, i: int, out: Any) -> None:
         return  # its place is the cause; the voter has not seen it
     why = v.why[i] if v.isolated & (1 << i) else TRUSTED
     if why in (TRUSTED, FROZEN):
-        repeated, limit = v.habits.same[i], c.tracking.silent
-        _of_channel(s, i, first + STUCK, why == FROZEN, repeated, limit, out)
+        repeated, silent = v.habits.same[i], c.tracking.silent
+        _of_channel(s, i, first + STUCK, why == FROZEN, repeated, silent, out)
     if why in (TRUSTED, REJECTED):
         _of_channel(s, i, first + IMPLAUSIBLE, why == REJECTED, v.rejected[i], ISOLATE, out)
     if why in (TRUSTED, DRIFTED) and c.channels == MOST_CHANNELS:
         drifts = c.channels * PER_CHANNEL + DRIFTS + i
-        moved, limit = abs(v.mismatch.level[i]), c.tracking.tolerance
-        _of_channel(s, i, drifts, why == DRIFTED, moved, limit, out)
+        moved, tolerance = abs(v.mismatch.level[i]), c.tracking.tolerance
+        _of_channel(s, i, drifts, why == DRIFTED, moved, tolerance, out)
     if why != TRUSTED:
         d.erratic[i] = 0.0
         return
@@ -124,7 +132,7 @@ def _channel(s: Any, c: Any, i: int, out: Any) -> None:
 
 
 @kernel
-def diagnose(s: Any, c: Any, out: Any) -> None:
+def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report what a sample shows.
 
     Args:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from gateway.fdi.voting.simple import MOST_CHANNELS
-from gateway.monitors.brake_pedal.params import PRESETS
-from gateway.monitors.shape import Debounce, Fault
+from gateway.jit import Record, f8, f8s, labels, means
+from gateway.monitors.brake_pedal.params import PRESETS, Params
+from gateway.monitors.contract import Debounce, Fault
 
 #: Faults of a channel, by their place; channel i's begin at ``i * PER_CHANNEL``.
 LOW, HIGH, RANGE, STUCK, IMPLAUSIBLE, ERRATIC = range(6)
@@ -13,23 +16,36 @@ PER_CHANNEL = 6
 #: two nobody could tell which.
 CORRELATION, DRIFT, JUMP, INVALID, DRIFTS = range(5)
 
-CHANNEL_EVIDENCE = (
-    "reading",
-    "position [%]",
-    "voted [%]",
-    "innovation [%]",
-    "gate [%]",
-    "mismatch [%]",
-    "rejected [samples]",
-    "repeated [samples]",
-)
-COMMON_EVIDENCE = (
-    *(f"channel {k} [%]" for k in range(1, MOST_CHANNELS + 1)),
-    "voted [%]",
-    "speed [%/s]",
-    "mismatch [%]",
-    "without agreement [share]",
-)
+
+class ChannelEvidence(Record):
+    """Evidence of a channel's fault."""
+
+    reading: f8
+    position: f8 = means(unit="%")
+    voted: f8 = means(unit="%")
+    innovation: f8 = means(unit="%")
+    gate: f8 = means(unit="%")
+    mismatch: f8 = means(unit="%")
+    rejected: f8 = means(unit="samples")
+    repeated: f8 = means(unit="samples")
+
+
+class CommonEvidence(Record):
+    """Evidence of a fault of all channels together."""
+
+    channel: Annotated[f8s, MOST_CHANNELS] = means(unit="%")
+    voted: f8 = means(unit="%")
+    speed: f8 = means(unit="%/s")
+    mismatch: f8 = means(unit="%")
+    split: f8 = means("without agreement", "share")
+
+
+class Evidence(Record, overlay=True):
+    """Evidence of a fault: one of these."""
+
+    channel: ChannelEvidence
+    common: CommonEvidence
+
 
 _ELECTRIC = Debounce(failed_after=20, passed_after=200)
 _JUDGED = Debounce(failed_after=1, passed_after=200)
@@ -72,17 +88,17 @@ def _dtcs(preset: str) -> dict[str, str]:
 DTCS = {preset: _dtcs(preset) for preset in PRESETS}
 
 
-def faults(channels: int) -> tuple[Fault, ...]:
-    """Return the faults of sensors with so many channels, in the order of the places above."""
-    codes = DTCS["brake"]
+def faults(p: Params) -> tuple[Fault, ...]:
+    """Return the faults of redundant sensors, in the order of the places above."""
+    codes, channels = DTCS[p.preset], len(p.channels)
 
     def of_channel(i: int, row: tuple[str, str, str, Debounce]) -> Fault:
         name = f"channel_{i + 1}_{row[0]}"
         text = f"channel {i + 1}: {row[2]}"
-        return Fault(name, codes[name], text, CHANNEL_EVIDENCE, row[3])
+        return Fault(name, codes[name], text, labels(ChannelEvidence), row[3])
 
     found = [of_channel(i, row) for i in range(channels) for row in _CHANNEL]
-    found += [Fault(n, codes[n], text, COMMON_EVIDENCE, d) for n, _, text, d in _COMMON]
+    found += [Fault(n, codes[n], text, labels(CommonEvidence), d) for n, _, text, d in _COMMON]
     if channels == MOST_CHANNELS:
         found += [of_channel(i, _DRIFTS) for i in range(channels)]
     return tuple(found)

@@ -8,7 +8,7 @@ input. One step a message of the last channel; the others' readings are the newe
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -16,12 +16,13 @@ from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import kernel
 from gateway.monitors.brake_pedal import diagnosis
 from gateway.monitors.brake_pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
-from gateway.monitors.brake_pedal.faults import DTCS, faults
+from gateway.monitors.brake_pedal.faults import Evidence, faults
 from gateway.monitors.brake_pedal.params import PRESETS, VOTERS, PairParams, Params, TripleParams
-from gateway.monitors.shape import TIMER, Emission, Monitor, ParamsClass, Wiring, inputs
+from gateway.monitors.brake_pedal.records import Const, Inputs, Outputs, State
+from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, Signal
 
 #: Quality of the value, as GW_BrakePedal carries it.
 STARTING, AGREED, ONE_CHANNEL, DEGRADED, ESTIMATED, INVALID = range(6)
@@ -35,64 +36,34 @@ BEND = 1.6e-4
 #: A drift is slower [travels/s].
 CREEP = 0.6
 
-CONST = record(
-    channels=i8,
-    voter=i8,
-    rest=(f8, MOST_CHANNELS),
-    percent=(f8, MOST_CHANNELS),
-    low=(f8, MOST_CHANNELS),
-    high=(f8, MOST_CHANNELS),
-    over=f8,
-    period_ns=i8,
-    lost=f8,
-    tracking=shape.CONST,
-    simple=simple.CONST,
-    kalman=kalman_hybrid.CONST,
-    predictive=predictive_hybrid.CONST,
-)
 
-#: ``reading`` in the unit of the signal, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN outside it.
-STATE = record(
-    value=f8,
-    quality=i8,
-    speed=f8,
-    samples=i8,
-    used=i8,
-    isolated=i8,
-    spread=f8,
-    last_ns=i8,
-    reading=(f8, MOST_CHANNELS),
-    position=(f8, MOST_CHANNELS),
-    place=(i8, MOST_CHANNELS),
-    trusted=(f8, MOST_CHANNELS),
-    tracking=shape.STATE,
-    simple=simple.STATE,
-    kalman=kalman_hybrid.STATE,
-    predictive=predictive_hybrid.STATE,
-    diagnosis=diagnosis.STATE,
-)
-
-INPUTS = inputs(reading=(f8, MOST_CHANNELS))
+def _connect(p: Params) -> Mapping[str, Connection]:
+    stepped = p.channels[-1].message
+    readings = [Signal(c.signal, triggers=c.message == stepped) for c in p.channels]
+    return {"reading": [*readings, *[None] * (MOST_CHANNELS - len(readings))]}
 
 
-def _wire(p: Params) -> Wiring:
-    signals = [channel.signal for channel in p.channels]
-    return Wiring((p.channels[-1].message,), tuple(signals))
+def _emits(p: Params) -> Emission:
+    signals = {
+        "value": "Position", "speed": "Speed", "quality": "Quality", "used": "Used",
+        "isolated": "Isolated", "spread": "Mismatch",
+    }  # fmt: skip
+    return Emission(PRESETS[p.preset].message, signals)
 
 
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
+def _prepare(p: Params, s: State, c: Const) -> None:
     n = len(p.channels)
-    c["channels"], c["voter"] = n, VOTERS.index(p.voter)
+    c.channels, c.voter = n, VOTERS.index(p.voter)
     for i, channel in enumerate(p.channels):
-        c["rest"][i], c["percent"][i] = channel.at_rest, channel.percent
-        c["low"][i], c["high"][i] = channel.low, channel.high
-    c["over"] = p.overtravel
-    c["period_ns"] = round(p.period_ms * 1e6)
-    c["lost"] = shape.LOST
+        c.rest[i], c.percent[i] = channel.at_rest, channel.percent
+        c.low[i], c.high[i] = channel.low, channel.high
+    c.over = p.overtravel
+    c.period_ns = round(p.period_ms * 1e6)
+    c.lost = shape.LOST
     noise = max(abs(channel.noise * channel.percent) for channel in p.channels)
     step = max(abs(channel.resolution * channel.percent) for channel in p.channels)
     shape.prepare(
-        c["tracking"],
+        c.tracking,
         n,
         low=0.0,
         high=100.0,
@@ -105,11 +76,11 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
         creep=CREEP * p.period_ms * 1e-3,
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
-    simple.prepare(c["simple"], n)
+    simple.prepare(c.simple, n)
     repaired = p.voter == "kalman_repaired"
-    for part in ("kalman", "predictive"):
+    for part in (c.kalman.hybrid, c.predictive.hybrid):
         hybrid.prepare(
-            c[part]["hybrid"],
+            part,
             n,
             beta=REPAIRED_BETA if repaired else BETA,
             lower=not repaired,
@@ -117,12 +88,12 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
             low=0.0 if repaired else -np.inf,
             high=100.0 if repaired else np.inf,
         )
-    kalman_hybrid.prepare(c["kalman"])
-    predictive_hybrid.prepare(c["predictive"], alpha=ALPHA)
+    kalman_hybrid.prepare(c.kalman)
+    predictive_hybrid.prepare(c.predictive, alpha=ALPHA)
 
 
 @kernel
-def _read(s: Any, c: Any, u: Any) -> None:
+def _read(s: State, c: Const, u: Inputs) -> None:
     """Bring the readings to per cent of the travel, and place them to their ranges."""
     for i in range(c.channels):
         reading = u.reading[i]
@@ -140,7 +111,7 @@ def _read(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def _vote(s: Any, c: Any, dt: float) -> None:
+def _vote(s: State, c: Const, dt: float) -> None:
     """Run the tracking voter, and the one whose value is asked for."""
     t = s.tracking
     tracking.vote(t, c.tracking, s.trusted, dt)
@@ -162,7 +133,7 @@ def _vote(s: Any, c: Any, dt: float) -> None:
 
 
 @kernel
-def _quality(s: Any) -> int:
+def _quality(s: State) -> int:
     """Return how good the value is."""
     t = s.tracking
     if t.source == shape.NONE:
@@ -175,18 +146,18 @@ def _quality(s: Any) -> int:
 
 
 @kernel
-def _send(s: Any, out: Any) -> None:
+def _send(s: State, out: Out[Evidence, Outputs]) -> None:
     out.send = 1
-    out.values[0] = s.value
-    out.values[1] = s.speed
-    out.values[2] = s.quality
-    out.values[3] = s.used
-    out.values[4] = s.isolated
-    out.values[5] = s.spread
+    out.values.value = s.value
+    out.values.speed = s.speed
+    out.values.quality = s.quality
+    out.values.used = s.used
+    out.values.isolated = s.isolated
+    out.values.spread = s.spread
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one sample of all channels, or the timer of a silent bus."""
     if u.trigger == TIMER:
         s.quality = INVALID
@@ -206,25 +177,26 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
     out.wake_ns = u.t_ns + SILENCE * c.period_ns
 
 
-def _monitor(kind: str, params: ParamsClass, channels: int) -> Monitor:
+def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
     return Monitor(
         type=kind,
+        api=2,
         params=params,
-        state=STATE,
-        const=CONST,
-        inputs=INPUTS,
+        state=State,
+        const=Const,
+        inputs=Inputs,
+        evidence=Evidence,
+        outputs=Outputs,
         step=step,
-        faults=faults(channels),
-        wire=_wire,
+        connect=_connect,
         prepare=_prepare,
-        readout=("value", "quality", "speed", "samples", "used", "isolated", "spread"),
-        emission=Emission(
-            "GW_BrakePedal", ("Position", "Speed", "Quality", "Used", "Isolated", "Mismatch")
+        faults=faults,
+        emits=_emits,
+        capabilities=(
+            Readout(("value", "quality", "speed", "samples", "used", "isolated", "spread")),
         ),
-        dtcs=lambda p: DTCS[p.preset],
-        message=lambda p: PRESETS[p.preset].message,
     )
 
 
-PAIR = _monitor("redundant_pair", PairParams, 2)
-TRIPLE = _monitor("redundant_triple", TripleParams, 3)
+PAIR = _monitor("redundant_pair", PairParams)
+TRIPLE = _monitor("redundant_triple", TripleParams)

@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.monitors.shape import MonitorParams
+from gateway.monitors.contract import MonitorParams
 from gateway.tomlfile import StrictModel
 
 #: Voters by their number in the constants.

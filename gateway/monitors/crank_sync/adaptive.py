@@ -7,8 +7,6 @@ while the speed changes.
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import restart, seek
 from gateway.fdi.pulse_tracking.hypotheses import (
@@ -26,6 +24,7 @@ from gateway.fdi.pulse_tracking.hypotheses import (
 )
 from gateway.jit import kernel
 from gateway.monitors.crank_sync import reversal
+from gateway.monitors.crank_sync.faults import RESIDUALS, Reports
 from gateway.monitors.crank_sync.isolation import (
     confirm,
     decide,
@@ -36,9 +35,10 @@ from gateway.monitors.crank_sync.isolation import (
 )
 from gateway.monitors.crank_sync.place import (
     CONFIRMED,
-    RESIDUALS,
     SEARCHING,
     TENTATIVE,
+    Const,
+    State,
     doubt,
     search,
 )
@@ -50,7 +50,7 @@ ABRUPT = 4.0
 
 
 @kernel
-def lost(s: Any, c: Any, number: int) -> None:
+def lost(s: State, c: Const, number: int) -> None:
     """Pass over pulses whose times were lost on the bus: they were there, unseen."""
     if s.phase == SEARCHING:
         restart(s.search)
@@ -67,7 +67,7 @@ def lost(s: Any, c: Any, number: int) -> None:
 
 
 @kernel
-def recount(s: Any, c: Any, number: int) -> None:
+def recount(s: State, c: Const, number: int) -> None:
     """Put the index right by pulses that were lost on the bus and counted wrongly."""
     if number != 0 and s.phase != SEARCHING:
         shift(s.tracker, c.pulses, number)
@@ -78,7 +78,7 @@ def recount(s: Any, c: Any, number: int) -> None:
 
 
 @kernel
-def tooth(s: Any, c: Any, y: float, out: Any) -> None:
+def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval between two pulses.
 
     Args:
@@ -88,7 +88,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
         out: record of RESULTS.
     """
     s.teeth += 1
-    if s.reversal.index >= 0 and reversal.seen(s.reversal, c, s.y2, s.y1, y):
+    if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out)
         search(s)
     if s.phase == SEARCHING:
@@ -110,7 +110,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
 
 
 @kernel
-def _seek(s: Any, c: Any, y: float) -> None:
+def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
     index = seek(s.search, c.logs, c.repeats, y)
     if index >= 0:
@@ -125,7 +125,7 @@ def _seek(s: Any, c: Any, y: float) -> None:
 
 
 @kernel
-def _track(s: Any, c: Any, y: float, out: Any) -> None:
+def _track(s: State, c: Const, y: float, out: Reports) -> None:
     """Follow the wheel by one pulse."""
     tr = s.tracker
     before = int(s.index)

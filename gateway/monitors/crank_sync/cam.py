@@ -7,34 +7,42 @@ crank and cam.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from gateway.jit import f8, i4, i8, kernel, record, u1
-from gateway.monitors.crank_sync.faults import CAM_CORRELATION, CAM_SILENT
-from gateway.monitors.shape import report
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1s
+from gateway.monitors.contract import report
+from gateway.monitors.crank_sync.faults import CAM_CORRELATION, CAM_SILENT, Reports
 
 #: Edges that a cam can have in a working cycle.
 MOST_EDGES = 32
 #: Revolutions without an edge after which the cam sensor is silent.
 PATIENCE = 4
 
-CONST = record(
-    edges=i4,
-    tolerance=f8,
-    tooth_0=f8,
-    angles=(f8, MOST_EDGES),
-    levels=(u1, MOST_EDGES),
-)
 
-#: ``half`` 0 or 1 of the working cycle, -1: not known; ``quiet`` revolutions since the last edge.
-STATE = record(half=i4, quiet=i4, counter=i8, seen=i8)
+class Const(Record):
+    """Constants."""
+
+    edges: i4
+    tolerance: f8
+    tooth_0: f8
+    angles: Annotated[f8s, MOST_EDGES]
+    levels: Annotated[u1s, MOST_EDGES]
+
+
+class State(Record):
+    """State: ``half`` 0 or 1 of the working cycle, -1: not known; ``quiet`` revolutions since the last edge."""
+
+    half: i4
+    quiet: i4
+    counter: i8
+    seen: i8
 
 
 def prepare(
-    s: Any,
-    c: Any,
+    s: State,
+    c: Const,
     edges: tuple[tuple[float, int], ...],
     tolerance_deg: float,
     tooth_0_deg: float,
@@ -48,10 +56,10 @@ def prepare(
         tolerance_deg: of an edge's angle [deg]; as much as variable valve timing moves it.
         tooth_0_deg: crank angle of tooth 0 [deg].
     """
-    s["half"], s["counter"] = -1, -1
-    c["edges"], c["tolerance"], c["tooth_0"] = len(edges), tolerance_deg, tooth_0_deg
-    c["angles"][: len(edges)] = [angle for angle, _ in edges]
-    c["levels"][: len(edges)] = [level for _, level in edges]
+    s.half, s.counter = -1, -1
+    c.edges, c.tolerance, c.tooth_0 = len(edges), tolerance_deg, tooth_0_deg
+    c.angles[: len(edges)] = [angle for angle, _ in edges]
+    c.levels[: len(edges)] = [level for _, level in edges]
 
 
 @kernel
@@ -61,7 +69,7 @@ def _off(a: float, b: float, period: float) -> float:
 
 
 @kernel
-def edge(s: Any, c: Any, angle: float, ahead: int, level: int, out: Any) -> None:
+def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports) -> None:
     """Take an edge.
 
     Args:
@@ -98,16 +106,15 @@ def edge(s: Any, c: Any, angle: float, ahead: int, level: int, out: Any) -> None
 
 
 @kernel
-def _tell(out: Any, wrong: bool, off: float, tolerance: float, angle: float, level: int) -> None:
-    place = report(out, CAM_CORRELATION, wrong, off, tolerance)
-    if place >= 0:
-        out.results[place].evidence[0] = angle
-        out.results[place].evidence[1] = off
-        out.results[place].evidence[2] = level
+def _tell(
+    out: Reports, wrong: bool, off: float, tolerance: float, angle: float, level: int
+) -> None:
+    e = report(out, CAM_CORRELATION, wrong, off, tolerance).cam_correlation
+    e.angle, e.off, e.level = angle, off, level
 
 
 @kernel
-def turned(s: Any, out: Any, turns: int) -> None:
+def turned(s: State, out: Reports, turns: int) -> None:
     """Count revolutions of the crank."""
     if turns == 0:
         return
@@ -115,14 +122,12 @@ def turned(s: Any, out: Any, turns: int) -> None:
         s.half = (s.half + turns) % 2
     s.quiet += turns
     if s.quiet >= PATIENCE:
-        place = report(out, CAM_SILENT, True, s.quiet, PATIENCE)
-        if place >= 0:
-            out.results[place].evidence[0] = s.quiet
+        report(out, CAM_SILENT, True, s.quiet, PATIENCE).cam_silent.revolutions = s.quiet
         s.quiet = 0
 
 
 @kernel
-def forget(s: Any) -> None:
+def forget(s: State) -> None:
     """The crank lost its place: the half is not known any more."""
     s.half = -1
     s.quiet = 0

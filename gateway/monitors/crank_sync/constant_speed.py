@@ -31,14 +31,14 @@ shortened run of zeros), so that synchronisation is kept.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.wheel import MOST_TEETH, Wheel
-from gateway.jit import f8, i4, i8, kernel, record, u1
-from gateway.monitors.crank_sync.faults import ADDED, MISSED, SYNC_LOST
-from gateway.monitors.shape import report
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway.monitors.contract import report
+from gateway.monitors.crank_sync.faults import ADDED, MISSED, RESIDUALS, SYNC_LOST, Reports
 
 #: Residuals looked at from the first exceedance on.
 WINDOW = 6
@@ -49,48 +49,51 @@ QUIET = 0.25
 SEARCH, LEARN, TRACK = range(3)
 
 
-CONST = record(
-    pulses=i4,
-    follow_speed=u1,
-    turn=f8,
-    gap=f8,
-    gain=f8,
-    threshold=f8,
-    step=f8,
-    pitches=(f8, MOST_TEETH),
-)
+class Const(Record):
+    """Constants."""
 
-STATE = record(
-    phase=i4,
-    index=i4,
-    revolutions=i8,
-    teeth=i8,
-    speed_rpm=f8,
-    slowest_rpm=f8,
-    fastest_rpm=f8,
-    missed=i8,
-    added=i8,
-    unexplained=i8,
-    alarms=i8,
-    x=f8,
-    alpha=f8,
-    y1=f8,
-    y2=f8,
-    turn_us=f8,
-    clean=u1,
-    hole=u1,
-    searched=i8,
-    recent=i8,
-    filled=i4,
-    at=i4,
-    scale=f8,
-    residuals=(f8, WINDOW),
-    intervals=(f8, WINDOW),
-)
+    pulses: i4
+    follow_speed: u1
+    turn: f8
+    gap: f8
+    gain: f8
+    threshold: f8
+    step: f8
+    pitches: Annotated[f8s, MOST_TEETH]
+
+
+class State(Record):
+    """State."""
+
+    phase: i4
+    index: i4
+    revolutions: i8
+    teeth: i8
+    speed_rpm: f8
+    slowest_rpm: f8
+    fastest_rpm: f8
+    missed: i8
+    added: i8
+    unexplained: i8
+    alarms: i8
+    x: f8
+    alpha: f8
+    y1: f8
+    y2: f8
+    turn_us: f8
+    clean: u1
+    hole: u1
+    searched: i8
+    recent: i8
+    filled: i4
+    at: i4
+    scale: f8
+    residuals: Annotated[f8s, WINDOW]
+    intervals: Annotated[f8s, WINDOW]
 
 
 def prepare(
-    s: Any, c: Any, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool
+    s: State, c: Const, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool
 ) -> None:
     """Fill state and constants.
 
@@ -104,18 +107,18 @@ def prepare(
     """
     pitches = np.asarray(wheel.pitches, float)
     gaps = pitches[pitches > pitches.min() * 1.5]
-    c["pulses"] = len(pitches)
-    c["follow_speed"] = follow_speed
-    c["turn"] = pitches.sum()
-    c["gap"] = pitches.max()
-    c["gain"] = gain
-    c["step"] = pitches.max() - 1.0
-    c["threshold"] = threshold if threshold is not None else (gaps.min() - 1.0) / 2
-    c["pitches"][: len(pitches)] = pitches
+    c.pulses = len(pitches)
+    c.follow_speed = follow_speed
+    c.turn = pitches.sum()
+    c.gap = pitches.max()
+    c.gain = gain
+    c.step = pitches.max() - 1.0
+    c.threshold = threshold if threshold is not None else (gaps.min() - 1.0) / 2
+    c.pitches[: len(pitches)] = pitches
 
 
 @kernel
-def search(s: Any) -> None:
+def search(s: State) -> None:
     """Forget synchronisation and look for the gap again."""
     s.phase = SEARCH
     s.searched = 0
@@ -126,7 +129,7 @@ def search(s: Any) -> None:
 
 
 @kernel
-def _gap_seen(s: Any, c: Any, y: float) -> bool:
+def _gap_seen(s: State, c: Const, y: float) -> bool:
     """Tell whether the last but one of three intervals is the wheel's largest gap."""
     if s.y1 <= 0.0 or s.y2 <= 0.0:
         return False
@@ -135,7 +138,7 @@ def _gap_seen(s: Any, c: Any, y: float) -> bool:
 
 
 @kernel
-def _synchronise(s: Any, c: Any, y: float) -> None:
+def _synchronise(s: State, c: Const, y: float) -> None:
     """Start the observer behind a gap: ``y`` was interval 0."""
     s.phase = LEARN
     s.alpha = y / c.pitches[0]
@@ -147,7 +150,7 @@ def _synchronise(s: Any, c: Any, y: float) -> None:
 
 
 @kernel
-def _shift(s: Any, c: Any, number: int) -> None:
+def _shift(s: State, c: Const, number: int) -> None:
     """Shift the input generator by so many pulses."""
     index = s.index + number
     s.revolutions += index // c.pulses
@@ -156,20 +159,18 @@ def _shift(s: Any, c: Any, number: int) -> None:
 
 
 @kernel
-def _fail(s: Any, c: Any, out: Any, fault: int, number: int) -> None:
+def _fail(s: State, c: Const, out: Reports, fault: int, number: int) -> None:
     """Report a missed or added pulse with the residual's shape as evidence."""
-    place = report(out, fault, True, s.residuals[0], c.threshold)
-    if place >= 0:
-        r = out.results[place]
-        r.evidence[0] = number
-        r.evidence[1] = s.at
-        r.evidence[2] = s.speed_rpm
-        for k in range(5):
-            r.evidence[3 + k] = s.residuals[k]
+    e = report(out, fault, True, s.residuals[0], c.threshold).pulses
+    e.count = number
+    e.tooth = s.at
+    e.speed = s.speed_rpm
+    for k in range(RESIDUALS):
+        e.residual[k] = s.residuals[k]
 
 
 @kernel
-def displacement(residuals: Any, step: float) -> int:
+def displacement(residuals: f8s, step: float) -> int:
     """Return by how many pulses the gap came early (+) or late (-), 0 if that is not what is seen.
 
     Args:
@@ -191,7 +192,7 @@ def displacement(residuals: Any, step: float) -> int:
 
 
 @kernel
-def _classify(s: Any, c: Any) -> int:
+def _classify(s: State, c: Const) -> int:
     """Return the signed count of pulses missed (+) or added (-) that a full window shows, 0: none.
 
     First by time, then by the lag of the opposite peak (see the module).
@@ -208,7 +209,7 @@ def _classify(s: Any, c: Any) -> int:
 
 
 @kernel
-def _judge(s: Any, c: Any, out: Any) -> None:
+def _judge(s: State, c: Const, out: Reports) -> None:
     """Judge a full window: report, shift the input generator, or give synchronisation up."""
     number = _classify(s, c)
     s.filled = 0
@@ -222,8 +223,7 @@ def _judge(s: Any, c: Any, out: Any) -> None:
         return
     s.recent += 1
     if abs(number) > LARGEST_COUNT or s.recent > 2:
-        if report(out, SYNC_LOST, True, s.recent, 2.0) >= 0:
-            out.results[out.n - 1].evidence[0] = s.teeth
+        report(out, SYNC_LOST, True, s.recent, 2.0).sync_lost.teeth = s.teeth
         search(s)
     elif number > 0:
         s.missed += number
@@ -234,7 +234,7 @@ def _judge(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
-def _turn(s: Any, c: Any, out: Any) -> None:
+def _turn(s: State, c: Const, out: Reports) -> None:
     """End a revolution: speed, pitch time, and the passed results of a clean one."""
     s.revolutions += 1
     if s.clean == 1 and s.turn_us > 0.0:
@@ -256,7 +256,7 @@ def _turn(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
-def tooth(s: Any, c: Any, y: float, out: Any) -> None:
+def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval between two pulses.
 
     Args:
@@ -275,8 +275,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
             _synchronise(s, c, y)
         elif s.searched == 3 * c.pulses:
             s.searched = 0
-            if report(out, SYNC_LOST, True, s.teeth, 0.0) >= 0:
-                out.results[out.n - 1].evidence[0] = s.teeth
+            report(out, SYNC_LOST, True, s.teeth, 0.0).sync_lost.teeth = s.teeth
         return
 
     if s.phase == LEARN and found != (s.index == 0):
@@ -311,7 +310,7 @@ def tooth(s: Any, c: Any, y: float, out: Any) -> None:
 
 
 @kernel
-def lost(s: Any, c: Any, number: int) -> None:
+def lost(s: State, c: Const, number: int) -> None:
     """Pass over pulses whose times were lost on the bus: they were there, unseen."""
     if s.phase == TRACK:
         _shift(s, c, number)
@@ -325,7 +324,7 @@ def lost(s: Any, c: Any, number: int) -> None:
 
 
 @kernel
-def angle(s: Any, c: Any) -> float:
+def angle(s: State, c: Const) -> float:
     """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
     total = 0.0
     for i in range(s.index):

@@ -1,6 +1,11 @@
 """What the crankshaft monitor reports: each cause its own fault and DTC."""
 
-from gateway.monitors.shape import Debounce, Fault
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+from gateway.jit import Record, f8, f8s, labels, means
+from gateway.monitors.contract import Debounce, Fault, Out
 
 (
     MISSED,
@@ -17,80 +22,160 @@ from gateway.monitors.shape import Debounce, Fault
 #: Those before concern the crankshaft sensor alone.
 CRANK_FAULTS = CAM_CORRELATION
 
-#: Evidence of missed and added pulses: how many, the first tooth concerned, the speed, and the shape of the
-#: residual, five values in order of time. paper: from the first exceedance on; adaptive: up to the decision.
-SHAPE = (
-    "count",
-    "tooth",
-    "speed [rpm]",
-    *(f"residual {k} [pitch]" for k in range(1, 6)),
-)
+#: Residuals kept as the shape of a fault.
+RESIDUALS = 5
+
+
+class Shape(Record):
+    """Evidence of missed and added pulses.
+
+    How many, the first tooth concerned, the speed, and the shape of the residual, five values in order of time.
+    paper: from the first exceedance on; adaptive: up to the decision.
+    """
+
+    count: f8
+    tooth: f8
+    speed: f8 = means(unit="rpm")
+    residual: Annotated[f8s, RESIDUALS] = means(unit="pitch")
+
+
+class SyncLost(Record):
+    """Evidence of a lost place."""
+
+    teeth: f8
+    index: f8
+    speed: f8 = means(unit="rpm")
+    cost: f8 = means(unit="nat")
+
+
+class Doubled(Record):
+    """Evidence of doubled edges."""
+
+    share: f8 = means("share of teeth")
+    teeth: f8
+    speed: f8 = means(unit="rpm")
+
+
+class NoGap(Record):
+    """Evidence of a gap that never comes."""
+
+    teeth: f8
+    widest: f8 = means("largest interval / its neighbours")
+    speed: f8 = means(unit="rpm")
+
+
+class Runout(Record):
+    """Evidence of runout."""
+
+    amplitude: f8
+    tooth: f8
+    speed: f8 = means(unit="rpm")
+
+
+class Reversed(Record):
+    """Evidence of an engine that has turned back."""
+
+    tooth: f8
+    pulses: f8 = means("pulses until the gap")
+
+
+class CamCorrelation(Record):
+    """Evidence of a cam that does not fit the crank."""
+
+    angle: f8 = means("crank angle", "deg")
+    off: f8 = means(unit="deg")
+    level: f8
+
+
+class CamSilent(Record):
+    """Evidence of a silent cam sensor."""
+
+    revolutions: f8
+
+
+class Evidence(Record, overlay=True):
+    """Evidence of a fault: one of these."""
+
+    pulses: Shape
+    sync_lost: SyncLost
+    doubled: Doubled
+    no_gap: NoGap
+    runout: Runout
+    reversed: Reversed
+    cam_correlation: CamCorrelation
+    cam_silent: CamSilent
+
+
+#: What the parts of the monitor report into.
+Reports: TypeAlias = Out[Evidence, Any]
 
 _ONCE = Debounce(failed_after=1, passed_after=10)
 
 FAULTS = (
-    Fault("missed_pulse", "P0336-29", "pulses of the crankshaft sensor missed", SHAPE, _ONCE),
+    Fault(
+        "missed_pulse", "P0336-29", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE
+    ),
     Fault(
         "added_pulse",
         "P0336-2F",
         "pulses of the crankshaft sensor that no tooth made",
-        SHAPE,
+        labels(Shape),
         _ONCE,
     ),
     Fault(
         "sync_lost",
         "P0335-31",
         "teeth arrive, but their place on the wheel was lost",
-        ("teeth", "index", "speed [rpm]", "cost [nat]"),
+        labels(SyncLost),
         Debounce(failed_after=1, passed_after=3),
     ),
     Fault(
         "pulses_lost",
         "P0339-1F",
         "three pulses or more of the crankshaft sensor missed in a row: intermittent circuit",
-        SHAPE,
+        labels(Shape),
         _ONCE,
     ),
     Fault(
         "doubled_edges",
         "P0335-3A",
         "the sensor gives more than one pulse for a tooth",
-        ("share of teeth", "teeth", "speed [rpm]"),
+        labels(Doubled),
         Debounce(failed_after=1, passed_after=3),
     ),
     Fault(
         "no_gap",
         "P0335-64",
         "teeth arrive, but the wheel's gap never comes: wrong edge, polarity or wheel",
-        ("teeth", "largest interval / its neighbours", "speed [rpm]"),
+        labels(NoGap),
         Debounce(failed_after=1, passed_after=1),
     ),
     Fault(
         "runout",
         "P0336-38",
         "the pitch varies once a revolution: wheel off centre, or bent",
-        ("amplitude", "tooth", "speed [rpm]"),
+        labels(Runout),
         Debounce(failed_after=3, passed_after=10),
     ),
     Fault(
         "reversed",
         "P1335-00",
         "the engine turned back: synchronisation is given up",
-        ("tooth", "pulses until the gap"),
+        labels(Reversed),
         Debounce(failed_after=1, passed_after=3),
     ),
     Fault(
         "cam_correlation",
         "P0016-76",
         "an edge of the cam sensor does not fit the crank",
-        ("crank angle [deg]", "off [deg]", "level"),
+        labels(CamCorrelation),
         Debounce(failed_after=3, passed_after=10),
     ),
     Fault(
         "cam_silent",
         "P0340-31",
         "the crank turns, but no edge of the cam sensor comes",
-        ("revolutions",),
+        labels(CamSilent),
         Debounce(failed_after=1, passed_after=3),
     ),
 )

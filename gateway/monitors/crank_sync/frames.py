@@ -7,18 +7,20 @@ pulse's number.
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.jit import kernel
 from gateway.monitors.crank_sync import adaptive, constant_speed, place
+from gateway.monitors.crank_sync.faults import Reports
+from gateway.monitors.crank_sync.records import (
+    CLASSIC_INTERVALS,
+    Const,
+    Inputs,
+    State,
+)
 from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
-
-#: Intervals that one frame can carry (CTW_FD27, CTW_PT4).
-MOST_INTERVALS, CLASSIC_INTERVALS = 27, 4
 
 
 @kernel
-def stand(s: Any, c: Any) -> None:
+def stand(s: State, c: Const) -> None:
     """The engine stands: synchronisation ends."""
     if c.adaptive == 1:
         place.stand(s.fast)
@@ -27,7 +29,7 @@ def stand(s: Any, c: Any) -> None:
 
 
 @kernel
-def _lost(s: Any, c: Any, number: int) -> None:
+def _lost(s: State, c: Const, number: int) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
     if c.adaptive == 1:
@@ -43,7 +45,7 @@ def wrapped(number: int) -> int:
 
 
 @kernel
-def base(s: Any, c: Any, u: Any) -> None:
+def base(s: State, c: Const, u: Inputs) -> None:
     """Take CTW_BASE: the number of pulses sent, at the CTW_PT4 whose counter ends in ``valid``."""
     s.base_counter = int(u.base_counter)
     pulses, teeth = int(u.pulses), int(u.valid)
@@ -62,7 +64,7 @@ def base(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def _missing(s: Any, frames: int, counter: int) -> int:
+def _missing(s: State, frames: int, counter: int) -> int:
     """Return the pulses of lost CTW_PT4 frames: four each, or what CTW_BASE told meanwhile."""
     number = frames * CLASSIC_INTERVALS
     if s.owed == 1:
@@ -77,7 +79,7 @@ def _missing(s: Any, frames: int, counter: int) -> int:
 
 
 @kernel
-def _tooth(s: Any, c: Any, y: float, out: Any) -> None:
+def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval [us]."""
     s.count = (s.count + 1) % 65536
     if c.adaptive == 1:
@@ -87,7 +89,7 @@ def _tooth(s: Any, c: Any, y: float, out: Any) -> None:
 
 
 @kernel
-def _stray(s: Any, number: int, following: int) -> bool:
+def _stray(s: State, number: int, following: int) -> bool:
     """Tell whether a frame from the past came late; two that follow each other are a sender that restarted.
 
     Args:
@@ -101,7 +103,7 @@ def _stray(s: Any, number: int, following: int) -> bool:
 
 
 @kernel
-def classic(s: Any, c: Any, u: Any, out: Any) -> None:
+def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
     """Take a CTW_PT4."""
     counter = int(u.counter)
     if s.linked == 1:
@@ -129,7 +131,7 @@ def classic(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
-def fd(s: Any, c: Any, u: Any, out: Any) -> None:
+def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
     """Take a CTW_FD27; it tells its first pulse's number."""
     pulses = int(u.pulses)
     if s.linked == 1:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, best, settle
 from gateway.fdi.pulse_tracking.motion import Q3
 from gateway.jit import kernel
+from gateway.monitors.contract import report
 from gateway.monitors.crank_sync.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -15,17 +14,20 @@ from gateway.monitors.crank_sync.faults import (
     MISSED,
     NO_GAP,
     PULSES_LOST,
+    RESIDUALS,
     RUNOUT,
     SYNC_LOST,
+    Reports,
+    Shape,
 )
 from gateway.monitors.crank_sync.place import (
     CONFIRMED,
-    RESIDUALS,
     TENTATIVE,
+    Const,
+    State,
     search,
     speed,
 )
-from gateway.monitors.shape import EVIDENCE, report
 
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = 3
@@ -42,45 +44,38 @@ RUNOUT_RPM = 800.0
 
 
 @kernel
-def lose(s: Any, c: Any, out: Any, cost: float) -> None:
+def lose(s: State, c: Const, out: Reports, cost: float) -> None:
     """Report that synchronisation is lost, and search."""
     if s.phase == CONFIRMED and s.hole == 0:
-        place = report(out, SYNC_LOST, True, cost, HOPELESS)
-        if place >= 0:
-            r = out.results[place]
-            r.evidence[0] = s.teeth
-            r.evidence[1] = s.index
-            r.evidence[2] = speed(s, c)
-            r.evidence[3] = cost
+        e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
+        e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
         s.losses += 1
     search(s)
 
 
 @kernel
-def _shape(s: Any, c: Any, number: int, first: int, evidence: Any) -> None:
+def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
     """Fill the evidence of missed or added pulses; ``first`` is the tooth concerned."""
-    evidence[0] = number
-    evidence[1] = first % c.pulses
-    evidence[2] = speed(s, c)
+    e.count = number
+    e.tooth = first % c.pulses
+    e.speed = speed(s, c)
     for k in range(RESIDUALS):
-        evidence[3 + k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
+        e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
 
 
 @kernel
-def _fail(s: Any, c: Any, out: Any, fault: int, number: int) -> None:
+def _fail(s: State, c: Const, out: Reports, fault: int, number: int) -> None:
     """Report missed or added pulses; a tentative place keeps them until it is proven."""
     first = s.index - (number if fault != ADDED else 1)
     if s.phase == TENTATIVE:
         s.held_fault = fault
         _shape(s, c, number, first, s.held)
         return
-    place = report(out, fault, True, s.tracker.residual, 0.5)
-    if place >= 0:
-        _shape(s, c, number, first, out.results[place].evidence)
+    _shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
 
 
 @kernel
-def decide(s: Any, c: Any, out: Any) -> None:
+def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
     missed, added = int(h.missed), int(h.added)
@@ -120,7 +115,7 @@ def decide(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
-def fall_silent(s: Any, c: Any, out: Any, number: float) -> None:
+def fall_silent(s: State, c: Const, out: Reports, number: float) -> None:
     """Report a silence too long to count its teeth, and search."""
     if s.phase == CONFIRMED and s.hole == 0:
         s.burst_missed = int(number)
@@ -131,7 +126,7 @@ def fall_silent(s: Any, c: Any, out: Any, number: float) -> None:
 
 
 @kernel
-def confirm(s: Any, out: Any) -> None:
+def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
     s.phase = CONFIRMED
     s.unsynced = 0
@@ -139,19 +134,19 @@ def confirm(s: Any, out: Any) -> None:
     s.widest = 0.0
     s.suspects = 0
     if s.held_fault >= 0:
-        place = report(out, s.held_fault, True, s.held[2 + RESIDUALS], 0.5)
-        if place >= 0:
-            for k in range(EVIDENCE):
-                out.results[place].evidence[k] = s.held[k]
+        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+        for k in range(RESIDUALS):
+            e.residual[k] = s.held.residual[k]
         if s.held_fault == ADDED:
-            s.added += int(s.held[0])
+            s.added += int(s.held.count)
         else:
-            s.missed += int(s.held[0])
+            s.missed += int(s.held.count)
         s.held_fault = -1
 
 
 @kernel
-def _trust(s: Any, c: Any) -> None:
+def _trust(s: State, c: Const) -> None:
     """Trust the pitches as far as they are learned."""
     turns = s.profile.turns
     s.tracker.wander = c.unlearned if turns < LEARNED else Q3
@@ -160,7 +155,7 @@ def _trust(s: Any, c: Any) -> None:
 
 
 @kernel
-def turned(s: Any, c: Any, out: Any) -> None:
+def turned(s: State, c: Const, out: Reports) -> None:
     """End a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
     s.revolutions += 1
     us = s.profile.turn_us
@@ -175,11 +170,9 @@ def turned(s: Any, c: Any, out: Any) -> None:
         return
     s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
     if s.doubling == 1:
-        place = report(out, DOUBLED, True, doubled / c.pulses, DOUBLE_SHARE)
-        if place >= 0:
-            out.results[place].evidence[0] = doubled / c.pulses
-            out.results[place].evidence[1] = s.teeth
-            out.results[place].evidence[2] = speed(s, c)
+        share = doubled / c.pulses
+        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
+        d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
     if not clean:
         return
     s.recent_missed = 0
@@ -193,15 +186,13 @@ def turned(s: Any, c: Any, out: Any) -> None:
             report(out, fault, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         amplitude = s.profile.first
-        place = report(out, RUNOUT, amplitude > c.runout, amplitude, c.runout)
-        if place >= 0:
-            out.results[place].evidence[0] = amplitude
-            out.results[place].evidence[1] = profile.worst(s.profile, c.wheel)
-            out.results[place].evidence[2] = s.speed_rpm
+        r = report(out, RUNOUT, amplitude > c.runout, amplitude, c.runout).runout
+        r.amplitude, r.tooth = amplitude, profile.worst(s.profile, c.wheel)
+        r.speed = s.speed_rpm
 
 
 @kernel
-def wait(s: Any, c: Any, y: float, out: Any) -> None:
+def wait(s: State, c: Const, y: float, out: Reports) -> None:
     """Count pulses without a proven place on the wheel, and name the reason in the end."""
     s.unsynced += 1
     if y < 0.45 * s.y1:
@@ -212,14 +203,11 @@ def wait(s: Any, c: Any, y: float, out: Any) -> None:
         return
     share = s.short / s.unsynced
     if share > DOUBLE_SHARE:
-        place = report(out, DOUBLED, True, share, DOUBLE_SHARE)
-        first = share
+        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
+        d.share, d.teeth = share, s.teeth
     else:
-        place = report(out, NO_GAP, True, s.widest, c.gap)
-        first = float(s.teeth)
-    if place >= 0:
-        out.results[place].evidence[0] = first
-        out.results[place].evidence[1] = s.teeth if share > DOUBLE_SHARE else s.widest
+        g = report(out, NO_GAP, True, s.widest, c.gap).no_gap
+        g.teeth, g.widest = s.teeth, s.widest
     s.unsynced = 0
     s.short = 0
     s.widest = 0.0

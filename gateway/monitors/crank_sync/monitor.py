@@ -8,22 +8,33 @@ tooth index right through a fault; angle and speed go out as ``GW_EngineSync``.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from gateway.fdi.wheel import WheelText
-from gateway.jit import f8, i8, kernel, record, u1
-from gateway.monitors.crank_sync import cam, constant_speed, frames, place
-from gateway.monitors.crank_sync.faults import FAULTS
-from gateway.monitors.shape import (
+from gateway.jit import kernel
+from gateway.monitors.contract import (
     TIMER,
+    Connection,
     Emission,
+    Fault,
     Monitor,
     MonitorParams,
-    Wiring,
-    inputs,
+    Out,
+    Readout,
+    Signal,
+)
+from gateway.monitors.crank_sync import cam, constant_speed, frames, place
+from gateway.monitors.crank_sync.faults import FAULTS, Evidence
+from gateway.monitors.crank_sync.records import (
+    CLASSIC_INTERVALS,
+    MOST_INTERVALS,
+    Const,
+    Inputs,
+    Outputs,
+    State,
 )
 
 #: The engine's speed and angle go out at most so often without a change of synchronisation [ns].
@@ -77,100 +88,66 @@ class Params(MonitorParams):
     )
 
 
-CONST = record(
-    adaptive=u1,
-    fd=u1,
-    stall_ns=i8,
-    tooth_0_deg=f8,
-    cam=cam.CONST,
-    fast=place.CONST,
-    paper=constant_speed.CONST,
-)
-
-#: ``count`` pulses, as the sender counts them (modulo 65536), once ``counted``; ``base_counter`` of the
-#: last CTW_BASE, ``owed`` when it told of frames that are not here yet;
-#: ``stray`` place after the last frame that came late, -1: none.
-STATE = record(
-    counter=i8,
-    linked=u1,
-    base_counter=i8,
-    count=i8,
-    counted=u1,
-    owed=u1,
-    owed_pulses=i8,
-    owed_teeth=i8,
-    stray=i8,
-    stalls_ns=i8,
-    sent_ns=i8,
-    sent_sync=i8,
-    sent_corrections=i8,
-    sync=i8,
-    revolutions=i8,
-    speed_rpm=f8,
-    slowest_rpm=f8,
-    fastest_rpm=f8,
-    teeth=i8,
-    missed=i8,
-    added=i8,
-    corrections=i8,
-    losses=i8,
-    half=i8,
-    cam=cam.STATE,
-    fast=place.STATE,
-    paper=constant_speed.STATE,
-)
-
-INPUTS = inputs(
-    counter=f8,
-    pulses=f8,
-    valid=f8,
-    shift=f8,
-    base_counter=f8,
-    cam_counter=f8,
-    cam_level=f8,
-    cam_pulse=f8,
-    cam_delay=f8,
-    intervals=(f8, frames.MOST_INTERVALS),
-)
-
-
-def _wire(p: Params) -> Wiring:
+def _connect(p: Params) -> Mapping[str, Connection]:
     fd = p.frame == "fd"
-    teeth, count = (
-        ("CTW_FD27", frames.MOST_INTERVALS) if fd else ("CTW_PT4", frames.CLASSIC_INTERVALS)
-    )
-    unused = f"{teeth}.FrameCnt"
-    triggers, optional = [teeth], []
+    teeth, count = ("CTW_FD27", MOST_INTERVALS) if fd else ("CTW_PT4", CLASSIC_INTERVALS)
+
+    def signal(message: str, name: str) -> Signal:
+        return Signal(f"{message}.{name}", triggers=True, optional=message != teeth)
+
+    header: dict[str, Connection]
     if fd:
-        header = [f"{teeth}.{s}" for s in ("FrameCnt", "PulseCnt", "NValid", "Shift", "FrameCnt")]
+        header = {
+            "counter": signal(teeth, "FrameCnt"),
+            "pulses": signal(teeth, "PulseCnt"),
+            "valid": signal(teeth, "NValid"),
+            "shift": signal(teeth, "Shift"),
+            "base_counter": None,
+        }
     else:
-        base = "CTW_BASE"
-        header = [unused, f"{base}.PulseCnt", f"{base}.TeethCnt", unused, f"{base}.FrameCnt"]
-        optional.append(base)
-    if p.cam:
-        optional.append("CTW_CAM")
-        header += [f"CTW_CAM.{s}" for s in ("FrameCnt", "Level", "PulseCnt", "Delay")]
-    else:
-        header += [unused] * 4
-    signals = (*header, *(f"{teeth}.Pt{k}" for k in range(count)))
-    return Wiring((*triggers, *optional), signals, optional=tuple(optional))
+        header = {
+            "counter": signal(teeth, "FrameCnt"),
+            "pulses": signal("CTW_BASE", "PulseCnt"),
+            "valid": signal("CTW_BASE", "TeethCnt"),
+            "shift": None,
+            "base_counter": signal("CTW_BASE", "FrameCnt"),
+        }
+    of_cam = {"counter": "FrameCnt", "level": "Level", "pulse": "PulseCnt", "delay": "Delay"}
+    intervals = [signal(teeth, f"Pt{k}") for k in range(count)]
+    return {
+        **header,
+        **{f"cam_{k}": signal("CTW_CAM", name) if p.cam else None for k, name in of_cam.items()},
+        "intervals": [*intervals, *[None] * (MOST_INTERVALS - count)],
+    }
 
 
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
-    c["adaptive"] = p.method == "adaptive"
-    c["fd"] = p.frame == "fd"
-    c["stall_ns"] = int(p.stall_ms * 1e6)
-    c["tooth_0_deg"] = p.tooth_0_deg
-    place.prepare(s["fast"], c["fast"], p.wheel, p.acceleration, p.runout, p.reversal_rpm)
-    constant_speed.prepare(s["paper"], c["paper"], p.wheel, p.gain, p.threshold, p.follow_speed)
-    cam.prepare(s["cam"], c["cam"], p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
-    s["counter"] = -1
-    s["base_counter"] = -1
-    s["stray"] = -1
+def _faults(_: Params) -> tuple[Fault, ...]:
+    return FAULTS
+
+
+def _emits(_: Params) -> Emission:
+    signals = {
+        "sync": "SyncState", "angle": "CrankAngle", "speed": "EngineSpeed",
+        "corrections": "Corrections", "index": "ToothIndex", "cycle_known": "CycleKnown",
+    }  # fmt: skip
+    return Emission("GW_EngineSync", signals)
+
+
+def _prepare(p: Params, s: State, c: Const) -> None:
+    c.adaptive = p.method == "adaptive"
+    c.fd = p.frame == "fd"
+    c.stall_ns = int(p.stall_ms * 1e6)
+    c.tooth_0_deg = p.tooth_0_deg
+    place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
+    constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
+    cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
+    s.counter = -1
+    s.base_counter = -1
+    s.stray = -1
 
 
 @kernel
-def _cam(s: Any, c: Any, u: Any, out: Any) -> None:
+def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
     s.cam.counter = int(u.cam_counter)
     f = s.fast
@@ -192,7 +169,7 @@ def _cam(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
-def _show(s: Any, c: Any) -> float:
+def _show(s: State, c: Const) -> float:
     """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
     if c.adaptive == 1:
         f = s.fast
@@ -222,7 +199,7 @@ def _show(s: Any, c: Any) -> float:
 
 
 @kernel
-def _send(s: Any, c: Any, t_ns: int, speed_rpm: float, out: Any) -> None:
+def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Outputs]) -> None:
     """Send angle and speed, when it is time or when synchronisation has changed."""
     changed = s.sync != s.sent_sync or s.corrections != s.sent_corrections
     if not changed and t_ns - s.sent_ns < SYNC_EVERY_NS:
@@ -237,17 +214,17 @@ def _send(s: Any, c: Any, t_ns: int, speed_rpm: float, out: Any) -> None:
         turn = constant_speed.angle(s.paper, c.paper)
         index = int(s.paper.index)
     out.send = 1
-    out.values[0] = s.sync
+    out.values.sync = s.sync
     cycle = 720.0 if s.cam.half >= 0 else 360.0
-    out.values[1] = (turn * 360.0 + c.tooth_0_deg) % cycle
-    out.values[2] = speed_rpm
-    out.values[3] = (s.corrections + 128) % 256 - 128
-    out.values[4] = index
-    out.values[5] = s.cam.half >= 0
+    out.values.angle = (turn * 360.0 + c.tooth_0_deg) % cycle
+    out.values.speed = speed_rpm
+    out.values.corrections = (s.corrections + 128) % 256 - 128
+    out.values.index = index
+    out.values.cycle_known = s.cam.half >= 0
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
     turns = s.fast.revolutions
     if u.trigger == TIMER:
@@ -273,28 +250,32 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
 
 MONITOR = Monitor(
     type="crank_sync",
+    api=2,
     params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=INPUTS,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    outputs=Outputs,
     step=step,
-    faults=FAULTS,
-    wire=_wire,
+    connect=_connect,
     prepare=_prepare,
-    readout=(
-        "sync",
-        "revolutions",
-        "speed_rpm",
-        "slowest_rpm",
-        "fastest_rpm",
-        "teeth",
-        "missed",
-        "added",
-        "corrections",
-        "losses",
-    ),
-    emission=Emission(
-        "GW_EngineSync",
-        ("SyncState", "CrankAngle", "EngineSpeed", "Corrections", "ToothIndex", "CycleKnown"),
+    faults=_faults,
+    emits=_emits,
+    capabilities=(
+        Readout(
+            (
+                "sync",
+                "revolutions",
+                "speed_rpm",
+                "slowest_rpm",
+                "fastest_rpm",
+                "teeth",
+                "missed",
+                "added",
+                "corrections",
+                "losses",
+            )
+        ),
     ),
 )

@@ -2,82 +2,86 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from gateway.fdi.pulse_tracking.acquisition import SEARCH, restart
-from gateway.fdi.pulse_tracking.hypotheses import TRACKER, best
-from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, PROFILE, WHEEL
+from gateway.fdi.pulse_tracking.acquisition import Search, restart
+from gateway.fdi.pulse_tracking.hypotheses import Tracker, best
+from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile
 from gateway.fdi.wheel import MOST_TEETH, Wheel
-from gateway.jit import f8, i4, i8, kernel, record, u1
-from gateway.monitors.crank_sync.reversal import REVERSAL
-from gateway.monitors.shape import EVIDENCE
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway.monitors.crank_sync.faults import RESIDUALS, Shape
+from gateway.monitors.crank_sync.reversal import Reversal
 
 #: Synchronisation: none, a place that one more revolution has to prove, proven.
 SEARCHING, TENTATIVE, CONFIRMED = range(3)
 #: Torsional ripple that an engine may have before it is learned (2 per revolution), and the error of the
 #: pitches at a gap [pitch].
 RIPPLE, GAP_ERROR = 0.05, 0.1
-#: Residuals kept as the shape of a fault.
-RESIDUALS = 5
 
-CONST = record(
-    pulses=i4,
-    repeats=i4,
-    acceleration=f8,
-    ripple=f8,
-    unlearned=f8,
-    runout=f8,
-    slowest_us=f8,
-    gap=f8,
-    wheel=WHEEL,
-    logs=(f8, MOST_TEETH),
-    slack=(f8, MOST_TEETH),
-)
 
-#: ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
-#: synchronisation was last proven; ``held`` what a tentative place found; ``hole`` revolutions
-#: (the present and the next) in which frames were lost.
-STATE = record(
-    phase=i4,
-    index=i4,
-    since=i8,
-    unsynced=i8,
-    short=i8,
-    widest=f8,
-    teeth=i8,
-    revolutions=i8,
-    suspects=i4,
-    held_fault=i4,
-    held=(f8, EVIDENCE),
-    residuals=(f8, RESIDUALS),
-    missed=i8,
-    added=i8,
-    corrections=i8,
-    losses=i8,
-    recent_missed=i8,
-    recent_added=i8,
-    doubled=i8,
-    doubling=u1,
-    hole=i4,
-    decided=i8,
-    burst_missed=i4,
-    burst_added=i4,
-    speed_rpm=f8,
-    slowest_rpm=f8,
-    fastest_rpm=f8,
-    y1=f8,
-    y2=f8,
-    reversal=REVERSAL,
-    tracker=TRACKER,
-    search=SEARCH,
-    profile=PROFILE,
-)
+class Const(Record):
+    """Constants."""
+
+    pulses: i4
+    repeats: i4
+    acceleration: f8
+    ripple: f8
+    unlearned: f8
+    runout: f8
+    slowest_us: f8
+    gap: f8
+    wheel: LearnedWheel
+    logs: Annotated[f8s, MOST_TEETH]
+    slack: Annotated[f8s, MOST_TEETH]
+
+
+class State(Record):
+    """State.
+
+    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
+    synchronisation was last proven; ``held`` what a tentative place found; ``hole`` revolutions (the present and
+    the next) in which frames were lost.
+    """
+
+    phase: i4
+    index: i4
+    since: i8
+    unsynced: i8
+    short: i8
+    widest: f8
+    teeth: i8
+    revolutions: i8
+    suspects: i4
+    held_fault: i4
+    held: Shape
+    residuals: Annotated[f8s, RESIDUALS]
+    missed: i8
+    added: i8
+    corrections: i8
+    losses: i8
+    recent_missed: i8
+    recent_added: i8
+    doubled: i8
+    doubling: u1
+    hole: i4
+    decided: i8
+    burst_missed: i4
+    burst_added: i4
+    speed_rpm: f8
+    slowest_rpm: f8
+    fastest_rpm: f8
+    y1: f8
+    y2: f8
+    reversal: Reversal
+    tracker: Tracker
+    search: Search
+    profile: Profile
 
 
 def prepare(
-    s: Any, c: Any, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float
+    s: State, c: Const, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float
 ) -> None:
     """Fill state and constants.
 
@@ -91,35 +95,35 @@ def prepare(
     """
     pitches = np.asarray(wheel.pitches)
     count = len(pitches)
-    c["pulses"] = count
-    c["repeats"] = wheel.repeats
-    c["acceleration"] = acceleration / 60 * wheel.turn
-    c["ripple"] = RIPPLE * 2 * 2 * (2 * np.pi / wheel.turn)
-    c["unlearned"] = (RIPPLE * 2 * (2 * 2 * np.pi / wheel.turn) ** 2) ** 2
-    c["runout"] = runout
-    c["slowest_us"] = 60e6 / (reversal_rpm * wheel.turn)
-    c["gap"] = pitches.max()
-    c["logs"][:count] = np.log(pitches)
+    c.pulses = count
+    c.repeats = wheel.repeats
+    c.acceleration = acceleration / 60 * wheel.turn
+    c.ripple = RIPPLE * 2 * 2 * (2 * np.pi / wheel.turn)
+    c.unlearned = (RIPPLE * 2 * (2 * 2 * np.pi / wheel.turn) ** 2) ** 2
+    c.runout = runout
+    c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
+    c.gap = pitches.max()
+    c.logs[:count] = np.log(pitches)
     gap = (pitches > 1.3) | (pitches < 0.7)
     gap |= np.roll(gap, 1)
-    c["slack"][:count] = np.where(gap, GAP_ERROR**2, 0.0)
-    wh = c["wheel"]
-    wh["gap"][:count] = gap
-    wh["pulses"], wh["whole"] = count, wheel.turn
-    wh["orders"] = min(MOST_ORDERS, count // 5)
-    wh["nominal"][:count] = pitches
+    c.slack[:count] = np.where(gap, GAP_ERROR**2, 0.0)
+    wh = c.wheel
+    wh.gap[:count] = gap
+    wh.pulses, wh.whole = count, wheel.turn
+    wh.orders = min(MOST_ORDERS, count // 5)
+    wh.nominal[:count] = pitches
     middle = 2 * np.pi * (np.asarray(wheel.positions) + pitches / 2) / wheel.turn
-    wh["cosine"][:count], wh["sine"][:count] = np.cos(middle), np.sin(middle)
-    tr = s["tracker"]
-    tr["pitches"][:count] = pitches
-    tr["slack"][:] = c["slack"]
-    tr["wander"] = c["unlearned"]
-    s["held_fault"] = -1
-    s["reversal"]["index"] = -1
+    wh.cosine[:count], wh.sine[:count] = np.cos(middle), np.sin(middle)
+    tr = s.tracker
+    tr.pitches[:count] = pitches
+    tr.slack[:] = c.slack
+    tr.wander = c.unlearned
+    s.held_fault = -1
+    s.reversal.index = -1
 
 
 @kernel
-def search(s: Any) -> None:
+def search(s: State) -> None:
     """Give the place on the wheel up and look for it again."""
     if s.phase == CONFIRMED:
         s.unsynced = 0
@@ -140,7 +144,7 @@ def search(s: Any) -> None:
 
 
 @kernel
-def stand(s: Any) -> None:
+def stand(s: State) -> None:
     """The engine stands: no place, no speed, and nothing to wait for."""
     search(s)
     s.unsynced = 0
@@ -150,7 +154,7 @@ def stand(s: Any) -> None:
 
 
 @kernel
-def doubt(s: Any) -> None:
+def doubt(s: State) -> None:
     """Ask for one more revolution as a proof of the place on the wheel."""
     if s.phase == CONFIRMED:
         s.phase = TENTATIVE
@@ -163,7 +167,7 @@ def doubt(s: Any) -> None:
 
 
 @kernel
-def speed(s: Any, c: Any) -> float:
+def speed(s: State, c: Const) -> float:
     """Return the speed at the last tooth [rpm], 0 while it is not known."""
     if s.phase == SEARCHING:
         return 0.0
@@ -171,13 +175,13 @@ def speed(s: Any, c: Any) -> float:
 
 
 @kernel
-def period(s: Any) -> float:
+def period(s: State) -> float:
     """Return the time of one pitch at the last tooth [us]."""
     return float(best(s.tracker).period)
 
 
 @kernel
-def angle(s: Any, c: Any) -> float:
+def angle(s: State, c: Const) -> float:
     """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
     total = 0.0
     for i in range(s.index):

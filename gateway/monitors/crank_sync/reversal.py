@@ -7,22 +7,29 @@ the gap recognised by the interval after it.
 
 from __future__ import annotations
 
-from typing import Any
+from gateway.jit import Record, f8, i4, kernel
+from gateway.monitors.contract import report
+from gateway.monitors.crank_sync.faults import REVERSED, Reports
 
-from gateway.jit import f8, i4, kernel, record
-from gateway.monitors.crank_sync.faults import REVERSED
-from gateway.monitors.shape import report
 
-#: ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since, ``slowest``
-#: that interval [us].
-REVERSAL = record(index=i4, count=i4, slowest=f8)
+class Reversal(Record):
+    """Reversal.
+
+    ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since, ``slowest`` that
+    interval [us].
+    """
+
+    index: i4
+    count: i4
+    slowest: f8
+
 
 #: Pulses that the two counts must differ by, and that a count may be off.
 CLEAR, OFF = 4, 2
 
 
 @kernel
-def begin(re: Any, pulses: int, index: int, y: float) -> None:
+def begin(re: Reversal, pulses: int, index: int, y: float) -> None:
     """Note that the engine nearly stood behind a tooth; of several slow intervals [us] the slowest counts."""
     if re.index < 0:
         re.index = index
@@ -36,23 +43,24 @@ def begin(re: Any, pulses: int, index: int, y: float) -> None:
 
 
 @kernel
-def seen(re: Any, c: Any, y2: float, y1: float, y: float) -> bool:
+def seen(re: Reversal, pulses: int, gap: float, y2: float, y1: float, y: float) -> bool:
     """Take an interval; returns whether the gap came where only a wheel that turned back shows it.
 
     Args:
         re: record of REVERSAL.
-        c: constants of the adaptive method.
+        pulses: of a revolution.
+        gap: pitch at the gap [pitch].
         y2: the last interval but two [us].
         y1: the last but one [us].
         y: the last one [us].
     """
     re.count += 1
-    if re.count > c.pulses + OFF:
+    if re.count > pulses + OFF:
         re.index = -1
         return False
-    if re.count < 3 or y1 < 0.72 * c.gap * (y * y2) ** 0.5:
+    if re.count < 3 or y1 < 0.72 * gap * (y * y2) ** 0.5:
         return False
-    back, on = re.index + 2, c.pulses - re.index
+    back, on = re.index + 2, pulses - re.index
     turned_back = abs(re.count - back) <= OFF and abs(on - back) > CLEAR
     if not turned_back:
         re.index = -1
@@ -60,10 +68,8 @@ def seen(re: Any, c: Any, y2: float, y1: float, y: float) -> bool:
 
 
 @kernel
-def tell(re: Any, out: Any) -> None:
+def tell(re: Reversal, out: Reports) -> None:
     """Report it."""
-    place = report(out, REVERSED, True, re.count, 0.0)
-    if place >= 0:
-        out.results[place].evidence[0] = re.index
-        out.results[place].evidence[1] = re.count
+    e = report(out, REVERSED, True, re.count, 0.0).reversed
+    e.tooth, e.pulses = re.index, re.count
     re.index = -1

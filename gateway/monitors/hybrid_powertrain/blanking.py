@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8s, i8, i8s, kernel
 
 #: Residuals that wait beside each other, and sets that they can wait for.
 LANES, MOST = 2, 64
 
-#: ``held``, ``due``: residuals that wait, and whether they still count; ``quiet``: sets until they count again.
-STATE = record(at=i8, gear=i8, quiet=i8, held=(f8, (MOST, LANES)), due=(i8, MOST))
+
+class State(Record):
+    """State: ``held``, ``due``: residuals that wait, and whether they still count; ``quiet``: sets until they count again."""
+
+    at: i8
+    gear: i8
+    quiet: i8
+    held: Annotated[f8s, MOST, LANES]
+    due: Annotated[i8s, MOST]
 
 
 @kernel
-def forget(s: Any, wait: int) -> None:
+def forget(s: State, wait: int) -> None:
     """Drop what waits, and count nothing for a while."""
     s.quiet = wait
     for k in range(MOST):
@@ -22,7 +29,7 @@ def forget(s: Any, wait: int) -> None:
 
 
 @kernel
-def put(s: Any, wait: int, gear: int, counts: bool, first: float, second: float) -> int:
+def put(s: State, wait: int, gear: int, counts: bool, first: float, second: float) -> int:
     """Take a set's residuals; returns the place of those that have waited and count, or -1.
 
     Args:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-from gateway.jit import kernel
+from gateway.jit import Record, f8, f8s, kernel, means
+from gateway.monitors.contract import Emission, Evidence, Out, report
 from gateway.monitors.hybrid_powertrain import isolation, observer
 from gateway.monitors.hybrid_powertrain.faults import UNISOLATED
+from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.monitors.hybrid_powertrain.records import (
     MIXED,
     ROBUST,
@@ -20,23 +22,35 @@ from gateway.monitors.hybrid_powertrain.records import (
     T4_SIGNED,
     T5,
     T6,
+    Const,
+    State,
 )
-from gateway.monitors.shape import Emission, report
 
 #: Sets between two reports of the same.
 REPEAT = 100
 #: Largest T_norm that the message can carry.
 _SHOWN = 5.1
 
-#: The message.
-EMISSION = Emission(
-    "FDI_STATUS",
-    (*(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS)), "Fired", "Diagnosis", "Valid"),
-)
+
+class Outputs(Record):
+    """What it sends."""
+
+    level: Annotated[f8s, isolation.MOST_TESTS] = means("T_norm of the tests")
+    fired: f8 = means("tests that have fired, as bits")
+    diagnosis: f8 = means("number of the fault, from 1; 0: none")
+    valid: f8
+
+
+def emits(_: Params) -> Emission:
+    """Return the message."""
+    tests = tuple(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS))
+    return Emission(
+        "FDI_STATUS", {"level": tests, "fired": "Fired", "diagnosis": "Diagnosis", "valid": "Valid"}
+    )
 
 
 @kernel
-def _weigh(s: Any, c: Any) -> int:
+def _weigh(s: State, c: Const) -> int:
     """Put T_norm of the tests that decide in their places; returns those that have fired, as bits."""
     s.level[0], s.level[1] = s.norm[T1], s.norm[T2]
     if c.system == ROBUST:
@@ -55,7 +69,7 @@ def _weigh(s: Any, c: Any) -> int:
 
 
 @kernel
-def decide(s: Any, c: Any, out: Any) -> None:
+def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not."""
     fired = _weigh(s, c)
     changed = fired != s.fired
@@ -71,23 +85,21 @@ def decide(s: Any, c: Any, out: Any) -> None:
         largest = max(largest, s.level[place])
     for k in range(UNISOLATED + 1):
         failed = k == s.found if k < UNISOLATED else fired != 0 and s.found < 0
-        place = report(out, k, failed, largest, 1.0)
-        if place >= 0 and failed:
-            e = out.results[place].evidence
+        e = report(out, k, failed, largest, 1.0)
+        if failed:
             for j in range(c.tests):
-                e[j] = s.level[j]
-            e[c.tests] = fired
-            e[c.tests + 1] = isolation.ranked(c.isolation, s.explained, s.level)
-            e[c.tests + 2] = s.observer.error[observer.MOTOR]
+                e.value[j] = s.level[j]
+            e.value[c.tests] = fired
+            e.value[c.tests + 1] = isolation.ranked(c.isolation, s.explained, s.level)
+            e.value[c.tests + 2] = s.observer.error[observer.MOTOR]
 
 
 @kernel
-def tell(s: Any, out: Any) -> None:
+def tell(s: State, out: Out[Evidence, Outputs]) -> None:
     """Send how far the tests are, and the diagnosis: the fault's place and 1, or 6 for one that is not isolated."""
     out.send = 1
     for place in range(len(s.level)):
-        out.values[place] = min(s.level[place], _SHOWN)
-    at = len(s.level)
-    out.values[at] = s.fired
-    out.values[at + 1] = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.fired else 0)
-    out.values[at + 2] = s.valid
+        out.values.level[place] = min(s.level[place], _SHOWN)
+    out.values.fired = s.fired
+    out.values.diagnosis = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.fired else 0)
+    out.values.valid = s.valid

@@ -7,33 +7,37 @@ the CUSUM would grow without a fault.
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 from gateway.monitors.hybrid_powertrain import excitation
 
 #: Time over which the speed at the start is corrected [s].
 CORRECTED = 1.0
 
-#: ``on``: the generators run; ``total``, ``count``: residuals of the first second.
-STATE = record(on=i8, total=f8, count=f8, excitation=excitation.STATE)
+
+class State(Record):
+    """State: ``on``: the generators run; ``total``, ``count``: residuals of the first second."""
+
+    on: i8
+    total: f8
+    count: f8
+    excitation: excitation.State
 
 
 @kernel
-def begin(s: Any) -> None:
+def begin(s: State) -> None:
     """Begin with the residual generators."""
     s.on, s.total, s.count = 1, 0.0, 0.0
     excitation.restart(s.excitation)
 
 
 @kernel
-def settled(s: Any) -> bool:
+def settled(s: State) -> bool:
     """Tell whether the speed at the start has been corrected; asked before :func:`correction`."""
     return bool(s.excitation.time > CORRECTED and s.count == 0.0)
 
 
 @kernel
-def correction(s: Any, residual: float) -> float:
+def correction(s: State, residual: float) -> float:
     """Take a residual (36); returns what its speed is to be corrected by: once a window, when its first second is over."""
     if s.excitation.time <= CORRECTED:
         if residual == residual:  # noqa: PLR0124 - not NaN

@@ -9,25 +9,37 @@ From the start of a residual generator at t0 on:
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, kernel
 
 #: The conditions, by their place.
 FIXED, SIGNED, ABSOLUTE = range(3)
 
-CONST = record(after=f8, signed=f8, absolute=f8, efficiency=f8)
-STATE = record(time=f8, signed=f8, absolute=f8)
+
+class Const(Record):
+    """Constants."""
+
+    after: f8
+    signed: f8
+    absolute: f8
+    efficiency: f8
+
+
+class State(Record):
+    """State."""
+
+    time: f8
+    signed: f8
+    absolute: f8
 
 
 @kernel
-def restart(s: Any) -> None:
+def restart(s: State) -> None:
     """Begin with the residual generator."""
     s.time, s.signed, s.absolute = 0.0, 0.0, 0.0
 
 
 @kernel
-def update(s: Any, c: Any, current: float, ratio: float, dt: float) -> None:
+def update(s: State, c: Const, current: float, ratio: float, dt: float) -> None:
     """Take a sample: current of the machine [A] as the test computes it, ratio of the gearbox."""
     s.time += dt
     share = c.efficiency if current > 0.0 else 1.0 / c.efficiency
@@ -38,7 +50,7 @@ def update(s: Any, c: Any, current: float, ratio: float, dt: float) -> None:
 
 
 @kernel
-def excited(s: Any, c: Any, condition: int) -> bool:
+def excited(s: State, c: Const, condition: int) -> bool:
     """Tell whether a condition holds."""
     if condition == FIXED:
         return bool(s.time > c.after)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.monitors.shape import Debounce, Fault
+from gateway.monitors.contract import Debounce, Fault
 
 #: Faults by their place: those of the structural model in its order, and what is not isolated.
 BATTERY, INVERTER, EFFICIENCY, RESISTANCE, SENSOR, UNISOLATED = range(6)

@@ -10,9 +10,8 @@ its time constant, and the state keeps that: LP + (LP - LP(LP)) does not.
 from __future__ import annotations
 
 from math import exp
-from typing import Any
 
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 
 #: Time constants [s] of slip and engine speed, and of the speed that states begin with.
 SLIP, START = 0.05, 0.07
@@ -21,11 +20,21 @@ MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
 #: Slip at which a clutch that holds lets go, and the speed below which the engine does: noise of either opens no window anew.
 LETS_GO, STALLS = 9.0, 64.0
 
-STATE = record(slip=f8, speed=f8, since=f8, gear=i8, low=f8, lower=f8, begun=i8)
+
+class State(Record):
+    """State."""
+
+    slip: f8
+    speed: f8
+    since: f8
+    gear: i8
+    low: f8
+    lower: f8
+    begun: i8
 
 
 @kernel
-def restart(s: Any) -> None:
+def restart(s: State) -> None:
     """Forget what came before a gap."""
     s.begun = 0
     s.since = 0.0
@@ -33,7 +42,7 @@ def restart(s: Any) -> None:
 
 @kernel
 def update(
-    s: Any, clutch: float, gear: int, ratio: float, engine: float, gearbox: float, dt: float
+    s: State, clutch: float, gear: int, ratio: float, engine: float, gearbox: float, dt: float
 ) -> None:
     """Take a set of signals.
 
@@ -67,12 +76,12 @@ def update(
 
 
 @kernel
-def valid(s: Any) -> bool:
+def valid(s: State) -> bool:
     """Tell whether the model holds."""
     return bool(s.since >= SETTLES)
 
 
 @kernel
-def speed(s: Any) -> float:
+def speed(s: State) -> float:
     """Return the filtered speed of the gearbox's output without the lag of a ramp [rad/s]."""
     return float(2.0 * s.low - s.lower)

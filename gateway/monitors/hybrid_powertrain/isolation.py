@@ -7,12 +7,10 @@ near their tests are to firing.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from typing import Annotated
 
 from gateway.fdi.structure.model import Model
-from gateway.jit import i8, kernel, record
+from gateway.jit import Record, f8s, i8s, kernel
 from gateway.monitors.hybrid_powertrain.faults import STRUCTURAL
 
 #: Tests that decide, by system: residuals of the structural model. RDS is beyond the paper.
@@ -23,11 +21,14 @@ TESTS = {
 }
 MOST_TESTS = max(map(len, TESTS.values()))
 
-#: Of each fault, the tests that it makes fire, as bits.
-CONST = record(signature=(i8, len(STRUCTURAL)))
+
+class Const(Record):
+    """Of each fault, the tests that it makes fire, as bits."""
+
+    signature: Annotated[i8s, len(STRUCTURAL)]
 
 
-def prepare(c: np.void, model: Model, system: str) -> None:
+def prepare(c: Const, model: Model, system: str) -> None:
     """Fill a record of CONST from the faults that stand in the equations of the tests' sets."""
     for k, fault in enumerate(STRUCTURAL):
         bits = 0
@@ -35,11 +36,11 @@ def prepare(c: np.void, model: Model, system: str) -> None:
             equations = model.residuals[test].equations
             if any(fault in model.by_name[name].faults for name in equations):
                 bits |= 1 << place
-        c["signature"][k] = bits
+        c.signature[k] = bits
 
 
 @kernel
-def candidates(c: Any, fired: int) -> int:
+def candidates(c: Const, fired: int) -> int:
     """Return the faults, as bits, that explain what has fired; none if nothing has."""
     found = 0
     for k in range(len(c.signature)):
@@ -49,7 +50,7 @@ def candidates(c: Any, fired: int) -> int:
 
 
 @kernel
-def isolated(c: Any, fired: int) -> int:
+def isolated(c: Const, fired: int) -> int:
     """Return the fault whose tests, all and no others, have fired; -1 if there is none."""
     for k in range(len(c.signature)):
         if c.signature[k] == fired:
@@ -58,7 +59,7 @@ def isolated(c: Any, fired: int) -> int:
 
 
 @kernel
-def support(c: Any, fault: int, levels: Any) -> float:
+def support(c: Const, fault: int, levels: f8s) -> float:
     """Return how near a fault's tests are to firing, 1 when all have: mean of T_norm, each at most 1."""
     total, count = 0.0, 0
     for place in range(len(levels)):
@@ -69,7 +70,7 @@ def support(c: Any, fault: int, levels: Any) -> float:
 
 
 @kernel
-def ranked(c: Any, found: int, levels: Any) -> int:
+def ranked(c: Const, found: int, levels: f8s) -> int:
     """Return candidates as digits, likeliest first: 25 is the second fault, then the fifth; 0 if there is none.
 
     Args:

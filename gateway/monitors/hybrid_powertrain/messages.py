@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from gateway.jit import f8
+from gateway.monitors import contract
+from gateway.monitors.contract import Connection, Signal
 from gateway.monitors.hybrid_powertrain.params import Params
-from gateway.monitors.shape import Wiring, inputs
 
 #: Fields of the inputs by message: signal and unit.
 MESSAGES = {
@@ -34,15 +37,32 @@ MESSAGES = {
     },
 }
 
-INPUTS = inputs(**{name: f8 for fields in MESSAGES.values() for name in fields})
+
+class Inputs(contract.Inputs):
+    """The signals above, in their order."""
+
+    U_em_ctrl: f8
+    ice_ctrl: f8
+    u_c: f8
+    gear: f8
+    count_pt: f8
+    T_b_ctrl: f8
+    alpha: f8
+    count_veh: f8
+    I_b_sens: f8
+    U_em_sens: f8
+    I_em_sens: f8
+    count_elec: f8
+    omega_e_sens: f8
+    omega_gb_sens: f8
+    charge: f8
+    count_mech: f8
 
 
-def wire(_: Params) -> Wiring:
-    """Return what the monitor wants from the bus."""
-    signals, units = [], {}
-    for message, fields in MESSAGES.items():
-        for signal, unit in fields.values():
-            signals.append(f"{message}.{signal}")
-            if unit:
-                units[f"{message}.{signal}"] = unit
-    return Wiring(tuple(MESSAGES), tuple(signals), (), units)
+def connect(_: Params) -> Mapping[str, Connection]:
+    """Return what the inputs are connected to."""
+    return {
+        name: Signal(f"{message}.{signal}", unit or None, triggers=True)
+        for message, fields in MESSAGES.items()
+        for name, (signal, unit) in fields.items()
+    }

@@ -7,9 +7,8 @@ than :data:`LONGEST` sets the dynamic tests begin anew.
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.jit import kernel
+from gateway.monitors.contract import CusumCalibration, Evidence, Fault, Monitor, Out, Readout
 from gateway.monitors.hybrid_powertrain import (
     blanking,
     decision,
@@ -29,10 +28,9 @@ from gateway.monitors.hybrid_powertrain.generated import (
     t6,
     t7,
 )
-from gateway.monitors.hybrid_powertrain.messages import INPUTS, wire
+from gateway.monitors.hybrid_powertrain.messages import Inputs, connect
 from gateway.monitors.hybrid_powertrain.params import QUANTITIES, Params
-from gateway.monitors.hybrid_powertrain.records import CONST, STATE, peaks, prepare, sums
-from gateway.monitors.shape import CusumCalibration, Fault, Monitor
+from gateway.monitors.hybrid_powertrain.records import Const, State, peaks, prepare, sums
 
 #: Sets that may be missing in a row.
 LONGEST = 5
@@ -40,12 +38,12 @@ LONGEST = 5
 SENT = 10
 
 
-def _named(p: Params) -> tuple[Fault, ...]:
+def _faults(p: Params) -> tuple[Fault, ...]:
     return faults_of(isolation.TESTS[p.system])
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) -> None:
     """Take a frame; when its set is complete, step all tests."""
     count = int(u.count_elec)
     if u.count_mech != count or u.count_pt != count or u.count_veh != count or count == s.counter:
@@ -79,21 +77,24 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
 
 MONITOR = Monitor(
     type="hybrid_powertrain",
+    api=2,
     params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=INPUTS,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    outputs=decision.Outputs,
     step=step,
-    faults=(),
-    named=_named,
-    wire=wire,
+    connect=connect,
     prepare=prepare,
-    calibration=CusumCalibration(
-        quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
-        floors={"T7": observer.FLOOR},
-        sums=sums,
-        peaks=peaks,
+    faults=_faults,
+    emits=decision.emits,
+    capabilities=(
+        CusumCalibration(
+            quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
+            floors={"T7": observer.FLOOR},
+            sums=sums,
+            peaks=peaks,
+        ),
+        Readout(("sets", "valid", "fired", "explained")),
     ),
-    emission=decision.EMISSION,
-    readout=("sets", "valid", "fired", "explained"),
 )

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.fdi.structure.generator.runtime import interpolate
 from gateway.jit import kernel
 from gateway.monitors.hybrid_powertrain import dynamic, excitation, gate, observer
 from gateway.monitors.hybrid_powertrain.excitation import FIXED
 from gateway.monitors.hybrid_powertrain.generated import t3_icds, t3_mcds, t4_icds, t4_mcds, t7
-from gateway.monitors.hybrid_powertrain.records import T3_FIXED, T3_MIXED, T4_FIXED, T4_MIXED
+from gateway.monitors.hybrid_powertrain.messages import Inputs
+from gateway.monitors.hybrid_powertrain.records import (
+    T3_FIXED,
+    T3_MIXED,
+    T4_FIXED,
+    T4_MIXED,
+    Const,
+    State,
+)
 from gateway.monitors.hybrid_powertrain.static import take
 
 
 @kernel
-def _judge(s: Any, c: Any, test: Any, first: int, residual: float) -> float:
+def _judge(s: State, c: Const, test: dynamic.State, first: int, residual: float) -> float:
     """Update the integral test quantities of T3 or T4; returns what the integrated speed is to be corrected by [rad/s].
 
     Args:
@@ -32,7 +38,7 @@ def _judge(s: Any, c: Any, test: Any, first: int, residual: float) -> float:
 
 
 @kernel
-def _three(s: Any, c: Any, u: Any, dt: float) -> None:
+def _three(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step T3, integral and mixed, or begin it anew."""
     step = dt
     if s.three.on == 0:
@@ -51,7 +57,7 @@ def _three(s: Any, c: Any, u: Any, dt: float) -> None:
 
 
 @kernel
-def _four(s: Any, c: Any, u: Any, dt: float) -> None:
+def _four(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step T4, integral and mixed, or begin it anew."""
     step = dt
     if s.four.on == 0:
@@ -72,7 +78,7 @@ def _four(s: Any, c: Any, u: Any, dt: float) -> None:
 
 
 @kernel
-def _seven(s: Any, c: Any, u: Any, dt: float) -> None:
+def _seven(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step T7 with its observer, or begin it anew."""
     step = dt
     if s.watched == 0:
@@ -87,7 +93,7 @@ def _seven(s: Any, c: Any, u: Any, dt: float) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> None:
+def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step the tests that need a clutch that holds."""
     ratio = interpolate(c.t2.f_3_x, c.t2.f_3_y, u.gear)
     gate.update(s.gate, u.u_c, int(u.gear), ratio, u.omega_e_sens, u.omega_gb_sens, dt)

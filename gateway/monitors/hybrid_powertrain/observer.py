@@ -20,11 +20,12 @@ error may make of them. It fires above a threshold.
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
+from gateway.monitors.hybrid_powertrain.generated import t7
 
 #: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the brakes,
 #: curve of the road [rad/m].
@@ -34,36 +35,42 @@ _STATES = ERRORS + 1
 #: What the statistic reaches without a fault at least: chi-square of two numbers, one sample in five hundred.
 FLOOR = 12.5
 
-#: ``start``: variance of the first speed [rad2/s2]; ``torque``: noise of the acceleration [rad2/s3]; ``noise``: of the measured
-#: speed [rad2/s2]; ``prior``: variance of the errors; ``drift``: of what they take on [1/s], of the curve [rad2/m3];
-#: ``forget``: what they lose [1/s], slope and curve [1/m]; ``own``: diagonal of Sigma_0; ``least``: torque of a machine that is
-#: used [Nm].
-CONST = record(
-    start=f8,
-    torque=f8,
-    noise=f8,
-    prior=(f8, ERRORS),
-    drift=(f8, ERRORS),
-    forget=(f8, ERRORS),
-    own=f8,
-    least=f8,
-    threshold=f8,
-)
-#: ``norm``: the statistic over its threshold; ``peak``, ``samples``: for calibration.
-STATE = record(
-    error=(f8, ERRORS),
-    does=(f8, ERRORS),
-    P=(f8, (_STATES, _STATES)),
-    gain=(f8, _STATES),
-    norm=f8,
-    peak=f8,
-    samples=f8,
-)
+
+class Const(Record):
+    """Constants.
+
+    ``start``: variance of the first speed [rad2/s2]; ``torque``: noise of the acceleration [rad2/s3]; ``noise``:
+    of the measured speed [rad2/s2]; ``prior``: variance of the errors; ``drift``: of what they take on [1/s], of
+    the curve [rad2/m3]; ``forget``: what they lose [1/s], slope and curve [1/m]; ``own``: diagonal of Sigma_0;
+    ``least``: torque of a machine that is used [Nm].
+    """
+
+    start: f8
+    torque: f8
+    noise: f8
+    prior: Annotated[f8s, ERRORS]
+    drift: Annotated[f8s, ERRORS]
+    forget: Annotated[f8s, ERRORS]
+    own: f8
+    least: f8
+    threshold: f8
 
 
-def prepare(s: np.void, c: np.void) -> None:
+class State(Record):
+    """State: ``norm``: the statistic over its threshold; ``peak``, ``samples``: for calibration."""
+
+    error: Annotated[f8s, ERRORS]
+    does: Annotated[f8s, ERRORS]
+    P: Annotated[f8s, _STATES, _STATES]
+    gain: Annotated[f8s, _STATES]
+    norm: f8
+    peak: f8
+    samples: f8
+
+
+def prepare(s: State, c: Const) -> None:
     """Let the covariance begin at the prior."""
-    s["P"] = np.diag([c["start"], *c["prior"]])
+    s.P = np.diag([c.start, *c.prior])
 
 
 def curve(slope: float, way: float, curve_way: float) -> float:
@@ -72,7 +79,7 @@ def curve(slope: float, way: float, curve_way: float) -> float:
 
 
 @kernel
-def restart(s: Any, c: Any) -> None:
+def restart(s: State, c: Const) -> None:
     """Begin a window: the speed is new, the errors are what they were."""
     for k in range(_STATES):
         s.P[0, k] = 0.0
@@ -83,7 +90,7 @@ def restart(s: Any, c: Any) -> None:
 
 
 @kernel
-def _drive_on(s: Any, c: Any, dt: float, way: float) -> None:
+def _drive_on(s: State, c: Const, dt: float, way: float) -> None:
     """Take the errors and their covariance on in time and way."""
     for k in range(ENGINE, ERRORS):
         on_road = k in (SLOPE, CURVE)
@@ -102,14 +109,14 @@ def _drive_on(s: Any, c: Any, dt: float, way: float) -> None:
 
 
 @kernel
-def age(s: Any, c: Any, dt: float, way: float) -> None:
+def age(s: State, c: Const, dt: float, way: float) -> None:
     """Drive on while nothing is known of the motion; a machine that is not used stays as it was."""
     s.does[MOTOR], s.does[GENERATOR] = 0.0, 0.0
     _drive_on(s, c, dt, way)
 
 
 @kernel
-def _sensitivities(s: Any, g: Any, q: Any, brake: float, least: float) -> None:
+def _sensitivities(s: State, g: t7.State, q: t7.Const, brake: float, least: float) -> None:
     """Compute what each error does to the acceleration of the wheels [rad/s2]; g, q are state and constants of T7."""
     inertia = g.shown_J_tot * q.u_f**2 + g.shown_m_v * q.r_w**2
     through = g.shown_eta_gb * g.shown_u_gb * q.u_f / inertia
@@ -127,7 +134,7 @@ def _sensitivities(s: Any, g: Any, q: Any, brake: float, least: float) -> None:
 
 
 @kernel
-def _predict(s: Any, c: Any, dt: float, way: float) -> None:
+def _predict(s: State, c: Const, dt: float, way: float) -> None:
     """Take the covariance a step on, P := F P F' + Q; the speed's row of F is (1, dt h')."""
     for j in range(1, _STATES):
         row = 0.0
@@ -144,7 +151,9 @@ def _predict(s: Any, c: Any, dt: float, way: float) -> None:
 
 
 @kernel
-def update(s: Any, c: Any, g: Any, q: Any, innovation: float, brake: float, dt: float) -> None:
+def update(
+    s: State, c: Const, g: t7.State, q: t7.Const, innovation: float, brake: float, dt: float
+) -> None:
     """Take a sample.
 
     Args:
@@ -179,7 +188,7 @@ def update(s: Any, c: Any, g: Any, q: Any, innovation: float, brake: float, dt: 
 
 
 @kernel
-def wald(s: Any, c: Any) -> float:
+def wald(s: State, c: Const) -> float:
     """Return the statistic of the machine's two errors."""
     a, b = s.error[MOTOR], s.error[GENERATOR]
     aa, bb, ab = s.P[1, 1] + c.own, s.P[2, 2] + c.own, s.P[1, 2]

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from gateway.monitors.shape import MonitorParams
+from gateway.monitors.contract import MonitorParams
 from gateway.tomlfile import StrictModel
 
 #: Test quantities by their place: name, residual, condition of excitation ("" for static tests).

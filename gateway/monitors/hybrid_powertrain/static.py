@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from gateway.fdi import cusum
 from gateway.jit import kernel
 from gateway.monitors.hybrid_powertrain import blanking, gate
 from gateway.monitors.hybrid_powertrain.generated import t1, t2, t5, t6
-from gateway.monitors.hybrid_powertrain.records import T1, T2, T5, T6
+from gateway.monitors.hybrid_powertrain.messages import Inputs
+from gateway.monitors.hybrid_powertrain.records import T1, T2, T5, T6, Const, State
 
 
 @kernel
-def take(s: Any, c: Any, place: int, residual: float, wanted: bool) -> None:
+def take(s: State, c: Const, place: int, residual: float, wanted: bool) -> None:
     """Update a test quantity, if it is to be updated and the residual is a number."""
     if wanted and residual == residual:  # noqa: PLR0124 - not NaN
         cusum.update(s.cusum[place], c.cusum[place], residual)
@@ -20,7 +19,7 @@ def take(s: Any, c: Any, place: int, residual: float, wanted: bool) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> None:
+def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step T1, T6, and T2 and T5, which wait for gear changes that are to come.
 
     They need no speed of the vehicle, but a machine that is used: at rest no fault shows, and T would come down (V-C).

@@ -7,28 +7,54 @@ discrete time, with (16) corrected (:mod:`gateway.fdi.pi_bank.products`) and dec
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from typing import Annotated
 
 from gateway.fdi.pi_bank import bank, isolation, products
 from gateway.fdi.pi_bank.isolation import NONE, settled
 from gateway.fdi.pi_bank.masking import masked
-from gateway.jit import i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors import linear_plant
-from gateway.monitors.pi_bank.params import Params
-from gateway.monitors.shape import TIMER, Debounce, Fault, Monitor, report
-
-CONST = record(sampling=linear_plant.CONST, isolation=isolation.CONST, products=i8, start=i8)
-STATE = record(
-    sampling=linear_plant.STATE,
-    isolation=isolation.STATE,
-    samples=i8,
-    missing=i8,
-    restarts=i8,
-    active=i8,
-    sensor=i8,
+from gateway.monitors.contract import (
+    TIMER,
+    Debounce,
+    Fault,
+    Monitor,
+    Out,
+    Readout,
+    Warnings,
+    report,
 )
+from gateway.monitors.pi_bank.params import Params
+
+
+class Const(Record):
+    """Constants."""
+
+    sampling: linear_plant.Const
+    isolation: isolation.Const
+    products: i8
+    start: i8
+
+
+class State(Record):
+    """State."""
+
+    sampling: linear_plant.State
+    isolation: isolation.State
+    samples: i8
+    missing: i8
+    restarts: i8
+    active: i8
+    sensor: i8
+
+
+class Evidence(Record):
+    """Evidence of each fault."""
+
+    magnitude: f8 = means("size of the fault")
+    observer: f8 = means("observer in use")
+    innovation: Annotated[f8s, bank.MOST_OUTPUTS]
+
 
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
@@ -37,9 +63,9 @@ UNEXPLAINED = 0
 _FOUND = Debounce(failed_after=1, passed_after=5)
 
 
-def _named(p: Params) -> tuple[Fault, ...]:
+def _faults(p: Params) -> tuple[Fault, ...]:
     left = tuple(f"innovation of {name}" for name in p.sensor_names)
-    evidence = ("size of the fault", "observer in use", *left)
+    evidence = (*labels(Evidence)[:2], *left)
     found = [
         Fault(
             "unexplained",
@@ -62,11 +88,11 @@ def _named(p: Params) -> tuple[Fault, ...]:
     return tuple(found)
 
 
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
-    linear_plant.prepare(c["sampling"], p)
+def _prepare(p: Params, s: State, c: Const) -> None:
+    linear_plant.prepare(c.sampling, p)
     isolation.prepare(
-        c["isolation"],
-        s["isolation"],
+        c.isolation,
+        s.isolation,
         p.plant,
         p.noise,
         p.observers,
@@ -76,27 +102,28 @@ def _prepare(p: Params, s: np.void, c: np.void) -> None:
         start_s=p.start_s,
         hold_s=p.hold_s,
     )
-    c["products"] = p.logic == "products"
-    c["start"] = max(round(p.start_s / p.plant.period), 1)
-    s["sensor"] = NONE
-    isolation.restart(s["isolation"], c["isolation"])
+    c.products = p.logic == "products"
+    c.start = max(round(p.start_s / p.plant.period), 1)
+    s.sensor = NONE
+    isolation.restart(s.isolation, c.isolation)
 
 
 @kernel
-def _report(s: Any, fault: int, failed: bool, value: float, limit: float, out: Any) -> None:
+def _report(
+    s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]
+) -> None:
     """Report a test with size and innovations as evidence."""
-    at = report(out, fault, failed, abs(value), limit)
-    if at < 0 or not failed:
+    e = report(out, fault, failed, abs(value), limit)
+    if not failed:
         return
     x = s.isolation
-    e = out.results[at].evidence
-    e[0], e[1] = value, float(x.active)
+    e.magnitude, e.observer = value, float(x.active)
     for j in range(bank.MOST_OUTPUTS):
-        e[2 + j] = x.bank.e[x.active, j]
+        e.innovation[j] = x.bank.e[x.active, j]
 
 
 @kernel
-def _conclude(s: Any, c: Any, out: Any) -> None:
+def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     """Report what the isolation has found."""
     x, o = s.isolation, c.isolation.bank
     if x.unexplained == 1:
@@ -113,7 +140,7 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
-def _products(s: Any, c: Any, u: Any, out: Any) -> None:
+def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample by the paper's own logic."""
     x, o = s.isolation, c.isolation.bank
     if x.started == 0:
@@ -142,7 +169,7 @@ def _products(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample."""
     if u.trigger == TIMER:
         return
@@ -187,15 +214,16 @@ def _warnings(p: Params) -> tuple[str, ...]:
 
 MONITOR = Monitor(
     type="pi_bank",
+    api=2,
     params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=linear_plant.INPUTS,
+    state=State,
+    const=Const,
+    inputs=linear_plant.Inputs,
+    evidence=Evidence,
     step=step,
-    faults=(),
-    named=_named,
-    wire=linear_plant.wire,
+    connect=linear_plant.connect,
+    triggers=linear_plant.triggers,
     prepare=_prepare,
-    readout=("active", "sensor", "missing", "restarts"),
-    warnings=_warnings,
+    faults=_faults,
+    capabilities=(Readout(("active", "sensor", "missing", "restarts")), Warnings(_warnings)),
 )

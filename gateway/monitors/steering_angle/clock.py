@@ -8,9 +8,7 @@ seems to have waited: its sender may have started anew. What compares messages b
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 
 #: A sender's clock is not faster or slower than ours by more than this.
 DRIFT = 2e-4
@@ -23,13 +21,25 @@ WINDOW_NS = 1_000_000_000
 #: Periods behind a correction until no other one is likely: what had waited together has come by then.
 SETTLES = 20
 
-#: ``t_ns``: date of the last frame, which ``arrived_ns``; ``since_ns``: when the periods were last found anew.
-#: ``least``: what frames have waited at least since ``window_ns`` [ns].
-CLOCK = record(started=i8, t_ns=f8, arrived_ns=i8, counter=i8, since_ns=i8, least=f8, window_ns=i8)
+
+class Clock(Record):
+    """Clock.
+
+    ``t_ns``: date of the last frame, which ``arrived_ns``; ``since_ns``: when the periods were last found anew.
+    ``least``: what frames have waited at least since ``window_ns`` [ns].
+    """
+
+    started: i8
+    t_ns: f8
+    arrived_ns: i8
+    counter: i8
+    since_ns: i8
+    least: f8
+    window_ns: i8
 
 
 @kernel
-def _anew(s: Any, arrived_ns: int, t_ns: float) -> None:
+def _anew(s: Clock, arrived_ns: int, t_ns: float) -> None:
     """Let the periods lie elsewhere from here on."""
     s.t_ns = t_ns
     s.since_ns = s.window_ns = arrived_ns
@@ -37,7 +47,7 @@ def _anew(s: Any, arrived_ns: int, t_ns: float) -> None:
 
 
 @kernel
-def sampled_at(s: Any, arrived_ns: int, counter: int, period_ns: float) -> int:
+def sampled_at(s: Clock, arrived_ns: int, counter: int, period_ns: float) -> int:
     """Return when a frame was sampled [ns].
 
     Args:
@@ -67,7 +77,7 @@ def sampled_at(s: Any, arrived_ns: int, counter: int, period_ns: float) -> int:
 
 
 @kernel
-def sure(s: Any, period_ns: float) -> bool:
+def sure(s: Clock, period_ns: float) -> bool:
     """Tell whether the last frame's date can be relied on, the message's period given [ns]."""
     if s.started == 0 or s.arrived_ns - s.since_ns < SETTLES * period_ns:
         return False

@@ -18,10 +18,10 @@ is, for a current sensor, R T/2 + L times the error's step over T, and R times t
 from __future__ import annotations
 
 from math import hypot, isnan, pi, sqrt
-from typing import Any
+from typing import Annotated
 
 from gateway.fdi import stopping
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors.steering_angle.faults import (
     ANGLES,
     CURRENT,
@@ -56,66 +56,72 @@ SUDDEN = 3.0
 #: Share of odd increments in a window from which on a sensor is noisy.
 NOISY = 0.12
 
-CONST = record(
-    rules=(stopping.CONST, SYMPTOMS),
-    window=i8,
-    silent=i8,
-    confirm=i8,
-    wait=i8,
-    hold=i8,
-    exonerate=i8,
-    ratio=f8,
-)
 
-#: ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it. ``window``: frames left in which a
-#: jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it began ``sudden``ly.
-#: ``geared``: what compares the gear's angles is tested at present.
-#: ``open``: frames since the parity's alarm; ``cleared``: of these, how often the EMF vouched for the motor's angle;
-#: ``accused``: how often against it in a row. ``electric``: how often currents and voltages did not fit, lately;
-#: ``frozen``: frames for which a current has not changed.
-STATE = record(
-    rules=(stopping.STATE, SYMPTOMS),
-    alarm=(i8, SYMPTOMS),
-    found=i8,
-    quiet=i8,
-    window=i8,
-    odd=i8,
-    up=i8,
-    down=i8,
-    late=i8,
-    net=f8,
-    largest=f8,
-    back=f8,
-    sudden=i8,
-    before=f8,
-    surprised=i8,
-    geared=i8,
-    open=i8,
-    cleared=i8,
-    accused=i8,
-    electric=i8,
-    frozen=i8,
-    last_u=f8,
-    last_v=f8,
-    at=i8,
-    filled=i8,
-    alpha=(f8, RING),
-    beta=(f8, RING),
-    place=i8,
-    held=i8,
-    parity=(f8, HISTORY),
-    motor=(f8, HISTORY),
-)
+class Const(Record):
+    """Constants."""
+
+    rules: Annotated[list[stopping.Const], SYMPTOMS]
+    window: i8
+    silent: i8
+    confirm: i8
+    wait: i8
+    hold: i8
+    exonerate: i8
+    ratio: f8
+
+
+class State(Record):
+    """State.
+
+    ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it. ``window``: frames left in
+    which a jump is looked at: how many were ``odd``, the ``largest``, the largest ``back`` of it, whether it
+    began ``sudden``ly. ``geared``: what compares the gear's angles is tested at present. ``open``: frames since
+    the parity's alarm; ``cleared``: of these, how often the EMF vouched for the motor's angle; ``accused``: how
+    often against it in a row. ``electric``: how often currents and voltages did not fit, lately; ``frozen``:
+    frames for which a current has not changed.
+    """
+
+    rules: Annotated[list[stopping.State], SYMPTOMS]
+    alarm: Annotated[i8s, SYMPTOMS]
+    found: i8
+    quiet: i8
+    window: i8
+    odd: i8
+    up: i8
+    down: i8
+    late: i8
+    net: f8
+    largest: f8
+    back: f8
+    sudden: i8
+    before: f8
+    surprised: i8
+    geared: i8
+    open: i8
+    cleared: i8
+    accused: i8
+    electric: i8
+    frozen: i8
+    last_u: f8
+    last_v: f8
+    at: i8
+    filled: i8
+    alpha: Annotated[f8s, RING]
+    beta: Annotated[f8s, RING]
+    place: i8
+    held: i8
+    parity: Annotated[f8s, HISTORY]
+    motor: Annotated[f8s, HISTORY]
 
 
 @kernel
-def hear(s: Any, c: Any, symptom: int, x: float) -> None:
+def hear(s: State, c: Const, symptom: int, x: float) -> None:
     """Put one value of a symptom through its stopping rule."""
     s.alarm[symptom] = 1 if stopping.update(s.rules[symptom], c.rules[symptom], x) else 0
 
 
 @kernel
-def remember(s: Any, alpha: float, beta: float) -> None:
+def remember(s: State, alpha: float, beta: float) -> None:
     """Keep a voltage residual [V]."""
     s.alpha[s.at] = alpha
     s.beta[s.at] = beta
@@ -124,7 +130,7 @@ def remember(s: Any, alpha: float, beta: float) -> None:
 
 
 @kernel
-def note_parity(s: Any, parity: float, motor: float) -> None:
+def note_parity(s: State, parity: float, motor: float) -> None:
     """Keep a parity [deg] with the motor's angle [deg]."""
     s.parity[s.place] = parity
     s.motor[s.place] = motor
@@ -133,7 +139,7 @@ def note_parity(s: Any, parity: float, motor: float) -> None:
 
 
 @kernel
-def current_or_voltage(s: Any) -> int:
+def current_or_voltage(s: State) -> int:
     """Tell by the first sample of the voltage residual's step what is wrong."""
     if s.frozen >= 20:
         return CURRENT
@@ -170,7 +176,7 @@ def current_or_voltage(s: Any) -> int:
 
 
 @kernel
-def drift_or_scale(s: Any) -> int:
+def drift_or_scale(s: State) -> int:
     """Tell by the last parities whether the motor angle's error grows with time, with the angle, or stands."""
     n = s.held
     if n < 16:
@@ -202,7 +208,7 @@ def drift_or_scale(s: Any) -> int:
 
 
 @kernel
-def _look_at_jumps(s: Any, c: Any, increment: float, parity: float) -> int:
+def _look_at_jumps(s: State, c: Const, increment: float, parity: float) -> int:
     """Follow a window behind an odd increment; returns a fault at its end, NONE before and without."""
     odd = s.alarm[JUMP] == 1
     if s.window == 0:
@@ -255,7 +261,7 @@ def _look_at_jumps(s: Any, c: Any, increment: float, parity: float) -> int:
 
 
 @kernel
-def _agree(c: Any, angle: float, parity: float) -> bool:
+def _agree(c: Const, angle: float, parity: float) -> bool:
     """Tell whether EMF and gear find the same error of the motor's angle, and not a small one."""
     expected = parity * c.ratio * pi / 180.0
     large = abs(angle) > 0.5 * c.rules[ANGLE].threshold
@@ -264,7 +270,7 @@ def _agree(c: Any, angle: float, parity: float) -> bool:
 
 @kernel
 def _look_at_angles(
-    s: Any, c: Any, angle: float, parity: float, wheel: float, watched: bool
+    s: State, c: Const, angle: float, parity: float, wheel: float, watched: bool
 ) -> int:
     """Find out which angle breaks the parity, or that the EMF contradicts the sensor."""
     if s.window > 0:
@@ -298,7 +304,9 @@ def _look_at_angles(
 
 
 @kernel
-def _look_at_currents(s: Any, c: Any, angle: float, parity: float, i_u: float, i_v: float) -> int:
+def _look_at_currents(
+    s: State, c: Const, angle: float, parity: float, i_u: float, i_v: float
+) -> int:
     """Find out whether currents and voltages contradict each other for long enough."""
     same = i_u == s.last_u or i_v == s.last_v
     s.last_u, s.last_v = i_u, i_v
@@ -334,7 +342,7 @@ def needs_gear(fault: int) -> bool:
 
 
 @kernel
-def _speaks(s: Any) -> bool:
+def _speaks(s: State) -> bool:
     """Tell whether a symptom speaks."""
     for k in range(SYMPTOMS):
         if s.alarm[k] == 1:
@@ -344,8 +352,8 @@ def _speaks(s: Any) -> bool:
 
 @kernel
 def decide(
-    s: Any,
-    c: Any,
+    s: State,
+    c: Const,
     increment: float,
     angle: float,
     parity: float,

@@ -13,12 +13,11 @@ balance    the EMF vector less c_M omega of the sensor's own speed: currents or 
 from __future__ import annotations
 
 from math import atan2, hypot, pi, sin
-from typing import Any
 
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import warm_resistance
 from gateway.fdi.filters.transforms import clarke, inverse_park, park, wrap
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, i8, kernel
 
 #: Share of a new value in the EMF's average, per millisecond.
 AVERAGE = 0.05
@@ -35,74 +34,81 @@ STILL = 0.02
 #: After so many lost frames everything starts anew, perhaps while the motor turns [rad/s].
 GAP, MOVING = 8.0, 100.0
 
-CONST = record(
-    pole_pairs=f8,
-    emf=f8,
-    period=f8,
-    resistance=f8,
-    warm=i8,
-    compare=i8,
-    gate=f8,
-    share=f8,
-    resistance_error=f8,
-    flux_error=f8,
-    dead=f8,
-    noise=f8,
-    input_gain=f8,
-    quiet=f8,
-    silent=i8,
-    luenberger=luenberger.CONST,
-    reduced=reduced_luenberger.CONST,
-    dq=ekf_dq.CONST,
-    filter=ekf_alpha_beta.CONST,
-    forward=feedforward.CONST,
-)
 
-#: ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor [rad/s].
-#: ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the controller's frame, averaged [V];
-#: ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too small to tell; ``strict``: it is larger than
-#: what a wrong resistance makes, too. ``odd_d``, ``odd_q``: EMF that the sensor's speed does not explain, of the last frame
-#: alone [V], in the frame at ``middle``; ``balance``: averaged, in units of what parameter errors explain. ``repeated``:
-#: frames for which the sensor has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile
-#: [rad]; of the ``slow`` frames so many were ``lively``: it said something new. ``restarts`` of the filter.
-STATE = record(
-    started=i8,
-    frames=i8,
-    theta=f8,
-    turned=f8,
-    speed=f8,
-    increment=f8,
-    strength=f8,
-    lost=i8,
-    restarts=i8,
-    e_d=f8,
-    e_q=f8,
-    angle=f8,
-    r_d=f8,
-    r_q=f8,
-    balance=f8,
-    nis=f8,
-    repeated=i8,
-    longest=i8,
-    slow=i8,
-    lively=i8,
-    still=f8,
-    strict=i8,
-    i_alpha=f8,
-    i_beta=f8,
-    odd_d=f8,
-    odd_q=f8,
-    middle=f8,
-    luenberger=luenberger.STATE,
-    reduced=reduced_luenberger.STATE,
-    dq=ekf_dq.STATE,
-    filter=ekf_alpha_beta.STATE,
-    forward=feedforward.STATE,
-)
+class Const(Record):
+    """Constants."""
+
+    pole_pairs: f8
+    emf: f8
+    period: f8
+    resistance: f8
+    warm: i8
+    compare: i8
+    gate: f8
+    share: f8
+    resistance_error: f8
+    flux_error: f8
+    dead: f8
+    noise: f8
+    input_gain: f8
+    quiet: f8
+    silent: i8
+    luenberger: luenberger.Const
+    reduced: reduced_luenberger.Const
+    dq: ekf_dq.Const
+    filter: ekf_alpha_beta.Const
+    forward: feedforward.Const
+
+
+class State(Record):
+    """State.
+
+    ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor
+    [rad/s]. ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the
+    controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too
+    small to tell; ``strict``: it is larger than what a wrong resistance makes, too. ``odd_d``, ``odd_q``: EMF
+    that the sensor's speed does not explain, of the last frame alone [V], in the frame at ``middle``;
+    ``balance``: averaged, in units of what parameter errors explain. ``repeated``: frames for which the sensor
+    has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile [rad]; of the
+    ``slow`` frames so many were ``lively``: it said something new. ``restarts`` of the filter.
+    """
+
+    started: i8
+    frames: i8
+    theta: f8
+    turned: f8
+    speed: f8
+    increment: f8
+    strength: f8
+    lost: i8
+    restarts: i8
+    e_d: f8
+    e_q: f8
+    angle: f8
+    r_d: f8
+    r_q: f8
+    balance: f8
+    nis: f8
+    repeated: i8
+    longest: i8
+    slow: i8
+    lively: i8
+    still: f8
+    strict: i8
+    i_alpha: f8
+    i_beta: f8
+    odd_d: f8
+    odd_q: f8
+    middle: f8
+    luenberger: luenberger.State
+    reduced: reduced_luenberger.State
+    dq: ekf_dq.State
+    filter: ekf_alpha_beta.State
+    forward: feedforward.State
 
 
 @kernel
-def _compare(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
+def _compare(s: State, c: Const, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
     """Run the estimators that use the sensor's angle for Park: the paper's own."""
     luenberger.step(s.luenberger, c.luenberger, u_q, i_q)
     reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
@@ -110,7 +116,7 @@ def _compare(s: Any, c: Any, u_d: float, u_q: float, i_d: float, i_q: float) -> 
 
 
 @kernel
-def _watch(s: Any, c: Any, mechanical: float) -> None:
+def _watch(s: State, c: Const, mechanical: float) -> None:
     """Start the filter anew if its speed asks for an EMF that is not there: it has lost its angle."""
     f = s.filter
     if c.emf * abs(f.x[2]) > 2.0 * s.strength + 2.0 * c.gate:
@@ -124,7 +130,7 @@ def _watch(s: Any, c: Any, mechanical: float) -> None:
 
 
 @kernel
-def _listen(s: Any, c: Any) -> None:
+def _listen(s: State, c: Const) -> None:
     """Note whether the sensor says something new: a live one does so, at rest too, because of its noise."""
     same = s.turned == 0.0
     if abs(s.filter.x[2]) < c.quiet and s.slow < LEARNED:
@@ -141,7 +147,7 @@ def _listen(s: Any, c: Any) -> None:
 
 
 @kernel
-def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) -> None:
+def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool) -> None:
     """Average the EMF in the controller's frame; find the sensor's error and the balance of voltages."""
     f = s.forward
     u_alpha, u_beta = inverse_park(u_d, u_q, middle)
@@ -172,8 +178,8 @@ def _emf(s: Any, c: Any, u_d: float, u_q: float, middle: float, usable: bool) ->
 
 @kernel
 def step(
-    s: Any,
-    c: Any,
+    s: State,
+    c: Const,
     i_u: float,
     i_v: float,
     theta: float,

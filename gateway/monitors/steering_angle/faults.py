@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gateway.monitors.shape import Debounce, Fault
+from gateway.jit import Record, f8, labels, means
+from gateway.monitors.contract import Debounce, Fault
 
 #: Faults by their place. The motor's angle sensor, in the ways it can fail; then the others.
 (
@@ -23,16 +24,19 @@ from gateway.monitors.shape import Debounce, Fault
     RATIO,
 ) = range(15)
 
-_EVIDENCE = (
-    "increment residual [rad]",
-    "angle of the EMF [rad]",
-    "parity [deg]",
-    "balance",
-    "steering wheel against its rate [deg]",
-    "normalised innovation squared",
-    "speed, estimated [rad/s]",
-    "repeated [frames]",
-)
+
+class Evidence(Record):
+    """Evidence of each fault: the symptoms."""
+
+    increment: f8 = means("increment residual", "rad")
+    angle: f8 = means("angle of the EMF", "rad")
+    parity: f8 = means(unit="deg")
+    balance: f8
+    wheel: f8 = means("steering wheel against its rate", "deg")
+    nis: f8 = means("normalised innovation squared")
+    speed: f8 = means("speed, estimated", "rad/s")
+    repeated: f8 = means(unit="frames")
+
 
 _FOUND = Debounce(failed_after=1, passed_after=200)
 _SEEN = Debounce(failed_after=5, passed_after=200)
@@ -71,4 +75,6 @@ _ROWS = (
     ("ratio", "C1A09-64", "road wheel angle does not follow the ratio asked for", _SEEN),
 )
 
-FAULTS = tuple(Fault(name, dtc, text, _EVIDENCE, debounce) for name, dtc, text, debounce in _ROWS)
+FAULTS = tuple(
+    Fault(name, dtc, text, labels(Evidence), debounce) for name, dtc, text, debounce in _ROWS
+)

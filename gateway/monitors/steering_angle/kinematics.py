@@ -6,53 +6,60 @@ for the moment at which it measured. Its own rate is a second witness of it.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors.steering_angle import clock
 
 #: History of the frames with motor and pinion.
 KEPT = 32
-CONST = record(
-    motor_ratio=f8,
-    wheel_ratio=f8,
-    delay_ns=i8,
-    age_ns=i8,
-    leak=f8,
-    jitter=f8,
-    angle_ns=f8,
-    wheel_ns=f8,
-    stale_ns=i8,
-)
 
-#: ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one
-#: of the last three, less what late frames explain. ``wheel``: the steering wheel's angle
-#: less the integral of its rate, forgetting [deg]. ``fitted_ns``: the last frame for which (1) could be tested.
-#: ``watched``: the rate has been followed since (1) last held.
-STATE = record(
-    at=i8,
-    kept=i8,
-    t_ns=(i8, KEPT),
-    motor=(f8, KEPT),
-    pinion=(f8, KEPT),
-    parity=f8,
-    sure=f8,
-    before=f8,
-    last=f8,
-    wheel=f8,
-    last_wheel=f8,
-    last_rate=f8,
-    wheel_ns=i8,
-    started=i8,
-    fitted_ns=i8,
-    watched=i8,
-    angle_clock=clock.CLOCK,
-    wheel_clock=clock.CLOCK,
-)
+
+class Const(Record):
+    """Constants."""
+
+    motor_ratio: f8
+    wheel_ratio: f8
+    delay_ns: i8
+    age_ns: i8
+    leak: f8
+    jitter: f8
+    angle_ns: f8
+    wheel_ns: f8
+    stale_ns: i8
+
+
+class State(Record):
+    """State.
+
+    ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
+    frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
+    ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
+    last held.
+    """
+
+    at: i8
+    kept: i8
+    t_ns: Annotated[i8s, KEPT]
+    motor: Annotated[f8s, KEPT]
+    pinion: Annotated[f8s, KEPT]
+    parity: f8
+    sure: f8
+    before: f8
+    last: f8
+    wheel: f8
+    last_wheel: f8
+    last_rate: f8
+    wheel_ns: i8
+    started: i8
+    fitted_ns: i8
+    watched: i8
+    angle_clock: clock.Clock
+    wheel_clock: clock.Clock
 
 
 @kernel
-def keep(s: Any, t_ns: int, motor: float, pinion: float) -> None:
+def keep(s: State, t_ns: int, motor: float, pinion: float) -> None:
     """Take a frame with motor and pinion angle [deg]."""
     s.t_ns[s.at] = t_ns
     s.motor[s.at] = motor
@@ -62,7 +69,7 @@ def keep(s: Any, t_ns: int, motor: float, pinion: float) -> None:
 
 
 @kernel
-def fit(s: Any, c: Any, t_ns: int, wheel: float) -> bool:
+def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
     """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
 
     Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
@@ -97,14 +104,14 @@ def fit(s: Any, c: Any, t_ns: int, wheel: float) -> bool:
 
 
 @kernel
-def begin(s: Any) -> None:
+def begin(s: State) -> None:
     """Follow the steering wheel anew: when it was sampled is known anew."""
     s.started = s.watched = 0
     s.wheel = 0.0
 
 
 @kernel
-def follow(s: Any, c: Any, t_ns: int, wheel: float, rate: float) -> None:
+def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
     """Compare the steering wheel's step [deg] with its rate [deg/s]."""
     if s.started == 1:
         dt = (t_ns - s.wheel_ns) * 1e-9
@@ -115,7 +122,7 @@ def follow(s: Any, c: Any, t_ns: int, wheel: float, rate: float) -> None:
 
 
 @kernel
-def now(s: Any, c: Any, t_ns: int) -> float:
+def now(s: State, c: Const, t_ns: int) -> float:
     """Return the steering wheel's angle at a time, continued with its rate [deg]."""
     age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
     return float(s.last_wheel + s.last_rate * age)

@@ -11,10 +11,8 @@ next current frame is paired with the one that it belongs to.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import exp, isnan, nan, pi
-from typing import Any
-
-import numpy as np
 
 from gateway.fdi import stopping
 from gateway.fdi.filters import (
@@ -25,8 +23,21 @@ from gateway.fdi.filters import (
     reduced_luenberger,
 )
 from gateway.fdi.filters.transforms import inverse_park
-from gateway.jit import f8, i8, kernel, record
-from gateway.monitors.shape import TIMER, Calibration, Emission, Monitor, Wiring, inputs, report
+from gateway.jit import Record, f8, i8, kernel, means
+from gateway.monitors import contract
+from gateway.monitors.contract import (
+    TIMER,
+    Calibration,
+    Connection,
+    Emission,
+    Fault,
+    Monitor,
+    Out,
+    Readout,
+    Signal,
+    Warnings,
+    report,
+)
 from gateway.monitors.steering_angle import clock, decision, electrics, kinematics, road_wheel
 from gateway.monitors.steering_angle.decision import NONE
 from gateway.monitors.steering_angle.faults import (
@@ -38,6 +49,7 @@ from gateway.monitors.steering_angle.faults import (
     PINION,
     RATIO,
     WHEEL,
+    Evidence,
 )
 from gateway.monitors.steering_angle.params import Params, Thresholds
 
@@ -52,158 +64,204 @@ SETTLES = 100.0
 #: From this period on the current's time constant is missed [ms].
 COARSE = 5.0
 
-CONST = record(
-    period_ns=i8,
-    settled=i8,
-    degraded=i8,
-    electrics=electrics.CONST,
-    kinematics=kinematics.CONST,
-    decision=decision.CONST,
-    road_wheel=road_wheel.CONST,
-)
 
-#: ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters. ``pairs`` of
-#: motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the newest.
-STATE = record(
-    value=f8,
-    speed=f8,
-    load=f8,
-    luenberger=f8,
-    reduced=f8,
-    dq=f8,
-    quality=i8,
-    pairs=i8,
-    unpaired=i8,
-    found=i8,
-    paired=i8,
-    paired_ns=i8,
-    current_counter=i8,
-    voltage_counter=i8,
-    angle_counter=i8,
-    wheel_counter=i8,
-    i_u=f8,
-    i_v=f8,
-    theta=f8,
-    valid=i8,
-    older_counter=i8,
-    older_u=f8,
-    older_v=f8,
-    older_theta=f8,
-    older_valid=i8,
-    motor=f8,
-    angle_ns=i8,
-    parity=f8,
-    electrics=electrics.STATE,
-    kinematics=kinematics.STATE,
-    decision=decision.STATE,
-    road_wheel=road_wheel.STATE,
-)
+class Const(Record):
+    """Constants."""
 
-_CURRENT = ("I_U", "I_V", "Theta_park", "MC_cur", "Valid_cur")
-_VOLTAGE = ("U_sd_mean", "U_sq_mean", "MC_vol", "T_wdg")
-_ANGLE = ("Delta_M", "Delta_G", "MC_ang", "Valid_ang")
-_WHEEL = ("Delta_S", "Delta_S_dot", "MC_sas", "Valid_sas")
-_SPEED = ("v_X", "Valid_v")
-
-INPUTS = inputs(
-    **{name.lower(): f8 for group in (_CURRENT, _VOLTAGE, _ANGLE, _WHEEL, _SPEED) for name in group}
-)
+    period_ns: i8
+    settled: i8
+    degraded: i8
+    electrics: electrics.Const
+    kinematics: kinematics.Const
+    decision: decision.Const
+    road_wheel: road_wheel.Const
 
 
-def _wire(p: Params) -> Wiring:
-    optional = ["AFS_Angle", "SAS_Angle"]
-    signals = [
-        f"{message}.{name}"
-        for message, group in (
-            ("AFS_MotCur", _CURRENT),
-            ("AFS_MotVol", _VOLTAGE),
-            ("AFS_Angle", _ANGLE),
-            ("SAS_Angle", _WHEEL),
+class State(Record):
+    """State.
+
+    ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters.
+    ``pairs`` of motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the
+    newest.
+    """
+
+    value: f8
+    speed: f8
+    load: f8
+    luenberger: f8
+    reduced: f8
+    dq: f8
+    quality: i8
+    pairs: i8
+    unpaired: i8
+    found: i8
+    paired: i8
+    paired_ns: i8
+    current_counter: i8
+    voltage_counter: i8
+    angle_counter: i8
+    wheel_counter: i8
+    i_u: f8
+    i_v: f8
+    theta: f8
+    valid: i8
+    older_counter: i8
+    older_u: f8
+    older_v: f8
+    older_theta: f8
+    older_valid: i8
+    motor: f8
+    angle_ns: i8
+    parity: f8
+    electrics: electrics.State
+    kinematics: kinematics.State
+    decision: decision.State
+    road_wheel: road_wheel.State
+
+
+#: Inputs by message: field and signal.
+_MESSAGES = {
+    "AFS_MotCur": ("I_U", "I_V", "Theta_park", "MC_cur", "Valid_cur"),
+    "AFS_MotVol": ("U_sd_mean", "U_sq_mean", "MC_vol", "T_wdg"),
+    "AFS_Angle": ("Delta_M", "Delta_G", "MC_ang", "Valid_ang"),
+    "SAS_Angle": ("Delta_S", "Delta_S_dot", "MC_sas", "Valid_sas"),
+    "ESC_Speed": ("v_X", "Valid_v"),
+}
+#: Messages without which it steps, too.
+_OPTIONAL = ("AFS_Angle", "SAS_Angle", "ESC_Speed")
+
+
+class Inputs(contract.Inputs):
+    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called."""
+
+    i_u: f8
+    i_v: f8
+    theta_park: f8
+    mc_cur: f8
+    valid_cur: f8
+    u_sd_mean: f8
+    u_sq_mean: f8
+    mc_vol: f8
+    t_wdg: f8
+    delta_m: f8
+    delta_g: f8
+    mc_ang: f8
+    valid_ang: f8
+    delta_s: f8
+    delta_s_dot: f8
+    mc_sas: f8
+    valid_sas: f8
+    v_x: f8
+    valid_v: f8
+
+
+class Outputs(Record):
+    """What it sends."""
+
+    value: f8 = means("motor angle", "deg")
+    speed: f8 = means("motor speed", "rad/s")
+    quality: f8
+    found: f8 = means("number of the fault found, from 1")
+    load: f8 = means("load torque", "Nm")
+
+
+def _connect(p: Params) -> Mapping[str, Connection]:
+    return {
+        name.lower(): None
+        if message == "ESC_Speed" and p.ratio is None
+        else Signal(
+            f"{message}.{name}", triggers=message != "ESC_Speed", optional=message in _OPTIONAL
         )
-        for name in group
-    ]
-    if p.ratio is None:
-        signals += ["AFS_MotCur.I_U"] * len(_SPEED)  # not looked at
-    else:
-        optional.append("ESC_Speed")
-        signals += [f"ESC_Speed.{name}" for name in _SPEED]
-    triggers = ("AFS_MotCur", "AFS_MotVol", "AFS_Angle", "SAS_Angle")
-    return Wiring(triggers, tuple(signals), tuple(optional))
+        for message, names in _MESSAGES.items()
+        for name in names
+    }
 
 
-def _prepare_electrics(p: Params, c: np.void) -> None:
+def _faults(_: Params) -> tuple[Fault, ...]:
+    return FAULTS
+
+
+def _emits(_: Params) -> Emission:
+    signals = {
+        "value": "MotorAngle", "speed": "MotorSpeed", "quality": "Quality", "found": "Found", "load": "Load",
+    }  # fmt: skip
+    return Emission("GW_Steering", signals)
+
+
+def _prepare_electrics(p: Params, c: electrics.Const) -> None:
     motor, period = p.motor.motor, p.period_ms * 1e-3
-    c["pole_pairs"], c["emf"], c["period"] = motor.pole_pairs, motor.emf, period
-    c["resistance"], c["warm"], c["compare"] = motor.resistance, p.temperature, p.compare
-    c["quiet"], c["silent"] = 2.0, max(round(35.0 / p.period_ms), 10)
-    c["share"] = 1.0 - (1.0 - electrics.AVERAGE) ** p.period_ms
-    c["gate"], c["noise"] = 5.0 * motor.emf, 0.05
-    c["resistance_error"], c["flux_error"] = p.resistance_error, p.flux_error
-    c["dead"] = p.dead_volts
-    c["input_gain"] = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
-    luenberger.prepare(c["luenberger"], motor, period)
-    reduced_luenberger.prepare(c["reduced"], motor, period)
-    ekf_dq.prepare(c["dq"], motor, period, load=True)
-    ekf_alpha_beta.prepare(c["filter"], motor, period, slow=p.slow)
-    feedforward.prepare(c["forward"], motor, period)
+    c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
+    c.resistance, c.warm, c.compare = motor.resistance, p.temperature, p.compare
+    c.quiet, c.silent = 2.0, max(round(35.0 / p.period_ms), 10)
+    c.share = 1.0 - (1.0 - electrics.AVERAGE) ** p.period_ms
+    c.gate, c.noise = 5.0 * motor.emf, 0.05
+    c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
+    c.dead = p.dead_volts
+    c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
+    luenberger.prepare(c.luenberger, motor, period)
+    reduced_luenberger.prepare(c.reduced, motor, period)
+    ekf_dq.prepare(c.dq, motor, period, load=True)
+    ekf_alpha_beta.prepare(c.filter, motor, period, slow=p.slow)
+    feedforward.prepare(c.forward, motor, period)
 
 
-def _prepare_decision(p: Params, c: np.void) -> None:
+def _prepare_decision(p: Params, c: decision.Const) -> None:
     levels = p.thresholds.at(p.period_ms)
     forget = {decision.RESTLESS: 0.98**p.period_ms, decision.SURPRISE: 0.8**p.period_ms}
     for k, level in enumerate(levels):
         if k == decision.PARITY:
-            stopping.prepare(c["rules"][k], "cusum", level, drift=p.blind, most=4.0 * level)
+            stopping.prepare(c.rules[k], "cusum", level, drift=p.blind, most=4.0 * level)
         elif k in forget:
-            stopping.prepare(c["rules"][k], "gma", level, forget=forget[k])
+            stopping.prepare(c.rules[k], "gma", level, forget=forget[k])
         else:
-            stopping.prepare(c["rules"][k], "direct", level)
+            stopping.prepare(c.rules[k], "direct", level)
 
     def frames(ms: float) -> int:
         return max(round(ms / p.period_ms), 1)
 
-    c["window"] = max(frames(40.0), 12)
-    c["silent"], c["confirm"] = max(frames(35.0), 10), max(frames(8.0), 4)
-    c["wait"], c["hold"], c["exonerate"] = frames(15.0), frames(1000.0), frames(60.0)
-    c["ratio"] = p.motor_ratio
+    c.window = max(frames(40.0), 12)
+    c.silent, c.confirm = max(frames(35.0), 10), max(frames(8.0), 4)
+    c.wait, c.hold, c.exonerate = frames(15.0), frames(1000.0), frames(60.0)
+    c.ratio = p.motor_ratio
 
 
-def _prepare(p: Params, s: np.void, c: np.void) -> None:
-    c["period_ns"] = round(p.period_ms * 1e6)
-    c["settled"] = round(SETTLES / p.period_ms)
-    c["degraded"] = p.period_ms >= COARSE
-    _prepare_electrics(p, c["electrics"])
-    k = c["kinematics"]
-    k["motor_ratio"], k["wheel_ratio"] = p.motor_ratio, p.wheel_ratio
-    k["delay_ns"], k["age_ns"], k["leak"] = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
-    k["jitter"] = 1e-3 * p.wheel_jitter_ms
-    k["angle_ns"], k["wheel_ns"] = 1e6 * p.angle_period, 1e6 * p.wheel_period_ms
-    k["stale_ns"] = k["age_ns"] + 3 * k["wheel_ns"]
-    _prepare_decision(p, c["decision"])
-    road_wheel.prepare(c["road_wheel"], p.ratio)
-    s["decision"]["found"] = NONE
-    s["found"] = NONE
-    for name in ("paired", "current_counter", "voltage_counter", "angle_counter"):
-        s[name] = -1
-    s["wheel_counter"] = s["older_counter"] = -1
-    s["electrics"]["angle"] = nan
+def _prepare(p: Params, s: State, c: Const) -> None:
+    c.period_ns = round(p.period_ms * 1e6)
+    c.settled = round(SETTLES / p.period_ms)
+    c.degraded = p.period_ms >= COARSE
+    _prepare_electrics(p, c.electrics)
+    k = c.kinematics
+    k.motor_ratio, k.wheel_ratio = p.motor_ratio, p.wheel_ratio
+    k.delay_ns, k.age_ns, k.leak = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
+    k.jitter = 1e-3 * p.wheel_jitter_ms
+    k.angle_ns, k.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
+    k.stale_ns = k.age_ns + 3 * k.wheel_ns
+    _prepare_decision(p, c.decision)
+    road_wheel.prepare(c.road_wheel, p.ratio)
+    s.decision.found = NONE
+    s.found = NONE
+    s.paired = s.current_counter = s.voltage_counter = s.angle_counter = -1
+    s.wheel_counter = s.older_counter = -1
+    s.electrics.angle = nan
 
 
 @kernel
-def _report(s: Any, fault: int, failed: bool, value: float, limit: float, out: Any) -> None:
+def _report(
+    s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Outputs]
+) -> None:
     """Report a test with the symptoms as evidence."""
-    at = report(out, fault, failed, value, limit)
-    if at < 0 or not failed:
+    e = report(out, fault, failed, value, limit)
+    if not failed:
         return
-    e, m = out.results[at].evidence, s.electrics
-    e[0], e[1], e[2], e[3] = m.increment, m.angle, s.parity, m.balance
-    e[4], e[5], e[6], e[7] = s.kinematics.wheel, m.nis, m.filter.x[2], m.repeated
-    if isnan(e[1]):
-        e[1] = 0.0
+    m = s.electrics
+    e.increment, e.angle, e.parity, e.balance = m.increment, m.angle, s.parity, m.balance
+    e.wheel, e.nis, e.speed, e.repeated = s.kinematics.wheel, m.nis, m.filter.x[2], m.repeated
+    if isnan(e.angle):
+        e.angle = 0.0
 
 
 @kernel
-def _conclude(s: Any, c: Any, out: Any) -> None:
+def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report all tests that this pair of frames has carried out."""
     d = s.decision
     s.found = d.found
@@ -221,7 +279,9 @@ def _conclude(s: Any, c: Any, out: Any) -> None:
 
 
 @kernel
-def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: float) -> None:
+def _pair(
+    s: State, c: Const, u: Inputs, u_frame: int, i_u: float, i_v: float, theta: float
+) -> None:
     """Take a pair of motor frames with the counter ``u_frame``."""
     m, d = s.electrics, s.decision
     periods = float((u_frame - s.paired) % 16)
@@ -276,7 +336,7 @@ def _pair(s: Any, c: Any, u: Any, u_frame: int, i_u: float, i_v: float, theta: f
 
 
 @kernel
-def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
+def _motor_frames(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take whichever motor frame has come, and a pair if it is complete."""
     came, told = int(u.mc_cur), int(u.mc_vol)
     newer = came != s.current_counter
@@ -303,7 +363,7 @@ def _motor_frames(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
-def _angle_frame(s: Any, c: Any, u: Any) -> None:
+def _angle_frame(s: State, c: Const, u: Inputs) -> None:
     """Take a frame with motor and pinion angle."""
     s.motor, s.angle_ns = u.delta_m, u.t_ns
     k = s.kinematics
@@ -314,7 +374,7 @@ def _angle_frame(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
+def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take a frame of the steering wheel: parity and rate."""
     k, d = s.kinematics, s.decision
     at_ns = clock.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
@@ -341,7 +401,7 @@ def _wheel_frame(s: Any, c: Any, u: Any, out: Any) -> None:
 
 
 @kernel
-def _value(s: Any, c: Any, u: Any) -> None:
+def _value(s: State, c: Const, u: Inputs) -> None:
     """Find the motor angle to send: measured, or out of the gear when the sensor is at fault."""
     m, d = s.electrics, s.decision
     s.speed, s.load = m.filter.x[2], m.filter.x[4]
@@ -361,7 +421,7 @@ def _value(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, out: Any) -> None:
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame, or the timer of a silent bus."""
     if u.trigger == TIMER:
         s.quality = INVALID
@@ -381,11 +441,11 @@ def step(s: Any, c: Any, u: Any, out: Any) -> None:
             return
         _value(s, c, u)
     out.send = 1
-    out.values[0] = 0.0 if isnan(s.value) else s.value
-    out.values[1] = s.speed
-    out.values[2] = s.quality
-    out.values[3] = s.found + 1
-    out.values[4] = s.load
+    out.values.value = 0.0 if isnan(s.value) else s.value
+    out.values.speed = s.speed
+    out.values.quality = s.quality
+    out.values.found = s.found + 1
+    out.values.load = s.load
 
 
 def _warnings(p: Params) -> tuple[str, ...]:
@@ -400,32 +460,39 @@ def _warnings(p: Params) -> tuple[str, ...]:
 
 MONITOR = Monitor(
     type="steering_angle",
+    api=2,
     params=Params,
-    state=STATE,
-    const=CONST,
-    inputs=INPUTS,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    outputs=Outputs,
     step=step,
-    faults=FAULTS,
-    wire=_wire,
+    connect=_connect,
     prepare=_prepare,
-    readout=(
-        "value",
-        "speed",
-        "load",
-        "luenberger",
-        "reduced",
-        "dq",
-        "quality",
-        "pairs",
-        "unpaired",
-        "found",
-        "parity",
+    faults=_faults,
+    emits=_emits,
+    capabilities=(
+        Readout(
+            (
+                "value",
+                "speed",
+                "load",
+                "luenberger",
+                "reduced",
+                "dq",
+                "quality",
+                "pairs",
+                "unpaired",
+                "found",
+                "parity",
+            )
+        ),
+        Calibration(
+            names=tuple(Thresholds.model_fields),
+            rules=lambda s: s["decision"]["rules"],
+            levels=lambda p: p.thresholds.at(p.period_ms),
+        ),
+        Warnings(_warnings),
     ),
-    emission=Emission("GW_Steering", ("MotorAngle", "MotorSpeed", "Quality", "Found", "Load")),
-    calibration=Calibration(
-        names=tuple(Thresholds.model_fields),
-        rules=lambda s: s["decision"]["rules"],
-        levels=lambda p: p.thresholds.at(p.period_ms),
-    ),
-    warnings=_warnings,
 )

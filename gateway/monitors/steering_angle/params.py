@@ -8,7 +8,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from gateway.fdi.filters.motor import Motor
-from gateway.monitors.shape import MonitorParams
+from gateway.monitors.contract import MonitorParams
 from gateway.tomlfile import StrictModel
 
 

@@ -8,11 +8,9 @@ F_SG(x) = gear x (1 + cubic x^2), solved for x by Newton's method. (4)'s depende
 from __future__ import annotations
 
 from math import pi
-from typing import Any
+from typing import Annotated
 
-import numpy as np
-
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.steering_angle.params import Ratio
 
 #: Points of i_V(v_X).
@@ -20,23 +18,37 @@ POINTS = 8
 #: Share of a new value in the average; frames of the steering wheel.
 AVERAGE = 0.1
 
-CONST = record(points=i8, speed=(f8, POINTS), ratio=(f8, POINTS), gear=f8, cubic=f8, tolerance=f8)
-#: ``off``: road wheel angle less the one asked for, averaged [deg].
-STATE = record(off=f8, taken=i8)
+
+class Const(Record):
+    """Constants."""
+
+    points: i8
+    speed: Annotated[f8s, POINTS]
+    ratio: Annotated[f8s, POINTS]
+    gear: f8
+    cubic: f8
+    tolerance: f8
 
 
-def prepare(c: np.void, ratio: Ratio | None) -> None:
+class State(Record):
+    """State: ``off``: road wheel angle less the one asked for, averaged [deg]."""
+
+    off: f8
+    taken: i8
+
+
+def prepare(c: Const, ratio: Ratio | None) -> None:
     """Fill a record of CONST; without a ratio nothing is checked."""
     if ratio is None:
         return
     n = len(ratio.speed)
-    c["points"], c["gear"], c["cubic"] = n, ratio.gear, ratio.cubic
-    c["speed"][:n], c["ratio"][:n] = ratio.speed, ratio.ratio
-    c["tolerance"] = ratio.tolerance
+    c.points, c.gear, c.cubic = n, ratio.gear, ratio.cubic
+    c.speed[:n], c.ratio[:n] = ratio.speed, ratio.ratio
+    c.tolerance = ratio.tolerance
 
 
 @kernel
-def overall_ratio(c: Any, v: float) -> float:
+def overall_ratio(c: Const, v: float) -> float:
     """Return i_V at a speed [km/h], along straight lines, (4)."""
     if v <= c.speed[0]:
         return float(c.ratio[0])
@@ -48,7 +60,7 @@ def overall_ratio(c: Any, v: float) -> float:
 
 
 @kernel
-def road_wheel(c: Any, pinion: float) -> float:
+def road_wheel(c: Const, pinion: float) -> float:
     """Return the road wheel's angle for a pinion angle, both [deg]: (2) solved for delta_F."""
     target = pinion * pi / 180.0 / c.gear
     x = target
@@ -58,7 +70,7 @@ def road_wheel(c: Any, pinion: float) -> float:
 
 
 @kernel
-def check(s: Any, c: Any, pinion: float, wheel: float, v: float) -> bool:
+def check(s: State, c: Const, pinion: float, wheel: float, v: float) -> bool:
     """Take pinion and wheel angle [deg] at a speed [km/h]; tells whether ``s.off`` may be judged."""
     off = road_wheel(c, pinion) - wheel / overall_ratio(c, v)
     s.off += AVERAGE * (off - s.off)

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from gateway.engine.tables import table
 from gateway.evaluate.pi_bank import example
 from gateway.evaluate.pi_bank.bank import noise, observers, records, walk
 from gateway.fdi.linear.plant import discretised
 from gateway.fdi.pi_bank import bank, isolation, jump, start
 from gateway.fdi.pi_bank.design import Noise, augmented, check, design
 from gateway.fdi.pi_bank.masking import masked, stationary
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.vecu.linear_params import LinearFault
 from gateway.vecu.linear_plant import simulate
 
@@ -54,7 +53,7 @@ def test_an_observer_that_cannot_be_designed_is_named():
 )
 def test_the_bank_s_step_is_the_equation(poles):
     found = design(PLANT, noise(), poles)
-    s, c = table(1, bank.STATE), table(1, bank.CONST)
+    s, c = zeros(1, bank.State), zeros(1, bank.Const)
     bank.prepare(c[0], PLANT, found)
     rng = np.random.default_rng(5)
     z = [np.zeros(6) for _ in range(4)]
@@ -82,7 +81,7 @@ def test_every_observer_has_the_poles_asked_for():
 
 
 def test_the_start_is_filterpy_s_kalman_filter():
-    s, c, o = table(1, start.STATE), table(1, start.CONST), table(1, bank.CONST)
+    s, c, o = zeros(1, start.State), zeros(1, start.Const), zeros(1, bank.Const)
     bank.prepare(o[0], PLANT, observers())
     unknown = np.array([1.0, 2.0, 3.0, 4.0, 0.5, 0.6])
     start.prepare(c[0], PLANT, noise(), 40, unknown)
@@ -242,14 +241,14 @@ def test_a_plant_that_is_too_large_is_refused():
     n = bank.MOST_STATES + 1
     large = discretised(-np.eye(n), np.ones((n, 1)), np.eye(n)[:2], 0.1)
     with pytest.raises(ValueError, match=f"{n} states"):
-        bank.prepare(table(1, bank.CONST)[0], large, ())
+        bank.prepare(zeros(1, bank.Const)[0], large, ())
 
 
 def test_noise_is_what_the_innovations_have():
     """Innovations of 20 000 healthy samples have the covariance that the design says."""
     if not COMPILED:
         pytest.skip("20 000 steps")
-    s, c = table(1, bank.STATE), table(1, bank.CONST)
+    s, c = zeros(1, bank.State), zeros(1, bank.Const)
     bank.prepare(c[0], PLANT, observers())
     y, u = healthy(0.01, 2000.0, 6)
     seen = np.zeros((len(y), 3))

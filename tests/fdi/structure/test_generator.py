@@ -9,13 +9,13 @@ import truck_data
 from amount import amount
 from residual_runner import Runner, close
 
-from gateway.engine.tables import table
 from gateway.fdi.structure.generator.code import write
 from gateway.fdi.structure.generator.loading import load, residual_generator
 from gateway.fdi.structure.generator.realisation import realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
 from gateway.fdi.structure.model import Equation, Loop, Model, Quantity, Solvable, differential
 from gateway.fdi.structure.relation import Relation
+from gateway.jit import zeros
 
 SECONDS = amount(60, 60, 5)
 
@@ -416,7 +416,7 @@ def test_the_code_is_plain_python(truck):
 
 def test_constants_are_checked(truck):
     loaded = of_truck(truck, "T3_MCDS")
-    c = table(1, loaded.const)
+    c = zeros(1, loaded.const)
     loaded.prepare(c[0], values={"m_v0": 30000.0})
     assert c[0]["m_v0"] == 30000.0
     with pytest.raises(ValueError, match='"mass" is no parameter'):

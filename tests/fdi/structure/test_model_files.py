@@ -9,7 +9,6 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.engine.tables import table
 from gateway.errors import InputError, InputErrors
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.loading import residual_generator
@@ -18,6 +17,7 @@ from gateway.fdi.structure.generator.symbols import Symbols
 from gateway.fdi.structure.model import Equation, Loop, Model, Solvable
 from gateway.fdi.structure.relation import Expression, Relation
 from gateway.fdi.structure.sequence import Kind, Step, Structure
+from gateway.jit import zeros
 from gateway.resources import shipped
 
 GOOD = """
@@ -222,7 +222,7 @@ def test_names_that_records_have_already():
     chain.append(Equation("e8", ("dt",), ("c",), relation=Relation.parse("c = dt")))
     model = Model("names", tuple(chain), unknowns, ("mean", "c"))
     loaded = residual_generator(model, frozenset(e.name for e in chain), "e8")
-    s, c, u = (table(1, d) for d in (loaded.state, loaded.const, loaded.inputs))
+    s, c, u = (zeros(1, d) for d in (loaded.state, loaded.const, loaded.inputs))
     u[0]["mean_"], u[0]["c"] = 3.0, 500.0
     assert loaded.step(s[0], c[0], u[0], 0.0) == 500.0 - 3.0 * 128
 
@@ -239,7 +239,7 @@ def test_a_loop_that_is_given_by_its_solution():
     )
     model = Model("m", equations, ("a", "b"), ("u", "w", "y"), loops=(loop,))
     loaded = residual_generator(model, frozenset(["e1", "e2", "e3"]), "e3")
-    s, c, u = (table(1, d) for d in (loaded.state, loaded.const, loaded.inputs))
+    s, c, u = (zeros(1, d) for d in (loaded.state, loaded.const, loaded.inputs))
     u[0]["u"], u[0]["w"], u[0]["y"] = 5.0, 2.0, 6.0
     assert loaded.step(s[0], c[0], u[0], 0.0) == 0.0
 

@@ -9,10 +9,10 @@ from gateway.bus.frames import payload
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.evaluate.crank.cases import healthy
 from gateway.fdi.wheel import Wheel
+from gateway.monitors.contract import FAILED
 from gateway.monitors.crank_sync import MONITOR
 from gateway.monitors.crank_sync.faults import CAM_CORRELATION, CAM_SILENT, FAULTS
 from gateway.monitors.crank_sync.monitor import Params
-from gateway.monitors.shape import FAILED
 from gateway.resources import shipped
 from gateway.signals.database import load_database
 from gateway.vecu.crank import cam_edges

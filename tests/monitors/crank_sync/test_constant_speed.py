@@ -7,23 +7,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.fdi.wheel import Wheel
-from gateway.jit import COMPILED
-from gateway.monitors.crank_sync.constant_speed import CONST, STATE, TRACK, prepare, tooth
+from gateway.jit import zeros
+from gateway.monitors.contract import FAILED
+from gateway.monitors.crank_sync.constant_speed import TRACK, Const, State, prepare, tooth
 from gateway.monitors.crank_sync.faults import ADDED, MISSED, SYNC_LOST
-from gateway.monitors.crank_sync.monitor import Params
-from gateway.monitors.shape import FAILED, RESULTS
-
-
-def table(dtype):
-    array = np.zeros(1, dtype)
-    return array if COMPILED else array.view(np.recarray)
+from gateway.monitors.crank_sync.monitor import MONITOR, Params
 
 
 class Bench:
     """The monitor alone, fed with intervals."""
 
     def __init__(self, wheel, gain=0.6, threshold=None, follow_speed=True):
-        self.s, self.c, self.out = table(STATE), table(CONST), table(RESULTS)
+        self.s, self.c, self.out = (zeros(1, kind) for kind in (State, Const, MONITOR.results))
         prepare(self.s[0], self.c[0], Wheel.parse(wheel), gain, threshold, follow_speed)
         self.failures = []
 
@@ -33,7 +28,7 @@ class Bench:
             tooth(self.s[0], self.c[0], float(y), self.out[0])
             for r in self.out[0]["results"][: int(self.out[0]["n"])]:
                 if r["result"] == FAILED:
-                    self.failures.append((k, int(r["fault"]), r["evidence"].tolist()))
+                    self.failures.append((k, int(r["fault"]), r["cells"].tolist()))
         return self
 
 

@@ -10,10 +10,10 @@ from gateway.engine.build import MonitorInstance, build_engine
 from gateway.evaluate.crank.cases import healthy
 from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED
+from gateway.monitors.contract import FAILED
 from gateway.monitors.crank_sync import MONITOR
 from gateway.monitors.crank_sync.monitor import Params
 from gateway.monitors.crank_sync.place import CONFIRMED
-from gateway.monitors.shape import FAILED
 from gateway.resources import shipped
 from gateway.signals.database import load_database
 from gateway.vecu.crank import tooth_times

@@ -7,18 +7,17 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.engine.tables import table
 from gateway.fdi.pulse_tracking import profile
-from gateway.fdi.pulse_tracking.acquisition import SEARCH, WINDOW, seek
-from gateway.fdi.pulse_tracking.hypotheses import MOST, TRACKER, begin, take
-from gateway.fdi.pulse_tracking.motion import HYPOTHESIS, Q1, Q2, correct, spread, travel
+from gateway.fdi.pulse_tracking.acquisition import WINDOW, Search, seek
+from gateway.fdi.pulse_tracking.hypotheses import MOST, Tracker, begin, take
+from gateway.fdi.pulse_tracking.motion import Q1, Q2, Hypothesis, correct, spread, travel
 from gateway.fdi.wheel import Wheel
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.monitors.crank_sync import place
 
 
 def hypothesis(period=500.0, growth=0.0, **p):
-    h = table(1, HYPOTHESIS)
+    h = zeros(1, Hypothesis)
     h["period"], h["growth"] = period, growth
     for name, value in p.items():
         h[name] = value
@@ -96,7 +95,7 @@ def test_the_place_is_found_or_not_told(wheel, start, period, slope):
     pitches = np.array(w.pitches)
     logs = np.zeros(128)
     logs[: w.pulses] = np.log(pitches)
-    se = table(1, SEARCH)[0]
+    se = zeros(1, Search)[0]
     found = []
     for k in range(2 * w.pulses):
         at = (start + k) % w.pulses
@@ -111,7 +110,7 @@ def test_the_place_is_found_or_not_told(wheel, start, period, slope):
 @pytest.mark.skipif(not COMPILED, reason="half a minute")
 def test_hypotheses_never_exceed_their_room():
     """Pulses that fit nothing: noise without a wheel."""
-    tr = table(1, TRACKER)[0]
+    tr = zeros(1, Tracker)[0]
     pitches = np.array(Wheel.parse("36-1").pitches)
     tr["pitches"][:35] = pitches
     tr["wander"] = 1e-5
@@ -132,7 +131,7 @@ def test_hypotheses_never_exceed_their_room():
 def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     """10 % ripple while cranking, none at twice the speed: a quarter is believed at once, then less."""
     wheel = Wheel.parse("36-1")
-    state, const = table(1, place.STATE), table(1, place.CONST)
+    state, const = zeros(1, place.State), zeros(1, place.Const)
     place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
     pr, wh, pitches = state[0]["profile"], const[0]["wheel"], state[0]["tracker"]["pitches"]
     if not COMPILED:

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from amount import amount
 
-from gateway.engine.tables import table
 from gateway.evaluate.hybrid.conditions import CONDITIONS, compare
 from gateway.evaluate.hybrid.figures import CHARGE, NOISE
 from gateway.evaluate.hybrid.follow import follow, inputs
 from gateway.evaluate.hybrid.table import TRUCK
 from gateway.fdi.structure.file import load_model
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.monitors.hybrid_powertrain.params import Params
 from gateway.resources import shipped
 from gateway.vecu import truck_plant
@@ -28,7 +27,7 @@ def internal(samples, volts, *, printed):
     model = load_model(shipped("models/hybrid_truck.toml"))
     p = {name: q.value for name, q in model.quantities.items()}
     inertia, ratio = model.tables["f_2"].y, model.tables["f_3"].y
-    plant = table(1, truck_plant.CONST)[0]
+    plant = zeros(1, truck_plant.CONST)[0]
     truck_plant.prepare(plant, model, truck_plant.Disturbance())
     r, rows = 0.0, []
     for row in samples:

@@ -6,10 +6,9 @@ from amount import amount
 from filterpy.kalman import KalmanFilter
 from truck_runs import TABLE, TRUCK, UNISOLATED, configured, driven, run
 
-from gateway.engine.tables import table
 from gateway.evaluate.hybrid.follow import follow, inputs
 from gateway.evaluate.hybrid.table import DISTURBANCES
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.monitors.hybrid_powertrain import MONITOR, observer
 from gateway.monitors.hybrid_powertrain.generated import t7
 from gateway.monitors.hybrid_powertrain.observer import (
@@ -37,9 +36,9 @@ OURS = {
 
 
 def records():
-    s, c = table(1, MONITOR.state), table(1, MONITOR.const)
+    s, c = zeros(1, MONITOR.state), zeros(1, MONITOR.const)
     MONITOR.prepare(Params(), s[0], c[0])
-    return s[0]["observer"], c[0]["observer"], table(1, t7.STATE)[0], c[0]["t7"]
+    return s[0]["observer"], c[0]["observer"], zeros(1, t7.State)[0], c[0]["t7"]
 
 
 @pytest.mark.long
@@ -121,7 +120,7 @@ def test_a_new_window_keeps_the_errors_and_forgets_the_speed():
 def test_sensitivities_are_the_derivatives_of_the_model():
     """What each error does, against the generated code's acceleration with that error put in."""
     s, c, _, q = records()
-    u = table(1, MONITOR.inputs)[0]
+    u = zeros(1, MONITOR.inputs)[0]
     for name, value in {
         "u_c": 1.0, "gear": 9.0, "ice_ctrl": 20e3, "T_b_ctrl": 0.0, "I_em_sens": 150.0,
         "omega_e_sens": 140.0, "omega_gb_sens": 73.0,
@@ -129,10 +128,10 @@ def test_sensitivities_are_the_derivatives_of_the_model():
         u[name] = value
 
     def accelerated(change=lambda q: None, current=150.0, slope=0.0, brake=500.0):
-        other = table(1, MONITOR.const)
-        MONITOR.prepare(Params(), table(1, MONITOR.state)[0], other[0])
+        other = zeros(1, MONITOR.const)
+        MONITOR.prepare(Params(), zeros(1, MONITOR.state)[0], other[0])
         change(other[0]["t7"])
-        state = table(1, t7.STATE)[0]
+        state = zeros(1, t7.State)[0]
         t7.reset(state, other[0]["t7"])
         u["I_em_sens"], u["alpha"], u["T_b_ctrl"] = current, slope, brake
         t7.start(state, other[0]["t7"], u)

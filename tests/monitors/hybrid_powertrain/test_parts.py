@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.engine.tables import table
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.code import write
 from gateway.fdi.structure.generator.realisation import realise
+from gateway.jit import zeros
 from gateway.monitors.hybrid_powertrain import blanking, dynamic, excitation, gate, isolation
 from gateway.monitors.hybrid_powertrain import generated as folder
 from gateway.monitors.hybrid_powertrain.generated import GENERATED
@@ -29,7 +29,7 @@ MODEL = load_model(shipped("models/hybrid_truck.toml"))
 
 
 def constants(system):
-    c = table(1, isolation.CONST)
+    c = zeros(1, isolation.Const)
     isolation.prepare(c[0], MODEL, system)
     return c[0]
 
@@ -62,7 +62,7 @@ def test_candidates_are_ranked_by_how_near_their_tests_are():
 
 
 def test_a_gear_change_takes_away_what_is_before_and_behind_it():
-    s = table(1, blanking.STATE)
+    s = zeros(1, blanking.State)
     s[0]["gear"] = 5
     released = []
     for k in range(100):
@@ -74,7 +74,7 @@ def test_a_gear_change_takes_away_what_is_before_and_behind_it():
 
 
 def test_nothing_is_released_that_was_not_to_count():
-    s = table(1, blanking.STATE)
+    s = zeros(1, blanking.State)
     found = [blanking.put(s[0], 5, 0, k % 3 == 0, float(k), 0.0) for k in range(40)]
     values = [s[0]["held"][place, 0] for place in found if place >= 0]
     assert sum(place >= 0 for place in found) == 12  # of 0, 3, ... 33; 36 and 39 still wait
@@ -82,7 +82,7 @@ def test_nothing_is_released_that_was_not_to_count():
 
 
 def test_the_speed_at_the_start_is_corrected_once():
-    s = table(1, dynamic.STATE)
+    s = zeros(1, dynamic.State)
     dynamic.begin(s[0])
     corrections = []
     for k in range(300):
@@ -96,7 +96,7 @@ def test_the_speed_at_the_start_is_corrected_once():
 
 
 def test_the_start_s_speed_has_no_lag_of_a_ramp():
-    s = table(1, gate.STATE)
+    s = zeros(1, gate.State)
     for k in range(200):
         gate.update(s[0], 1.0, 12, 1.0, 150.0, 0.02 * k, 0.01)
     assert gate.speed(s[0]) == pytest.approx(0.02 * 199, abs=1e-3)
@@ -104,7 +104,7 @@ def test_the_start_s_speed_has_no_lag_of_a_ramp():
 
 
 def test_the_gate_opens_when_the_clutch_has_held():
-    s = table(1, gate.STATE)
+    s = zeros(1, gate.State)
 
     def feed(count, clutch=1.0, gear=10, engine=150.0, gearbox=100.0):
         for _ in range(count):
@@ -126,7 +126,7 @@ def test_noise_does_not_close_a_gate_that_is_open():
     """Slip and engine speed have two levels each: one to open, one to close."""
 
     def opened():
-        s = table(1, gate.STATE)
+        s = zeros(1, gate.State)
         for _ in range(40):
             gate.update(s[0], 1.0, 10, 1.5, 150.0, 100.0, 0.01)
         assert gate.valid(s[0])
@@ -141,13 +141,13 @@ def test_noise_does_not_close_a_gate_that_is_open():
     assert not held(opened(), 160.0, 100.0)  # 10
     assert held(opened(), 65.0, 65.0 / 1.5)
     assert not held(opened(), 63.0, 63.0 / 1.5)
-    fresh = table(1, gate.STATE)[0]
+    fresh = zeros(1, gate.State)[0]
     assert not held(fresh, 158.0, 100.0)
-    assert not held(table(1, gate.STATE)[0], 65.0, 65.0 / 1.5)
+    assert not held(zeros(1, gate.State)[0], 65.0, 65.0 / 1.5)
 
 
 def test_conditions_of_excitation():
-    s, c = table(1, excitation.STATE), table(1, excitation.CONST)
+    s, c = zeros(1, excitation.State), zeros(1, excitation.Const)
     c[0]["after"], c[0]["signed"], c[0]["absolute"], c[0]["efficiency"] = 1.0, 100.0, 100.0, 0.5
     for current in (100.0, -25.0) * 40:
         excitation.update(s[0], c[0], current, 2.0, 0.01)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from gateway.engine.tables import table
+from gateway.jit import zeros
 from gateway.monitors.steering_angle import decision, kinematics, road_wheel
 from gateway.monitors.steering_angle.faults import (
     CURRENT,
@@ -21,7 +21,7 @@ from gateway.monitors.steering_angle.params import Params, Ratio, Thresholds
 
 
 def history(parity, motor):
-    s = table(1, decision.STATE)
+    s = zeros(1, decision.State)
     for p, m in zip(parity, motor, strict=True):
         decision.note_parity(s[0], p, m)
     return s[0]
@@ -47,7 +47,7 @@ def test_a_current_sensor_shows_at_once_and_a_voltage_does_not(seed, direction):
     rng = np.random.default_rng(seed)
     print("seed", seed)
     for name, first, later in ((CURRENT, 1.04, 0.48), (VOLTAGE, rng.uniform(0, 1), 1.0)):
-        s = table(1, decision.STATE)
+        s = zeros(1, decision.State)
         onset = decision.RING + 30 + int(rng.integers(0, 150))
         for k in range(onset + 40):
             size = 0.0 if k < onset else first if k == onset else later
@@ -57,14 +57,14 @@ def test_a_current_sensor_shows_at_once_and_a_voltage_does_not(seed, direction):
 
 
 def test_noise_alone_names_neither():
-    s = table(1, decision.STATE)
+    s = zeros(1, decision.State)
     for _ in range(100):
         decision.remember(s[0], 0.0, 0.0)
     assert decision.current_or_voltage(s[0]) == ELECTRIC  # too little was kept
 
 
 def gear(**options):
-    c, s = table(1, kinematics.CONST), table(1, kinematics.STATE)
+    c, s = zeros(1, kinematics.Const), zeros(1, kinematics.State)
     for name, value in {
         "motor_ratio": 20.0, "wheel_ratio": 1.0, "age_ns": 20_000_000, "leak": 2.0, **options
     }.items():  # fmt: skip
@@ -105,7 +105,7 @@ def test_the_wheel_s_rate_is_its_witness():
 
 
 def ratio(**options):
-    c, s = table(1, road_wheel.CONST), table(1, road_wheel.STATE)
+    c, s = zeros(1, road_wheel.Const), zeros(1, road_wheel.State)
     road_wheel.prepare(c[0], Ratio(**options))
     return s[0], c[0]
 

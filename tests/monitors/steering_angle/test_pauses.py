@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from gateway.app import Gateway
 from gateway.config import load_config
-from gateway.engine.tables import table
-from gateway.jit import COMPILED
+from gateway.jit import COMPILED, zeros
 from gateway.monitors.steering_angle import clock
 from gateway.replay import replay
 from gateway.resources import shipped
@@ -77,7 +76,7 @@ def test_short_pauses_hide_no_fault(name, seed):
 
 
 def dated(arrivals, counters):
-    s = table(1, clock.CLOCK)
+    s = zeros(1, clock.Clock)
     return [
         (clock.sampled_at(s[0], int(t), int(k), float(PERIOD)), clock.sure(s[0], float(PERIOD)))
         for t, k in zip(arrivals, counters, strict=True)

@@ -5,11 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gateway.engine.tables import table
 from gateway.evaluate.steering.cases import Spread
 from gateway.evaluate.steering.follow import Run, follow, make
-from gateway.jit import COMPILED
-from gateway.monitors.shape import FAILED, RESULTS
+from gateway.jit import COMPILED, zeros
+from gateway.monitors.contract import FAILED
 from gateway.monitors.steering_angle import MONITOR, monitor
 from gateway.monitors.steering_angle.faults import FAULTS, PAIRING
 from gateway.monitors.steering_angle.monitor import DEGRADED, INVALID, MEASURED, REPLACED
@@ -122,9 +121,9 @@ def test_the_angle_is_replaced_when_its_sensor_fails():
 
 def walk(inputs, p=None):
     """Step the monitor through inputs; returns what it sends and the faults it reports as failed."""
-    s, c, out = (table(1, dtype) for dtype in (MONITOR.state, MONITOR.const, RESULTS))
+    s, c, out = (zeros(1, dtype) for dtype in (MONITOR.state, MONITOR.const, MONITOR.results))
     MONITOR.prepare(p or params(), s[0], c[0])
-    u = table(len(inputs), MONITOR.inputs)
+    u = zeros(len(inputs), MONITOR.inputs)
     u[:] = inputs
     failed = {}
     value, quality = np.zeros(len(u)), np.zeros(len(u), int)
@@ -302,9 +301,9 @@ def test_a_motor_at_rest_is_healthy_and_one_that_jumps_is_not():
 
 
 def test_a_silent_bus_makes_the_angle_invalid():
-    s, c, out = (table(1, dtype) for dtype in (MONITOR.state, MONITOR.const, RESULTS))
+    s, c, out = (zeros(1, dtype) for dtype in (MONITOR.state, MONITOR.const, MONITOR.results))
     MONITOR.prepare(params(), s[0], c[0])
-    u = table(1, MONITOR.inputs)
+    u = zeros(1, MONITOR.inputs)
     u[:] = still(1, np.random.default_rng(0))
     monitor.step(s[0], c[0], u[0], out[0])
     assert out[0]["wake_ns"] == 51_000_000

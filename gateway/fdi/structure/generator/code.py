@@ -39,7 +39,22 @@ _ATOM = PRECEDENCE["Atom"] - 1
 #: Names that generated code uses itself.
 _LOCALS = {
     *("s", "c", "u", "dt", "j", "r", "b", "best", "keep", "abs", "float", "range", "min", "max"),
-    *("Any", "f8", "kernel", "record", "interpolate", "root", "sign", "isfinite", "nan", "pi"),
+    *(
+        "Any",
+        "Annotated",
+        "Record",
+        "State",
+        "Const",
+        "f8",
+        "f8s",
+        "kernel",
+        "interpolate",
+        "root",
+        "sign",
+        "isfinite",
+        "nan",
+        "pi",
+    ),
     *("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "reset", "start", "step"),
     *("STATE", "CONST", "KNOWNS"),
 }
@@ -293,26 +308,30 @@ class _Writer:
     # Module -----------------------------------------------------------------------------------------------------------
 
     def records(self) -> list[str]:
-        form = f"(f8, {self.r.branches})" if self.several else "f8"
-        states = [f"{field_name(x)}={form}, d_{field_name(x)}={form}" for x in self.r.integrated]
+        form = f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
+        states = [
+            f"{name}: {form}"
+            for x in self.r.integrated
+            for name in (field_name(x), f"d_{field_name(x)}")
+        ]
         if self.r.transformed:
-            states += [f"{FILTERED}={form}, {LAST}={form}, {DRIVE}={form}"]
-        states += [f"low_{field_name(x)}={form}" for x in self.r.differentiated]
-        states += [f"{_shown(v)}={form}" for v in self.r.outputs]
+            states += [f"{name}: {form}" for name in (FILTERED, LAST, DRIVE)]
+        states += [f"low_{field_name(x)}: {form}" for x in self.r.differentiated]
+        states += [f"{_shown(v)}: {form}" for v in self.r.outputs]
         used = self.used()
-        const = [f"{field_name(p)}=f8" for p in self.model.parameters if self.of[p] in used]
+        const = [f"{field_name(p)}: f8" for p in self.model.parameters if self.of[p] in used]
         for name in self.tables():
             points, field = len(self.model.tables[name].x), field_name(name)
-            const += [f"{field}_x=(f8, {points})", f"{field}_y=(f8, {points})"]
-        const += [f"start_{field_name(x)}=f8" for x in self.r.carried]
-        const += [f"{FILTER}=f8"] * bool(self.r.transformed)
-        const += [f"{DIFFERENTIATOR}=f8"] * bool(self.r.differentiated)
+            const += [f"{field}_{axis}: Annotated[f8s, {points}]" for axis in "xy"]
+        const += [f"start_{field_name(x)}: f8" for x in self.r.carried]
+        const += [f"{FILTER}: f8"] * bool(self.r.transformed)
+        const += [f"{DIFFERENTIATOR}: f8"] * bool(self.r.differentiated)
         # A record has a field at least: there are generators without states, and without parameters.
         lines = []
-        for title, fields in (("STATE", states), ("CONST", const)):
-            lines.append(f"{title} = record(")
-            lines += [f"    {one}," for one in fields or ["unused_=f8"]]
-            lines.append(")")
+        for title, fields in (("State", states), ("Const", const)):
+            lines += ["", f"class {title}(Record):"]
+            lines += [f"    {one}" for one in fields or ["unused_: f8"]]
+            lines.append("")
         return lines
 
     def knowns(self) -> tuple[str, ...]:
@@ -323,6 +342,8 @@ class _Writer:
         r = self.r
         body = [*self.reset(), *self.start(), *self.step()]
         text = "\n".join(body)
+        records = self.records()
+        arrays = any("f8s" in line for line in records)
         functions = [f for f in _MATH if f"{f}(" in text or (f in ("pi", "nan") and f in text)]
         runtime = [f for f in ("interpolate", "root", "sign") if f"{f}(" in text]
         imports = [f"from math import {', '.join(functions)}"] if functions else []
@@ -340,12 +361,13 @@ class _Writer:
             '"""',
             "",
             *imports,
-            "from typing import Any",
+            f"from typing import {', '.join(['Annotated'] * arrays + ['Any'])}",
             "",
             *ours,
-            "from gateway.jit import f8, kernel, record",
+            f"from gateway.jit import Record, f8, {'f8s, ' * arrays}kernel",
             "",
-            *self.records(),
+            *records,
+            "",
             f"KNOWNS = {self.knowns()!r}",
         ]
         for name, body in (
@@ -365,14 +387,14 @@ class _Writer:
 
 #: Arguments, result and meaning of the three kernels.
 _KERNELS = {
-    "reset": ("s: Any, c: Any", "None", "Let carried states begin at their start values."),
+    "reset": ("s: State, c: Const", "None", "Let carried states begin at their start values."),
     "start": (
-        "s: Any, c: Any, u: Any",
+        "s: State, c: Const, u: Any",
         "None",
         "Let the other states begin so that the residual does at zero.",
     ),
     "step": (
-        "s: Any, c: Any, u: Any, dt: float",
+        "s: State, c: Const, u: Any, dt: float",
         "float",
         "Take a sample, dt [s] behind the one before; returns the residual.",
     ),

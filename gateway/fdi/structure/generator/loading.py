@@ -83,7 +83,7 @@ def load_source(name: str, source: str) -> ModuleType:
     module = ModuleType(label)
     file = f"<generated {name} {digest}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    exec(compile(source, file, "exec"), module.__dict__)
+    exec(compile(source, file, "exec", dont_inherit=True), module.__dict__)
     sys.modules[label] = module
     return module
 
@@ -94,8 +94,8 @@ def load(generated: Generated) -> Loaded:
     fields = {field_name(name): f8 for name in (*generated.knowns, *generated.rates)}
     return Loaded(
         generated,
-        module.STATE,
-        module.CONST,
+        module.State.dtype,
+        module.Const.dtype,
         record(**(fields or {"unused_": f8})),
         module.reset,
         module.start,

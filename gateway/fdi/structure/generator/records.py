@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from gateway.fdi.structure.model import Model, Quantity
 from gateway.fdi.structure.relation import identifier
 
-#: Fields of CONST for the filters [rad/s].
+#: Fields of Const for the filters [rad/s].
 FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
 
 
@@ -21,7 +22,7 @@ def field_name(name: str) -> str:
 
 
 def fill(
-    c: np.void,
+    c: Any,
     model: Model,
     *,
     values: Mapping[str, float] | None = None,
@@ -32,7 +33,7 @@ def fill(
     """Fill the constants of a residual generator that was written from a model.
 
     Args:
-        c: record of its CONST.
+        c: record of its Const.
         model: the model.
         values: values of parameters instead of the model's.
         start: start values of states instead of the model's.

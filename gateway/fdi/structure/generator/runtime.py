@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def interpolate(x: Any, y: Any, at: float) -> float:
+def interpolate(x: f8s, y: f8s, at: float) -> float:
     """Return the function through points at ``at``: linear between them, constant beyond.
 
     Args:

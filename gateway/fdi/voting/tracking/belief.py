@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS, middle
@@ -24,12 +22,14 @@ from gateway.fdi.voting.tracking.shape import (
     SURE,
     SUREST,
     SUSPECT,
+    Const,
+    State,
 )
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
+def _together(s: State, c: Const, bits: int, count: int, dt: float) -> None:
     """Readings that agree: the track, a change of slope, or all wrong together."""
     m = s.motion
     z = 0.0
@@ -74,7 +74,7 @@ def _together(s: Any, c: Any, bits: int, count: int, dt: float) -> None:
 
 
 @kernel
-def _smooth(s: Any, c: Any, trusted: int, alone: bool, dt: float) -> int:
+def _smooth(s: State, c: Const, trusted: int, alone: bool, dt: float) -> int:
     """Return the channel whose line goes on from where the track was lost; -1: none.
 
     A foot changes its speed, not its place: a line that does not lead back to the last sure level is an offset. It is
@@ -104,7 +104,7 @@ def _smooth(s: Any, c: Any, trusted: int, alone: bool, dt: float) -> int:
 
 
 @kernel
-def _sound(s: Any, c: Any, trusted: int) -> bool:
+def _sound(s: State, c: Const, trusted: int) -> bool:
     """Tell whether there is a channel that was hardly ever rejected, and the track is not lost for long.
 
     Then one that was rejected often, and meets the coasting track by chance, is not believed.
@@ -117,7 +117,7 @@ def _sound(s: Any, c: Any, trusted: int) -> bool:
 
 
 @kernel
-def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None:
+def _apart(s: State, c: Const, y: f8s, trusted: int, alone: bool, dt: float) -> None:
     """Readings that disagree, or one alone: the one the track expects, or a smooth one, or none."""
     m = s.motion
     best = track.regret(s, c, trusted)
@@ -146,7 +146,7 @@ def _apart(s: Any, c: Any, y: Any, trusted: int, alone: bool, dt: float) -> None
 
 
 @kernel
-def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
+def _creeping(s: State, c: Const, trusted: int, parity: float, dt: float) -> bool:
     """Tell whether what two channels differ by is a mismatch, and no fault of one of them.
 
     It is when they parted without a jump, this sample and the one before; or when both go a smooth way, and what
@@ -173,7 +173,7 @@ def _creeping(s: Any, c: Any, trusted: int, parity: float, dt: float) -> bool:
 
 
 @kernel
-def decide(s: Any, c: Any, y: Any, trusted: int, dt: float) -> None:
+def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
     """Believe those that agree; where there is no agreement, what the track says."""
     n, z = c.channels, s.z
     count, total = 0, 0.0

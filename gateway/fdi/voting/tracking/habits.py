@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8s, i8s, kernel
 
 #: Same readings in a row that are suspicious while another channel moves.
 FEW = 4
-#: ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
-#: ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie on
-#: one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat.
-STATE = record(
-    last=(f8, MOST_CHANNELS),
-    older=(f8, MOST_CHANNELS),
-    oldest=(f8, MOST_CHANNELS),
-    same=(i8, MOST_CHANNELS),
-    longest=(i8, MOST_CHANNELS),
-    line=(i8, MOST_CHANNELS),
-    begin=(f8, MOST_CHANNELS),
-    anchor=(f8, MOST_CHANNELS * MOST_CHANNELS),
-)
+
+
+class State(Record):
+    """State.
+
+    ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
+    ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
+    on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
+    repeat.
+    """
+
+    last: Annotated[f8s, MOST_CHANNELS]
+    older: Annotated[f8s, MOST_CHANNELS]
+    oldest: Annotated[f8s, MOST_CHANNELS]
+    same: Annotated[i8s, MOST_CHANNELS]
+    longest: Annotated[i8s, MOST_CHANNELS]
+    line: Annotated[i8s, MOST_CHANNELS]
+    begin: Annotated[f8s, MOST_CHANNELS]
+    anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
 
 @kernel
-def start(h: Any, n: int, y: Any) -> None:
+def start(h: State, n: int, y: f8s) -> None:
     """Begin with the first readings."""
     for i in range(n):
         h.last[i] = y[i]
@@ -39,7 +45,7 @@ def start(h: Any, n: int, y: Any) -> None:
 
 
 @kernel
-def watch(h: Any, n: int, y: Any, trusted: int, straight: float, slew: float) -> None:
+def watch(h: State, n: int, y: f8s, trusted: int, straight: float, slew: float) -> None:
     """Take the readings of one sample.
 
     Args:
@@ -71,7 +77,7 @@ def watch(h: Any, n: int, y: Any, trusted: int, straight: float, slew: float) ->
 
 
 @kernel
-def outrun(h: Any, n: int, i: int, y: Any, smooth: int, far: float, rate: float) -> int:
+def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: float) -> int:
     """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself; -1: none.
 
     Args:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
@@ -20,12 +18,14 @@ from gateway.fdi.voting.tracking.shape import (
     RESTORE,
     SURE,
     TRUSTED,
+    Const,
+    State,
 )
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def isolate(s: Any, i: int, why: int) -> None:
+def isolate(s: State, i: int, why: int) -> None:
     """Hold channel ``i`` for failed."""
     s.isolated |= 1 << i
     s.why[i] = why
@@ -35,7 +35,7 @@ def isolate(s: Any, i: int, why: int) -> None:
 
 
 @kernel
-def restore(s: Any, i: int) -> None:
+def restore(s: State, i: int) -> None:
     """Trust channel ``i`` again."""
     s.isolated &= ~(1 << i)
     s.why[i] = TRUSTED
@@ -43,7 +43,7 @@ def restore(s: Any, i: int) -> None:
 
 
 @kernel
-def _frozen(s: Any, c: Any, y: Any, i: int, others: int) -> bool:
+def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     """Tell whether channel ``i`` has stopped while one of the others goes on.
 
     It repeats itself while another moves away; or it is silent, as no live channel with noise is, while the others
@@ -66,7 +66,7 @@ def _frozen(s: Any, c: Any, y: Any, i: int, others: int) -> bool:
 
 
 @kernel
-def freeze(s: Any, c: Any, y: Any, trusted: int, dt: float) -> int:
+def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
     """Isolate a frozen channel; returns the trusted ones that are left."""
     n, h = c.channels, s.habits
     for i in range(n):
@@ -87,7 +87,7 @@ def freeze(s: Any, c: Any, y: Any, trusted: int, dt: float) -> int:
 
 
 @kernel
-def judge(s: Any, c: Any, trusted: int) -> None:
+def judge(s: State, c: Const, trusted: int) -> None:
     """Isolate what was rejected too often or drifts; restore what follows the track again."""
     n, m, h = c.channels, s.motion, s.habits
     for i in range(n):
@@ -119,7 +119,7 @@ def judge(s: Any, c: Any, trusted: int) -> None:
 
 
 @kernel
-def reconcile(s: Any, c: Any) -> None:
+def reconcile(s: State, c: Const) -> None:
     """Restore isolated channels when nothing else is believed and all agree with each other again."""
     n = c.channels
     low, high, count = np.inf, -np.inf, 0
@@ -134,7 +134,7 @@ def reconcile(s: Any, c: Any) -> None:
 
 
 @kernel
-def drifting(s: Any, c: Any) -> None:
+def drifting(s: State, c: Const) -> None:
     """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
     n, b = c.channels, s.mismatch
     s.spread = mismatch.spread(b, n, s.isolated)

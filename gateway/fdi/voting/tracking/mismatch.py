@@ -7,30 +7,31 @@ which one drifts. The mean is what two voters can promise (error: half the drift
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS, middle
-from gateway.jit import f8, i8, kernel, record
+from gateway.jit import Record, f8s, i8s, kernel
 
 #: Gains of the filter.
 ALPHA, BETA = 0.15, 0.012
 #: A rate that nothing confirms is not continued for longer than this [samples].
 CONTINUE = 10
 
-#: ``mark[i * 3 + j]``: mismatch of channel j when channel i began to repeat its reading.
-STATE = record(
-    level=(f8, MOST_CHANNELS),
-    rate=(f8, MOST_CHANNELS),
-    error=(f8, MOST_CHANNELS),
-    stale=(i8, MOST_CHANNELS),
-    mark=(f8, MOST_CHANNELS * MOST_CHANNELS),
-)
+
+class State(Record):
+    """State: ``mark[i * 3 + j]``: mismatch of channel j when channel i began to repeat its reading."""
+
+    level: Annotated[f8s, MOST_CHANNELS]
+    rate: Annotated[f8s, MOST_CHANNELS]
+    error: Annotated[f8s, MOST_CHANNELS]
+    stale: Annotated[i8s, MOST_CHANNELS]
+    mark: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
 
 @kernel
-def start(b: Any) -> None:
+def start(b: State) -> None:
     """Begin without any mismatch."""
     for i in range(MOST_CHANNELS):
         b.level[i] = 0.0
@@ -40,7 +41,7 @@ def start(b: Any) -> None:
 
 
 @kernel
-def predict(b: Any, n: int, dt: float) -> None:
+def predict(b: State, n: int, dt: float) -> None:
     """Go ``dt`` samples ahead."""
     for i in range(n):
         if b.stale[i] < CONTINUE:
@@ -51,13 +52,13 @@ def predict(b: Any, n: int, dt: float) -> None:
 
 
 @kernel
-def centre(b: Any, n: int) -> float:
+def centre(b: State, n: int) -> float:
     """Return what stands for no mismatch: the middle of two, the median of three."""
     return middle(b.level, n)
 
 
 @kernel
-def learn(b: Any, i: int, error: float, dt: float) -> None:
+def learn(b: State, i: int, error: float, dt: float) -> None:
     """Correct channel ``i``'s mismatch by the difference between what it is and what it was taken for.
 
     Two errors in a row have to agree in sign, and the smaller counts: a small impulse is not a mismatch.
@@ -72,14 +73,14 @@ def learn(b: Any, i: int, error: float, dt: float) -> None:
 
 
 @kernel
-def mark(b: Any, n: int, i: int) -> None:
+def mark(b: State, n: int, i: int) -> None:
     """Remember the mismatches as they are now, before channel ``i`` may be found frozen."""
     for j in range(n):
         b.mark[i * MOST_CHANNELS + j] = b.level[j]
 
 
 @kernel
-def forget(b: Any, n: int, i: int) -> None:
+def forget(b: State, n: int, i: int) -> None:
     """Go back to the mismatches that channel ``i``'s mark remembers."""
     for j in range(n):
         b.level[j] = b.mark[i * MOST_CHANNELS + j]
@@ -88,7 +89,7 @@ def forget(b: Any, n: int, i: int) -> None:
 
 
 @kernel
-def spread(b: Any, n: int, without: int) -> float:
+def spread(b: State, n: int, without: int) -> float:
     """Return the largest mismatch between two channels, ``without`` those of its bits."""
     low, high = np.inf, -np.inf
     for i in range(n):

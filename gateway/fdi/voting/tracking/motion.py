@@ -6,18 +6,25 @@ samples; variances are squares of that.
 
 from __future__ import annotations
 
-from typing import Any
-
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, kernel
 
 #: Samples for which a slope is held when nothing is believed; then it fades.
 HOLD, FADE = 30.0, 0.9
 
-STATE = record(x=f8, v=f8, p00=f8, p01=f8, p11=f8, coasted=f8)
+
+class State(Record):
+    """State."""
+
+    x: f8
+    v: f8
+    p00: f8
+    p01: f8
+    p11: f8
+    coasted: f8
 
 
 @kernel
-def restart(m: Any, x: float, v: float, variance: float, slope_variance: float) -> None:
+def restart(m: State, x: float, v: float, variance: float, slope_variance: float) -> None:
     """Begin anew at a level and a slope that are not related."""
     m.x, m.v = x, v
     m.p00, m.p01, m.p11 = variance, 0.0, slope_variance
@@ -25,7 +32,7 @@ def restart(m: Any, x: float, v: float, variance: float, slope_variance: float) 
 
 
 @kernel
-def predict(m: Any, dt: float, q: float, widest: float) -> None:
+def predict(m: State, dt: float, q: float, widest: float) -> None:
     """Go ``dt`` samples ahead; equation x(k) = F x(k-1), P = F P F' + Q.
 
     Args:
@@ -49,7 +56,7 @@ def predict(m: Any, dt: float, q: float, widest: float) -> None:
 
 
 @kernel
-def copy(to: Any, m: Any) -> None:
+def copy(to: State, m: State) -> None:
     """Copy a track."""
     to.x, to.v = m.x, m.v
     to.p00, to.p01, to.p11 = m.p00, m.p01, m.p11
@@ -57,7 +64,7 @@ def copy(to: Any, m: Any) -> None:
 
 
 @kernel
-def correct(m: Any, innovation: float, variance: float) -> None:
+def correct(m: State, innovation: float, variance: float) -> None:
     """Correct by one innovation, measurement variance given."""
     total = m.p00 + variance
     k0, k1 = m.p00 / total, m.p01 / total

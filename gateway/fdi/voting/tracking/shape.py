@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
-from gateway.fdi.voting.tracking import habits, mismatch, motion
 from gateway.fdi.voting.tracking.habits import FEW
-from gateway.jit import f8, i8, record
+from gateway.fdi.voting.tracking.habits import State as Habits
+from gateway.fdi.voting.tracking.mismatch import State as Mismatch
+from gateway.fdi.voting.tracking.motion import State as Motion
+from gateway.jit import Record, f8, f8s, i8, i8s
 
 #: Standard deviations of a gate: 6e-7 of normal innovations lie outside.
 GATE = 5.0
@@ -36,64 +39,73 @@ TRUSTED, IMPLAUSIBLE, FROZEN, DRIFTED = range(4)
 #: Where the value comes from.
 NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 
-#: ``floor``, ``ceiling``: where readings are clipped; ``variance``: of a reading; ``agree``: largest difference of
-#: readings that agree; ``straight``: largest second difference on a line; ``noise_gate``: largest change of a parity
-#: that is noise; ``silent``: repetitions that no live channel makes; ``widest``: largest deviation of the level.
-CONST = record(
-    channels=i8,
-    low=f8,
-    high=f8,
-    floor=f8,
-    ceiling=f8,
-    variance=f8,
-    agree=f8,
-    straight=f8,
-    slew=f8,
-    bend=f8,
-    mismatch=f8,
-    tolerance=f8,
-    creep=f8,
-    noise_gate=f8,
-    silent=i8,
-    widest=f8,
-)
 
-#: ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
-#: channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings, NaN
-#: for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``: what the
-#: two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last sample;
-#: ``met``: they have agreed before.
-STATE = record(
-    value=f8,
-    used=i8,
-    source=i8,
-    isolated=i8,
-    why=(i8, MOST_CHANNELS),
-    drift=i8,
-    spread=f8,
-    rejected=(i8, MOST_CHANNELS),
-    back=(i8, MOST_CHANNELS),
-    innovation=(f8, MOST_CHANNELS),
-    gate=f8,
-    common=i8,
-    accord=i8,
-    sure=i8,
-    pair=i8,
-    met=i8,
-    parity=f8,
-    lately=f8,
-    apart=f8,
-    started=i8,
-    anchor=f8,
-    y=(f8, MOST_CHANNELS),
-    z=(f8, MOST_CHANNELS),
-    motion=motion.STATE,
-    old=motion.STATE,
-    old_age=i8,
-    old_hits=i8,
-    mismatch=mismatch.STATE,
-    habits=habits.STATE,
-)
+class Const(Record):
+    """Constants.
+
+    ``floor``, ``ceiling``: where readings are clipped; ``variance``: of a reading; ``agree``: largest difference
+    of readings that agree; ``straight``: largest second difference on a line; ``noise_gate``: largest change of a
+    parity that is noise; ``silent``: repetitions that no live channel makes; ``widest``: largest deviation of the
+    level.
+    """
+
+    channels: i8
+    low: f8
+    high: f8
+    floor: f8
+    ceiling: f8
+    variance: f8
+    agree: f8
+    straight: f8
+    slew: f8
+    bend: f8
+    mismatch: f8
+    tolerance: f8
+    creep: f8
+    noise_gate: f8
+    silent: i8
+    widest: f8
+
+
+class State(Record):
+    """State.
+
+    ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
+    channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings,
+    NaN for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``:
+    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the
+    last sample; ``met``: they have agreed before.
+    """
+
+    value: f8
+    used: i8
+    source: i8
+    isolated: i8
+    why: Annotated[i8s, MOST_CHANNELS]
+    drift: i8
+    spread: f8
+    rejected: Annotated[i8s, MOST_CHANNELS]
+    back: Annotated[i8s, MOST_CHANNELS]
+    innovation: Annotated[f8s, MOST_CHANNELS]
+    gate: f8
+    common: i8
+    accord: i8
+    sure: i8
+    pair: i8
+    met: i8
+    parity: f8
+    lately: f8
+    apart: f8
+    started: i8
+    anchor: f8
+    y: Annotated[f8s, MOST_CHANNELS]
+    z: Annotated[f8s, MOST_CHANNELS]
+    motion: Motion
+    old: Motion
+    old_age: i8
+    old_hits: i8
+    mismatch: Mismatch
+    habits: Habits
 
 
 def _silent(noise: float, step: float) -> int:
@@ -107,7 +119,7 @@ def _silent(noise: float, step: float) -> int:
 
 
 def prepare(
-    c: np.void,
+    c: Const,
     channels: int,
     *,
     low: float,
@@ -141,16 +153,16 @@ def prepare(
     span = high - low
     least = 2e-5 * span  # arithmetic and what no data sheet says
     variance = noise**2 + step**2 / 12 + least**2
-    c["channels"], c["low"], c["high"] = channels, low, high
-    c["floor"], c["ceiling"] = rails or (low, high)
-    c["variance"] = variance
-    c["agree"] = max(GATE * np.sqrt(2 * variance) + step / 2, 1.2e-3 * span)
-    c["noise_gate"] = GATE * np.sqrt(2 * variance) + step
-    c["slew"] = slew * span
-    c["bend"] = bend * span
-    c["straight"] = GATE * np.sqrt(6 * variance) + 6 * bend * span
-    c["mismatch"] = 4 * mismatch
-    c["tolerance"] = tolerance * span
-    c["creep"] = creep * span
-    c["silent"] = _silent(noise, step)
-    c["widest"] = span / 4
+    c.channels, c.low, c.high = channels, low, high
+    c.floor, c.ceiling = rails or (low, high)
+    c.variance = variance
+    c.agree = max(GATE * np.sqrt(2 * variance) + step / 2, 1.2e-3 * span)
+    c.noise_gate = GATE * np.sqrt(2 * variance) + step
+    c.slew = slew * span
+    c.bend = bend * span
+    c.straight = GATE * np.sqrt(6 * variance) + 6 * bend * span
+    c.mismatch = 4 * mismatch
+    c.tolerance = tolerance * span
+    c.creep = creep * span
+    c.silent = _silent(noise, step)
+    c.widest = span / 4

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gateway.fdi.voting.tracking import mismatch, motion
-from gateway.fdi.voting.tracking.shape import FOLLOWED, GATE, ISOLATE, REGRET
-from gateway.jit import kernel
+from gateway.fdi.voting.tracking.shape import FOLLOWED, GATE, ISOLATE, REGRET, Const, State
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def expect(s: Any, c: Any, y: Any) -> None:
+def expect(s: State, c: Const, y: f8s) -> None:
     """Take the mismatch off the readings, and compare them with the track."""
     centre = mismatch.centre(s.mismatch, c.channels)
     for i in range(c.channels):
@@ -21,7 +19,7 @@ def expect(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def accept(s: Any, c: Any, bits: int, source: int) -> None:
+def accept(s: State, c: Const, bits: int, source: int) -> None:
     """Book the channels that were believed and those that were not."""
     s.used = bits
     s.source = source
@@ -34,7 +32,7 @@ def accept(s: Any, c: Any, bits: int, source: int) -> None:
 
 
 @kernel
-def coast(s: Any, dt: float, source: int) -> None:
+def coast(s: State, dt: float, source: int) -> None:
     """Believe none."""
     s.used = 0
     s.source = source
@@ -42,7 +40,7 @@ def coast(s: Any, dt: float, source: int) -> None:
 
 
 @kernel
-def remember(s: Any) -> None:
+def remember(s: State) -> None:
     """Keep the track that is given up."""
     motion.copy(s.old, s.motion)
     s.old_age = 1
@@ -50,7 +48,7 @@ def remember(s: Any) -> None:
 
 
 @kernel
-def regret(s: Any, c: Any, trusted: int) -> int:
+def regret(s: State, c: Const, trusted: int) -> int:
     """Return the channel that has gone back to the track that was given up, for the second time; -1: none.
 
     Readings that agree by chance, an impulse of one channel and the offset of another, look like a change of
@@ -68,7 +66,7 @@ def regret(s: Any, c: Any, trusted: int) -> int:
 
 
 @kernel
-def turn(s: Any, c: Any, x: float, count: int, dt: float) -> None:
+def turn(s: State, c: Const, x: float, count: int, dt: float) -> None:
     """The quantity changed its slope: go on from the last level that was sure."""
     m = s.motion
     elapsed = m.coasted + dt
@@ -78,7 +76,7 @@ def turn(s: Any, c: Any, x: float, count: int, dt: float) -> None:
 
 
 @kernel
-def follow(s: Any, c: Any, i: int, dt: float) -> None:
+def follow(s: State, c: Const, i: int, dt: float) -> None:
     """Begin a new track on the line that channel ``i`` goes."""
     h = s.habits
     v = (h.last[i] - h.oldest[i]) / (2.0 * dt)

@@ -9,17 +9,24 @@ when it has followed the track for long.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gateway.fdi.voting.tracking import belief, habits, isolation, mismatch, motion, track
-from gateway.fdi.voting.tracking.shape import AGREED, GATE, LOST, NONE, REMEMBER, SINGLE
-from gateway.jit import kernel
+from gateway.fdi.voting.tracking.shape import (
+    AGREED,
+    GATE,
+    LOST,
+    NONE,
+    REMEMBER,
+    SINGLE,
+    Const,
+    State,
+)
+from gateway.jit import f8s, kernel
 
 
 @kernel
-def _start(s: Any, c: Any, y: Any) -> None:
+def _start(s: State, c: Const, y: f8s) -> None:
     """Begin with the mean of the readings that are trusted; without any, wait.
 
     What they differ by within the tolerance is a mismatch that was there before.
@@ -62,7 +69,7 @@ def _start(s: Any, c: Any, y: Any) -> None:
 
 
 @kernel
-def _take(s: Any, c: Any, y: Any, dt: float) -> None:
+def _take(s: State, c: Const, y: f8s, dt: float) -> None:
     """Predict, judge, decide; a reading that there is not is NaN."""
     if s.started == 0 or dt >= LOST:
         s.started = 0
@@ -100,7 +107,7 @@ def _take(s: Any, c: Any, y: Any, dt: float) -> None:
 
 
 @kernel
-def vote(s: Any, c: Any, y: Any, dt: float) -> None:
+def vote(s: State, c: Const, y: f8s, dt: float) -> None:
     """Take the readings of one sample.
 
     Args:

@@ -6,31 +6,34 @@ Sequence ({U_em}, {e7})
 
 from typing import Any
 
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, kernel
 
-STATE = record(
-    unused_=f8,
-)
-CONST = record(
-    unused_=f8,
-)
+
+class State(Record):
+    unused_: f8
+
+
+class Const(Record):
+    unused_: f8
+
+
 KNOWNS = ('U_em_ctrl', 'U_em_sens')
 
 
 @kernel
-def reset(s: Any, c: Any) -> None:
+def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""
     pass
 
 
 @kernel
-def start(s: Any, c: Any, u: Any) -> None:
+def start(s: State, c: Const, u: Any) -> None:
     """Let the other states begin so that the residual does at zero."""
     pass
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> float:
+def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
     U_em = u.U_em_ctrl  # e7
     r = -U_em + u.U_em_sens  # e34

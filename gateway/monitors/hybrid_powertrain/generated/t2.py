@@ -5,43 +5,47 @@ Sequence ({I_b}, {e33}), ({SoC}, {e4}), ({U_oc}, {e5}), ({U_b}, {e6}), ({I_em}, 
 """
 
 from math import isfinite
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.fdi.structure.generator.runtime import interpolate
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
 
-STATE = record(
-    SoC=f8, d_SoC=f8,
-)
-CONST = record(
-    Q_b=f8,
-    R_b=f8,
-    k_i=f8,
-    R_em=f8,
-    u_em=f8,
-    f_1_x=(f8, 11),
-    f_1_y=(f8, 11),
-    f_3_x=(f8, 12),
-    f_3_y=(f8, 12),
-    start_SoC=f8,
-)
+
+class State(Record):
+    SoC: f8
+    d_SoC: f8
+
+
+class Const(Record):
+    Q_b: f8
+    R_b: f8
+    k_i: f8
+    R_em: f8
+    u_em: f8
+    f_1_x: Annotated[f8s, 11]
+    f_1_y: Annotated[f8s, 11]
+    f_3_x: Annotated[f8s, 12]
+    f_3_y: Annotated[f8s, 12]
+    start_SoC: f8
+
+
 KNOWNS = ('gear', 'I_b_sens', 'I_em_sens', 'omega_gb_sens')
 
 
 @kernel
-def reset(s: Any, c: Any) -> None:
+def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""
     s.SoC = c.start_SoC
 
 
 @kernel
-def start(s: Any, c: Any, u: Any) -> None:
+def start(s: State, c: Const, u: Any) -> None:
     """Let the other states begin so that the residual does at zero."""
     s.d_SoC = 0.0
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> float:
+def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
     s.SoC += dt * s.d_SoC
     I_b = u.I_b_sens  # e33

@@ -4,38 +4,41 @@ Consistency relation e37: omega_gb_sens = omega_gb
 Sequence ({U_em}, {e7}), ({I_em}, {e35}), ({omega_em}, {e8}), ({omega_mj}, {e16}), ({u_gb}, {e18}), ({omega_gb}, {e23})
 """
 
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.fdi.structure.generator.runtime import interpolate
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
 
-STATE = record(
-    unused_=f8,
-)
-CONST = record(
-    k_i=f8,
-    R_em=f8,
-    u_em=f8,
-    f_3_x=(f8, 12),
-    f_3_y=(f8, 12),
-)
+
+class State(Record):
+    unused_: f8
+
+
+class Const(Record):
+    k_i: f8
+    R_em: f8
+    u_em: f8
+    f_3_x: Annotated[f8s, 12]
+    f_3_y: Annotated[f8s, 12]
+
+
 KNOWNS = ('U_em_ctrl', 'gear', 'I_em_sens', 'omega_gb_sens')
 
 
 @kernel
-def reset(s: Any, c: Any) -> None:
+def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""
     pass
 
 
 @kernel
-def start(s: Any, c: Any, u: Any) -> None:
+def start(s: State, c: Const, u: Any) -> None:
     """Let the other states begin so that the residual does at zero."""
     pass
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> float:
+def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
     U_em = u.U_em_ctrl  # e7
     I_em = u.I_em_sens  # e35

@@ -5,68 +5,73 @@ Sequence ({omega_e}, {e36}), ({m_f}, {e1}), ({p_f}, {e3}), ({T_e}, {e2}), ({I_em
 """
 
 from math import sin, isfinite, pi
-from typing import Any
+from typing import Annotated, Any
 
 from gateway.fdi.structure.generator.runtime import interpolate, root, sign
-from gateway.jit import f8, kernel, record
+from gateway.jit import Record, f8, f8s, kernel
 
-STATE = record(
-    m_f=f8, d_m_f=f8,
-    omega_w=f8, d_omega_w=f8,
-    shown_T_em=f8,
-    shown_T_c=f8,
-    shown_eta_gb=f8,
-    shown_u_gb=f8,
-    shown_J_tot=f8,
-    shown_m_v=f8,
-)
-CONST = record(
-    q_LHV=f8,
-    eta_e_i=f8,
-    N_cyl=f8,
-    B=f8,
-    S=f8,
-    p_me0_g=f8,
-    k_1=f8,
-    k_2=f8,
-    k_3=f8,
-    k_4=f8,
-    Pi_bl=f8,
-    k_i=f8,
-    eta_em_0=f8,
-    c_em_f=f8,
-    u_em=f8,
-    J_em=f8,
-    J_c=f8,
-    J_e=f8,
-    eta_pos=f8,
-    eta_neg=f8,
-    u_f=f8,
-    m_v0=f8,
-    rho=f8,
-    C_d=f8,
-    A_f=f8,
-    C_r=f8,
-    r_w=f8,
-    g=f8,
-    c_w=f8,
-    f_2_x=(f8, 12),
-    f_2_y=(f8, 12),
-    f_3_x=(f8, 12),
-    f_3_y=(f8, 12),
-    start_m_f=f8,
-)
+
+class State(Record):
+    m_f: f8
+    d_m_f: f8
+    omega_w: f8
+    d_omega_w: f8
+    shown_T_em: f8
+    shown_T_c: f8
+    shown_eta_gb: f8
+    shown_u_gb: f8
+    shown_J_tot: f8
+    shown_m_v: f8
+
+
+class Const(Record):
+    q_LHV: f8
+    eta_e_i: f8
+    N_cyl: f8
+    B: f8
+    S: f8
+    p_me0_g: f8
+    k_1: f8
+    k_2: f8
+    k_3: f8
+    k_4: f8
+    Pi_bl: f8
+    k_i: f8
+    eta_em_0: f8
+    c_em_f: f8
+    u_em: f8
+    J_em: f8
+    J_c: f8
+    J_e: f8
+    eta_pos: f8
+    eta_neg: f8
+    u_f: f8
+    m_v0: f8
+    rho: f8
+    C_d: f8
+    A_f: f8
+    C_r: f8
+    r_w: f8
+    g: f8
+    c_w: f8
+    f_2_x: Annotated[f8s, 12]
+    f_2_y: Annotated[f8s, 12]
+    f_3_x: Annotated[f8s, 12]
+    f_3_y: Annotated[f8s, 12]
+    start_m_f: f8
+
+
 KNOWNS = ('ice_ctrl', 'u_c', 'gear', 'alpha', 'T_b_ctrl', 'I_em_sens', 'omega_e_sens', 'omega_gb_sens')
 
 
 @kernel
-def reset(s: Any, c: Any) -> None:
+def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""
     s.m_f = c.start_m_f
 
 
 @kernel
-def start(s: Any, c: Any, u: Any) -> None:
+def start(s: State, c: Const, u: Any) -> None:
     """Let the other states begin so that the residual does at zero."""
     s.d_m_f = 0.0
     s.d_omega_w = 0.0
@@ -75,7 +80,7 @@ def start(s: Any, c: Any, u: Any) -> None:
 
 
 @kernel
-def step(s: Any, c: Any, u: Any, dt: float) -> float:
+def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
     s.m_f += dt * s.d_m_f
     s.omega_w += dt * s.d_omega_w

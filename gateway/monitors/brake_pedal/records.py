@@ -1,0 +1,84 @@
+"""What the monitor of redundant sensors works on: constants, state, inputs, and what it sends."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway.fdi.voting import kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking import shape
+from gateway.jit import Record, f8, f8s, i8, i8s, means
+from gateway.monitors import contract
+
+
+class Diagnosis(Record):
+    """State of the diagnosis.
+
+    ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one;
+    ``split``: share of the samples without agreement.
+    """
+
+    erratic: Annotated[f8s, MOST_CHANNELS]
+    wrong: Annotated[i8s, MOST_CHANNELS]
+    split: f8
+
+
+class Const(Record):
+    """Constants."""
+
+    channels: i8
+    voter: i8
+    rest: Annotated[f8s, MOST_CHANNELS]
+    percent: Annotated[f8s, MOST_CHANNELS]
+    low: Annotated[f8s, MOST_CHANNELS]
+    high: Annotated[f8s, MOST_CHANNELS]
+    over: f8
+    period_ns: i8
+    lost: f8
+    tracking: shape.Const
+    simple: simple.Const
+    kalman: kalman_hybrid.Const
+    predictive: predictive_hybrid.Const
+
+
+class State(Record):
+    """State.
+
+    ``reading`` in the unit of the signal, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN outside
+    it.
+    """
+
+    value: f8
+    quality: i8
+    speed: f8
+    samples: i8
+    used: i8
+    isolated: i8
+    spread: f8
+    last_ns: i8
+    reading: Annotated[f8s, MOST_CHANNELS]
+    position: Annotated[f8s, MOST_CHANNELS]
+    place: Annotated[i8s, MOST_CHANNELS]
+    trusted: Annotated[f8s, MOST_CHANNELS]
+    tracking: shape.State
+    simple: simple.State
+    kalman: kalman_hybrid.State
+    predictive: predictive_hybrid.State
+    diagnosis: Diagnosis
+
+
+class Inputs(contract.Inputs):
+    """Inputs."""
+
+    reading: Annotated[f8s, MOST_CHANNELS]
+
+
+class Outputs(Record):
+    """What it sends."""
+
+    value: f8 = means("voted position", "%")
+    speed: f8 = means(unit="%/s")
+    quality: f8
+    used: f8 = means("bit mask of the channels voted")
+    isolated: f8 = means("bit mask of the channels isolated")
+    spread: f8 = means("mismatch of the channels", "%")

@@ -1,0 +1,265 @@
+"""Does a monitor keep the contract? All of it is checked once, when the engine is built.
+
+Compiled code checks nothing: a wired signal too many would be written beyond its array, a fault's number too large would be
+another monitor's fault. Each error here names the monitor, the field and the file.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gateway.errors import InputError, nearest
+from gateway.jit import Record
+from gateway.monitors.contract import (
+    API,
+    EVIDENCE,
+    MAX_OUTPUTS,
+    Calibration,
+    CusumCalibration,
+    Emission,
+    Fault,
+    Inputs,
+    Monitor,
+    MonitorParams,
+    NotTestedReasons,
+    Readout,
+    Signal,
+)
+
+_FLOAT = np.dtype("<f8")
+#: Fields of the inputs that the engine fills itself.
+_OWN = tuple(Inputs.dtype.names or ())
+
+
+def accepted(monitor: object, name: str) -> Monitor[Any]:
+    """Return what a name stands for, if it is a monitor that keeps the contract as far as its type can tell.
+
+    Raises:
+        InputError: it is none, one of another version, or something of it is wrong.
+    """
+    if not isinstance(monitor, Monitor):
+        raise InputError(f"this is no Monitor, but {type(monitor).__name__}", value=name)
+    if monitor.api != API:
+        raise InputError(
+            f"written for version {monitor.api!r} of the contract, this gateway has {API}",
+            file=monitor.file,
+            key=f'monitor type "{monitor.type}".api',
+            value=monitor.api,
+        )
+    check_type(monitor)
+    return monitor
+
+
+def check_type(monitor: Monitor[Any]) -> None:
+    """Check what does not depend on parameters.
+
+    Raises:
+        InputError: the first thing that is not as the contract has it.
+    """
+    for message, key in _wrong_in_type(monitor):
+        raise InputError(message, file=monitor.file, key=f'monitor type "{monitor.type}".{key}')
+
+
+def _wrong_in_type(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
+    if not (isinstance(monitor.params, type) and issubclass(monitor.params, MonitorParams)):
+        yield "a class that derives from MonitorParams", "params"
+    for name, base in (("state", Record), ("const", Record), ("inputs", Inputs)):
+        kind = getattr(monitor, name)
+        if not (isinstance(kind, type) and issubclass(kind, base)):
+            yield f"a class that derives from {base.__name__}", name
+            return
+    for name, most in (("evidence", EVIDENCE), ("outputs", MAX_OUTPUTS)):
+        kind = getattr(monitor, name)
+        if kind is None:
+            continue
+        if not (isinstance(kind, type) and issubclass(kind, Record)):
+            yield "a class that derives from Record", name
+            return
+        if kind.dtype.itemsize > 8 * most:
+            yield f"{kind.dtype.itemsize // 8} numbers; there is room for {most}", name
+        yield from ((text, f"{name}.{field}") for field, text in _no_numbers(kind.dtype))
+    fields = {name for name, *_ in _fields(monitor)}
+    yield from (
+        (text, f"inputs.{field}")
+        for field, text in _no_numbers(monitor.inputs.dtype)
+        if field in fields
+    )
+    function = getattr(monitor.step, "py_func", monitor.step)
+    if len(inspect.signature(function).parameters) != 4:
+        yield "step takes (s, c, u, out): state, constants, inputs, what it reports", "step"
+    yield from _wrong_capabilities(monitor)
+
+
+def _no_numbers(dtype: np.dtype[np.void]) -> Iterator[tuple[str, str]]:
+    """Yield fields that are neither float64 nor arrays nor records of float64."""
+    for name in dtype.names or ():
+        base = dtype[name].base
+        if base.names is not None:
+            yield from ((f"{name}.{field}", text) for field, text in _no_numbers(base))
+        elif base != _FLOAT:
+            yield name, "a field here is float64: f8, or an array of f8s"
+
+
+def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
+    kinds = Counter(type(found).__name__ for found in monitor.capabilities)
+    for kind, count in kinds.items():
+        if count > 1:
+            yield f"{kind} is there {count} times", "capabilities"
+    if monitor.capability(Calibration) and monitor.capability(CusumCalibration):
+        yield "one kind of calibration", "capabilities"
+    known = monitor.state.dtype.names or ()
+    shown = list(monitor.readout)
+    reasons = monitor.capability(NotTestedReasons)
+    if reasons is not None:
+        shown.append(reasons.field)
+    for name in shown:
+        if name not in known:
+            yield f"the state has no field {name!r}{nearest(name, known)}", "capabilities"
+        elif monitor.state.dtype[name].shape or monitor.state.dtype[name].names is not None:
+            yield f"the state's field {name!r} is not one number", "capabilities"
+    if monitor.capability(Readout) is not None and len(set(monitor.readout)) < len(monitor.readout):
+        yield "a field is shown twice", "capabilities"
+
+
+def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault, ...]:
+    """Return what a monitor with these parameters can report.
+
+    Raises:
+        InputError: a name that is there twice, more evidence than a result has room for.
+    """
+    faults = tuple(monitor.faults(params))
+    most = monitor.evidence.dtype.itemsize // 8
+    names = [fault.name for fault in faults]
+    for k, fault in enumerate(faults):
+        key = f'monitor type "{monitor.type}".faults[{k}]'
+        if fault.name in names[:k]:
+            raise InputError(
+                "this name is taken", file=monitor.file, key=f"{key}.name", value=fault.name
+            )
+        if len(fault.evidence) > most:
+            raise InputError(
+                f"{len(fault.evidence)} names of evidence; a result has room for {most}",
+                file=monitor.file,
+                key=f"{key}.evidence",
+                value=fault.name,
+            )
+    return faults
+
+
+def _fields(monitor: Monitor[Any]) -> list[tuple[str, int, bool]]:
+    """Return the inputs that are connected: name, how many numbers, whether it is an array."""
+    dtype = monitor.inputs.dtype
+    return [
+        (name, int(np.prod(dtype[name].shape)), bool(dtype[name].shape))
+        for name in dtype.names or ()
+        if name not in _OWN
+    ]
+
+
+class Connected(NamedTuple):
+    """What the inputs of a monitor are connected to.
+
+    Attributes:
+        inputs: name and signal of each number of the inputs, in their order.
+        signals: names of the signals whose messages step it.
+        messages: further messages that do.
+    """
+
+    inputs: list[tuple[str, Signal | None]]
+    signals: set[str]
+    messages: set[str]
+
+
+def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
+    """Return what each number of the inputs is connected to.
+
+    Raises:
+        InputError: an input that is not named, or that is not there; an array of another length; nothing that triggers.
+    """
+    given = monitor.connect(params)
+    key = f'monitor type "{monitor.type}".connect'
+    fields = _fields(monitor)
+    known = [name for name, *_ in fields]
+    for name in given:
+        if name not in known:
+            raise InputError(
+                f"there is no such input{nearest(name, known)}; the inputs are {', '.join(known)}",
+                file=monitor.file, key=key, value=name,
+            )  # fmt: skip
+    found: list[tuple[str, Signal | None]] = []
+    for name, count, is_array in fields:
+        if name not in given:
+            raise InputError(
+                "this input is not connected; None, if nothing is connected to it",
+                file=monitor.file, key=f"{key}.{name}",
+            )  # fmt: skip
+        found += _of_field(monitor, name, given[name], count, is_array)
+    triggers = {signal.name for _, signal in found if signal is not None and signal.triggers}
+    messages = set() if monitor.triggers is None else set(monitor.triggers(params))
+    if not triggers and not messages:
+        raise InputError("no signal triggers: nothing would step it", file=monitor.file, key=key)
+    return Connected(found, triggers, messages)
+
+
+def _of_field(
+    monitor: Monitor[Any], name: str, given: Any, count: int, is_array: bool
+) -> Iterable[tuple[str, Signal | None]]:
+    key = f'monitor type "{monitor.type}".connect.{name}'
+    if given is None:
+        return [(name, None)] * count
+    if isinstance(given, Signal) and not is_array:
+        return [(name, given)]
+    parts = given if isinstance(given, list | tuple) else [given]
+    for part in parts:
+        if part is not None and not isinstance(part, Signal):
+            text = 'a Signal("Message.Signal"), or None'
+            raise InputError(text, file=monitor.file, key=key, value=part)
+    if isinstance(given, Signal):
+        raise InputError(f"an array of {count}: one signal for each", file=monitor.file, key=key)
+    if not is_array:
+        raise InputError(f"one signal, not {len(given)}", file=monitor.file, key=key)
+    if len(given) != count:
+        raise InputError(
+            f"{len(given)} signals for an array of {count}", file=monitor.file, key=key
+        )
+    return [(f"{name}[{k}]", signal) for k, signal in enumerate(given)]
+
+
+def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission | None:
+    """Return the message that a monitor can send.
+
+    Raises:
+        InputError: outputs without a signal, or signals without an output.
+    """
+    if monitor.emits is None or monitor.outputs is None:
+        if monitor.emits is not None or monitor.outputs is not None:
+            raise InputError(
+                "outputs and emits go together",
+                file=monitor.file,
+                key=f'monitor type "{monitor.type}".emits',
+            )
+        return None
+    emission = monitor.emits(params)
+    dtype = monitor.outputs.dtype
+    key = f'monitor type "{monitor.type}".emits'
+    fields: Mapping[str, tuple[int, ...]] = {name: dtype[name].shape for name in dtype.names or ()}
+    if list(emission.signals) != list(fields):
+        raise InputError(
+            f"signals for each output, in their order: {', '.join(fields)}",
+            file=monitor.file, key=key, value=", ".join(emission.signals),
+        )  # fmt: skip
+    for name, shape in fields.items():
+        names = emission.signals[name]
+        count = 1 if isinstance(names, str) else len(names)
+        if bool(shape) == isinstance(names, str) or count != int(np.prod(shape)):
+            raise InputError(
+                f"{count} signals for {int(np.prod(shape))} numbers",
+                file=monitor.file,
+                key=f"{key}.{name}",
+            )
+    return emission

@@ -1,0 +1,418 @@
+"""The contract between a monitor and the engine: parameters, records, inputs, kernel, faults, what it sends.
+
+A monitor steps when its event arrives (a frame that carries its inputs, or a timer that it asked for) and reports **test
+results**, never DTCs. Debounce and the fault memory decide what becomes of them.
+
+Its kernel is ``step(s, c, u, out)`` over four records: state, constants, inputs of this event, and :class:`Out`. It never
+reads a clock; ``u.t_ns`` is the event's own time. It need not report each time: debounce holds while nothing is reported.
+
+:mod:`gateway.monitors.conformance` checks all of it once, when the engine is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Generic, Protocol, TypeAlias, TypeVar, cast
+
+import numpy as np
+
+from gateway.errors import GatewayError, InputError
+from gateway.jit import Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway.tomlfile import StrictModel
+
+#: Version of this contract. A monitor says for which it was written.
+API = 2
+
+#: Values of evidence that one test result can carry.
+EVIDENCE = 8
+#: Test results that one step can report.
+MAX_RESULTS = 128
+#: Values that a monitor's own message can have.
+MAX_OUTPUTS = 16
+
+NOT_TESTED, PASSED, FAILED = 0, 1, 2
+
+#: ``u.trigger`` of a step that a timer caused; otherwise the index of the message that did.
+TIMER = -1
+
+#: Takes the results beyond :data:`MAX_RESULTS`, so that a kernel need not ask.
+_SPARE = MAX_RESULTS
+
+RESULT = record(fault=i4, result=i4, value=f8, threshold=f8, evidence=(f8, EVIDENCE))
+#: What a step reports, as the engine sees it; a monitor's kernel sees :class:`Out`.
+RESULTS = record(
+    n=i8,
+    overflow=i8,
+    wake_ns=i8,
+    send=i8,
+    values=(f8, MAX_OUTPUTS),
+    results=(RESULT, MAX_RESULTS + 1),
+)
+
+E = TypeVar("E")
+V = TypeVar("V")
+P = TypeVar("P", bound="MonitorParams")
+T = TypeVar("T")
+#: Within Monitor ``type`` is its name.
+Class: TypeAlias = type[T]
+
+
+class Result(Protocol[E]):
+    """One test result: fault (its number in the monitor), PASSED or FAILED, what was tested against what, evidence."""
+
+    fault: int
+    result: int
+    value: float
+    threshold: float
+    evidence: E
+
+
+class Out(Protocol[E, V]):
+    """What a step reports.
+
+    Attributes:
+        n: results so far (see :func:`report`).
+        overflow: results there was no room for.
+        wake_ns: when the monitor wants to be woken if nothing comes in between [ns, 0: never].
+        send: 1: send the monitor's own message, with ``values``.
+        values: record of the monitor's outputs.
+        results: the results, by :func:`report`.
+    """
+
+    n: int
+    overflow: int
+    wake_ns: int
+    send: int
+    values: V
+    results: list[Result[E]]
+
+
+class Inputs(Record):
+    """Base of a monitor's inputs: the event's time and cause; its own fields, all float64, follow."""
+
+    t_ns: i8 = means("time of the event", "ns")
+    trigger: i8 = means("index of the message that caused it, or TIMER")
+
+
+class Evidence(Record):
+    """Evidence of a monitor that has no record of its own for it."""
+
+    value: Annotated[f8s, EVIDENCE]
+
+
+@kernel
+def report(out: Out[E, V], fault: int, failed: bool, value: float, threshold: float) -> E:
+    """Report a test result; returns its record of evidence, all 0, to be filled.
+
+    Args:
+        out: of the step.
+        fault: index in the monitor's faults.
+        failed: the verdict.
+        value: what was tested (a residual, a distance, a count).
+        threshold: what it was tested against, same unit.
+    """
+    place = out.n
+    if place < MAX_RESULTS:
+        out.n = place + 1
+    else:
+        out.overflow += 1
+        place = _SPARE
+    result = out.results[place]
+    result.fault = fault
+    result.result = FAILED if failed else PASSED
+    result.value = value
+    result.threshold = threshold
+    cells = result.cells  # type: ignore[attr-defined] # the evidence, as numbers
+    for k in range(EVIDENCE):
+        cells[k] = 0.0
+    return result.evidence
+
+
+def results_of(evidence: np.dtype[Any], outputs: np.dtype[Any] | None) -> np.dtype[np.void]:
+    """Return RESULTS with evidence and values as records of a monitor's own, in the same places."""
+    of_result = {
+        name: (RESULT[name], int(cast(Any, RESULT.fields)[name][1])) for name in RESULT.names or ()
+    }
+    cells, at = of_result["evidence"]
+    of_result["cells"] = (cells, at)
+    of_result["evidence"] = (evidence, at)
+    one = _laid_out(of_result, RESULT.itemsize)
+    whole = {
+        name: (RESULTS[name], int(cast(Any, RESULTS.fields)[name][1]))
+        for name in RESULTS.names or ()
+    }
+    if outputs is not None:
+        whole["values"] = (outputs, whole["values"][1])
+    whole["results"] = (np.dtype((one, (MAX_RESULTS + 1,))), whole["results"][1])
+    return _laid_out(whole, RESULTS.itemsize)
+
+
+def _laid_out(parts: Mapping[str, tuple[np.dtype[Any], int]], size: int) -> np.dtype[np.void]:
+    forms = {
+        "names": list(parts),
+        "formats": [form for form, _ in parts.values()],
+        "offsets": [at for _, at in parts.values()],
+        "itemsize": size,
+    }
+    return cast("np.dtype[np.void]", np.dtype(cast(Any, forms), align=True))
+
+
+class MonitorParams(StrictModel):
+    """Base of the parameters of a monitor; units stand in the field descriptions."""
+
+
+@dataclass(frozen=True)
+class Debounce:
+    """How test results become a qualified verdict (AUTOSAR DEM, counter based or time based).
+
+    Counter based: a failed result adds ``failed_step``, a passed one takes ``passed_step`` away; +failed_after
+    qualifies a failure, -passed_after a pass. Before it counts, a result lifts (lowers) the counter to
+    ``jump_up_to`` (``jump_down_to``) if that jump is on.
+
+    Time based, if ``failed_ms`` and ``passed_ms`` are set: a verdict is qualified when results have said the
+    same for that long, whether they are repeated or not; a result of the other kind starts the other time.
+    """
+
+    failed_after: int = 1
+    passed_after: int = 1
+    jump_up: bool = True
+    jump_down: bool = False
+    failed_step: int = 1
+    passed_step: int = 1
+    jump_up_to: int = 0
+    jump_down_to: int = 0
+    failed_ms: float | None = None
+    passed_ms: float | None = None
+
+    @property
+    def timed(self) -> bool:
+        """Whether it is time based."""
+        return self.failed_ms is not None and self.passed_ms is not None
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that a monitor can report.
+
+    Attributes:
+        name: within the monitor; the fault's id is ``<monitor>.<name>``.
+        dtc: default DTC, SAE J2012 base code and failure type byte, e.g. ``"P0336-29"``.
+        description: one line for people.
+        evidence: names (with units) of the values in ``result.evidence``; of a record: ``labels(Evidence)``.
+        debounce: default debounce.
+        remedy: what to do about it, for people; "": as for any fault of its failure type.
+    """
+
+    name: str
+    dtc: str
+    description: str
+    evidence: tuple[str, ...] = ()
+    debounce: Debounce = field(default_factory=Debounce)
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal that an input is connected to.
+
+    Attributes:
+        name: ``"Message.Signal"``; the user's configuration may put another in its place.
+        unit: that the database must give for it; None: any.
+        triggers: whether its message steps the monitor.
+        optional: its message need not come: the input is NaN until it does, and the monitor steps without it.
+    """
+
+    name: str
+    unit: str | None = None
+    triggers: bool = False
+    optional: bool = False
+
+
+#: What an input is connected to: a signal, one for each element of an array, or nothing (it is NaN).
+Connection = Signal | Sequence[Signal | None] | None
+
+
+@dataclass(frozen=True)
+class Emission:
+    """A message that a monitor sends.
+
+    Signals ``FrameCnt`` and ``Crc`` of the message, where it has them, are filled by the engine.
+
+    Attributes:
+        message: its name.
+        signals: field of the monitor's outputs -> signal of the message, or one for each element of an array.
+    """
+
+    message: str
+    signals: Mapping[str, str | Sequence[str]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The signals, one after the other."""
+        found: list[str] = []
+        for names in self.signals.values():
+            found += [names] if isinstance(names, str) else names
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Stopping rules of a monitor whose thresholds healthy logs can set.
+
+    Attributes:
+        names: keys of the table ``thresholds`` of its parameters.
+        rules: state record -> states of these rules, in their order: records with a field ``peak``.
+        levels: parameters -> their thresholds now, in that order.
+    """
+
+    names: tuple[str, ...]
+    rules: Callable[[np.void], Any]
+    levels: Callable[[Any], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class CusumCalibration:
+    """CUSUM tests of a monitor whose nu and thresholds healthy logs can set.
+
+    Its parameters have tables ``nu``, by residual, and ``thresholds``, by quantity in units of its nu.
+
+    Attributes:
+        quantities: name, and residual; a quantity without a residual has a unit of its own.
+        floors: of these, the largest T that a healthy drive is thought to reach at least.
+        sums: state record -> ``samples``, ``total`` and ``squares`` of the moduli that updated each quantity.
+        peaks: state record -> largest T of each quantity over its threshold.
+    """
+
+    quantities: tuple[tuple[str, str], ...]
+    floors: Mapping[str, float]
+    sums: Callable[[np.void], Any]
+    peaks: Callable[[np.void], Any]
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Numbers of the state that people are shown (summary, live values, plots).
+
+    Attributes:
+        names: fields of the state.
+    """
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Warnings:
+    """What ``gateway check`` says of parameters that are not wrong.
+
+    Attributes:
+        of: parameters -> lines.
+    """
+
+    of: Callable[[Any], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class NotTestedReasons:
+    """Why a monitor does not test at present.
+
+    Attributes:
+        field: of the state, a whole number; 0: it tests.
+        texts: number -> reason.
+    """
+
+    field: str
+    texts: Mapping[int, str]
+
+
+#: Something that a monitor can do beside monitoring; at most one of each class.
+Capability = Calibration | CusumCalibration | Readout | Warnings | NotTestedReasons
+C = TypeVar("C", Calibration, CusumCalibration, Readout, Warnings, NotTestedReasons)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Monitor(Generic[P]):
+    """A type of monitor; configured instances of it share the kernel.
+
+    Attributes:
+        type: its name in the configuration.
+        api: version of the contract that it was written for: :data:`API`, as a number.
+        params: pydantic model of its parameters.
+        state, const, inputs: classes of its records; the inputs derive from :class:`Inputs`.
+        step: its kernel.
+        connect: parameters -> field of the inputs -> what it is connected to.
+        prepare: parameters, state record, record of constants: fills both before the first step.
+        faults: parameters -> what it can report; ``report`` counts them from 0.
+        evidence: record class of the evidence of its results.
+        outputs: record class of the values that it sends; None: it sends nothing.
+        emits: parameters -> the message that it can send.
+        triggers: parameters -> messages that step it beside those of its signals that trigger.
+        capabilities: what else it can do.
+    """
+
+    type: str
+    api: int
+    params: Class[P]
+    state: Class[Record]
+    const: Class[Record]
+    inputs: Class[Inputs]
+    step: Callable[..., None]
+    connect: Callable[[P], Mapping[str, Connection]]
+    prepare: Callable[[P, Any, Any], None]
+    faults: Callable[[P], tuple[Fault, ...]]
+    evidence: Class[Record] = Evidence
+    outputs: Class[Record] | None = None
+    emits: Callable[[P], Emission] | None = None
+    triggers: Callable[[P], tuple[str, ...]] | None = None
+    capabilities: tuple[Capability, ...] = ()
+
+    def capability(self, kind: Class[C]) -> C | None:
+        """Return what it has of a class of capability."""
+        for found in self.capabilities:
+            if isinstance(found, kind):
+                return found
+        return None
+
+    @property
+    def readout(self) -> tuple[str, ...]:
+        """Fields of the state that people are shown."""
+        found = self.capability(Readout)
+        return () if found is None else found.names
+
+    def warnings(self, params: P) -> tuple[str, ...]:
+        """Return what ``gateway check`` says of parameters, though they are not wrong."""
+        found = self.capability(Warnings)
+        return () if found is None else found.of(params)
+
+    @cached_property
+    def results(self) -> np.dtype[np.void]:
+        """Record that its kernel reports into: RESULTS, with its own evidence and outputs."""
+        return results_of(
+            self.evidence.dtype,
+            None if self.outputs is None else self.outputs.dtype,
+        )
+
+    @property
+    def file(self) -> Path:
+        """Where its kernel stands."""
+        function = getattr(self.step, "py_func", self.step)
+        return Path(function.__code__.co_filename)
+
+    @cached_property
+    def entry(self) -> int:
+        """Address of the compiled kernel; compiles it, or loads it from the cache.
+
+        Raises:
+            InputError: it cannot be compiled.
+        """
+        records = (self.state.dtype, self.const.dtype, self.inputs.dtype, self.results)
+        try:
+            return entry_point(self.step, records)
+        except GatewayError as error:
+            raise InputError(
+                f"its kernel cannot be compiled: {error}",
+                file=self.file,
+                key=f'monitor type "{self.type}"',
+            ) from error
