@@ -432,6 +432,13 @@ def replay(
     allow_cut: Annotated[
         bool, typer.Option("--allow-cut", help="A log that is cut off at its end is no error.")
     ] = False,
+    only: Annotated[
+        str | None, typer.Option("--only", metavar="MONITOR", help="This monitor alone, by name.")
+    ] = None,
+    trace: Annotated[
+        bool,
+        typer.Option("--trace", help="With --only: print inputs, state and results of each step."),
+    ] = False,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -450,6 +457,8 @@ def replay(
             maps=maps or (),
             allow_empty=allow_empty,
             allow_cut=allow_cut,
+            monitor=only,
+            trace=trace,
             json=json,
             fail_on_dtc=fail_on_dtc,
         )
@@ -468,6 +477,19 @@ def check(
     from gateway.cli.check import check as work
 
     raise typer.Exit(work(config, schema_wanted=schema, json=json))
+
+
+@app.command("new-monitor")
+def new_monitor(
+    name: Annotated[str, typer.Argument(help="A name for a module of Python, e.g. coolant.")],
+    folder: Annotated[
+        Path | None, typer.Option("--folder", help="Where to write it.  [default: NAME]")
+    ] = None,
+) -> None:
+    """Write a folder with a monitor of your own: it runs as it is, and is edited."""
+    from gateway.cli.new_monitor import new_monitor as work
+
+    raise typer.Exit(work(name, folder))
 
 
 @app.command()

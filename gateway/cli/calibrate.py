@@ -17,7 +17,7 @@ from gateway.calibration.logs import digest, of_kind, refuse
 from gateway.cli.present import print_json, wide_console
 from gateway.config import load_config
 from gateway.fdi.stopping import assured
-from gateway.monitors.shape import Calibration, CusumCalibration
+from gateway.monitors.contract import Calibration, CusumCalibration
 
 
 def _alarmed(failed: tuple[str, ...]) -> list[str]:

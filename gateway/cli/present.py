@@ -89,6 +89,10 @@ class EventPrinter:
             print_json(event)
         elif event["event"] == "dtc":
             self._dtc(event)
+        elif event["event"] == "step":
+            from gateway.cli.trace import text_of  # noqa: PLC0415 - few want it
+
+            print("\n".join(text_of(event, self.start_ns)))
         elif event["event"] == "bus":
             self._bus(event)
         elif event["event"] == "clock":

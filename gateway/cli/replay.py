@@ -13,6 +13,7 @@ from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
+from gateway.cli.trace import Trace, only, single
 from gateway.config import Config, channels_of, load_config
 from gateway.errors import InputError, InputErrors
 from gateway.replay import contents
@@ -27,6 +28,8 @@ def replay(
     maps: Sequence[str] = (),
     allow_empty: bool = False,
     allow_cut: bool = False,
+    monitor: str | None = None,
+    trace: bool = False,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
@@ -38,6 +41,10 @@ def replay(
     """
     path = find_config(config_path)
     config = load_config(path)
+    if monitor is not None:
+        config = only(config, monitor)
+    if trace and len(config.monitor) != 1:
+        raise InputError("of one monitor: --only NAME", key="--trace")
     channels = channels_of(config, maps)
     printer = EventPrinter(as_json=json)
     reader = read_recording(log, channels)
@@ -45,7 +52,8 @@ def replay(
     gateway.listen(printer)
     try:
         begun = time.monotonic()
-        damage = _feed(gateway, reader, printer, log.name)
+        traced = Trace(gateway.engine) if trace else None
+        damage = _feed(gateway, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = contents(
             reader,
@@ -75,7 +83,11 @@ def _watches(config: Config) -> bool:
 
 
 def _feed(
-    gateway: Gateway, reader: Recorded, printer: EventPrinter, name: str
+    gateway: Gateway,
+    reader: Recorded,
+    printer: EventPrinter,
+    name: str,
+    trace: Trace | None = None,
 ) -> InputError | None:
     """Feed a log, showing how far it is; returns what ended it early."""
     columns = (TextColumn(name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
@@ -85,7 +97,7 @@ def _feed(
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=trace is not None or not console.is_terminal,
     ) as progress:
         task = progress.add_task(name, total=reader.bytes_total, frames=0)
         seen = 0
@@ -95,6 +107,8 @@ def _feed(
             nonlocal seen
             seen += len(frames)
             progress.update(task, completed=reader.bytes_done, frames=seen)
+            for step in trace.steps() if trace is not None else ():
+                printer(step)
 
         def stamped() -> Iterator[Frames]:
             nonlocal damage
@@ -102,7 +116,10 @@ def _feed(
                 for frames in reader:
                     if not seen and not printer.start_ns and len(frames):
                         printer.start_ns = int(frames[0]["t_ns"])
-                    yield frames
+                    if trace is None:
+                        yield frames
+                    else:  # one by one, to look behind each
+                        yield from single(frames)
             except InputError as error:
                 damage = error
 

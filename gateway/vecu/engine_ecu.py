@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from gateway.bus.frames import Frames
+from gateway.vecu.contract import Run, VirtualEcu
 from gateway.vecu.crank import cam_edges, tooth_times
 from gateway.vecu.engine_params import EngineParams, PulseFault
 from gateway.vecu.pulse_faults import Truth, added_pulses, missed_pulses
@@ -60,3 +61,18 @@ def engine_frames(
         frames = np.concatenate([frames, cam_frames(times, edges, levels, bus=bus)])
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
     return frames, truth
+
+
+def _frames(
+    params: EngineParams, faults: Sequence[PulseFault], run: Run
+) -> tuple[Frames, list[Truth]]:
+    return engine_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+
+
+ENGINE = VirtualEcu(
+    type="engine",
+    api=2,
+    params=EngineParams,
+    fault=PulseFault,
+    frames=_frames,
+)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from gateway.fdi.wheel import WheelText
 from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuFault, EcuParams
 
 
 class RippleParams(StrictModel):
@@ -19,7 +20,7 @@ class RippleParams(StrictModel):
     phase: float = Field(0.0, description="[rad]")
 
 
-class EngineParams(StrictModel):
+class EngineParams(EcuParams):
     """An engine ECU that sends the tooth times of its crankshaft sensor."""
 
     type: Literal["engine"] = "engine"
@@ -54,7 +55,7 @@ class EngineParams(StrictModel):
         return self
 
 
-class PulseFault(StrictModel):
+class PulseFault(EcuFault):
     """A fault of the crankshaft sensor."""
 
     kind: Literal["missed_pulses", "added_pulses"]

@@ -11,9 +11,10 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 from gateway.resources import shipped
 from gateway.signals.database import Database, load_database
+from gateway.vecu.contract import Run, VirtualEcu
 from gateway.vecu.linear_params import LinearFault, LinearParams
 from gateway.vecu.linear_plant import simulate
 from gateway.vecu.protection import protect
@@ -121,3 +122,49 @@ def linear_frames(
             count = round((end - fault.from_s) * 1e3 / params.sample_ms)
             truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
     return frames, truth
+
+
+def _frames(
+    params: LinearParams, faults: Sequence[LinearFault], run: Run
+) -> tuple[Frames, list[Truth]]:
+    return linear_frames(
+        params, faults, run.duration_s, bus=run.bus, rng=run.rng, databases=run.databases
+    )
+
+
+def _fits(params: LinearParams, fault: LinearFault) -> None:
+    acts = fault.kind.startswith("actuator")
+    count = params.plant.inputs if acts else params.plant.outputs
+    if fault.place > count:
+        raise ValueError(f"ECU {params.name!r} has no place {fault.place} for {fault.kind}")
+
+
+def _locate(params: LinearParams, folder: Path, key: str) -> LinearParams:
+    """Return the parameters with the path of their database: beside the scenario, else among the shipped."""
+    database = params.database
+    if database is None:
+        return params
+    found = folder / database
+    if not found.exists():
+        try:
+            found = shipped(str(database))
+        except InputError:
+            known = sorted(f"dbc/{path.name}" for path in shipped("dbc").glob("*.dbc"))
+            raise InputError(
+                f"no such file beside the scenario, and the gateway comes with {', '.join(known)} only"
+                f"{nearest(str(database), known)}",
+                key=f"{key}.database",
+                value=str(database),
+            ) from None
+    return params.model_copy(update={"database": found})
+
+
+LINEAR = VirtualEcu(
+    type="linear",
+    api=2,
+    params=LinearParams,
+    fault=LinearFault,
+    frames=_frames,
+    fits=_fits,
+    locate=_locate,
+)

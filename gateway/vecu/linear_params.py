@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuFault, EcuParams
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -21,7 +22,7 @@ class Swing(StrictModel):
     period_s: float = Field(10.0, gt=0, description="[s]")
 
 
-class LinearParams(StrictModel):
+class LinearParams(EcuParams):
     """A linear plant with its controller: u = asked for - feedback x, held from sample to sample."""
 
     type: Literal["linear"]
@@ -81,7 +82,7 @@ class LinearParams(StrictModel):
         return self
 
 
-class LinearFault(StrictModel):
+class LinearFault(EcuFault):
     """A fault of an actuator or of a sensor."""
 
     kind: Literal[

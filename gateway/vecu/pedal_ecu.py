@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty, put
 from gateway.vecu import strokes
+from gateway.vecu.contract import Run, VirtualEcu
 from gateway.vecu.pedal_params import PedalParams, SensorFault
 from gateway.vecu.protection import message_of, protect
 from gateway.vecu.pulse_faults import Truth
@@ -118,3 +119,24 @@ def pedal_frames(
             bus=bus,
         )
     return frames, truth
+
+
+def _frames(
+    params: PedalParams, faults: Sequence[SensorFault], run: Run
+) -> tuple[Frames, list[Truth]]:
+    return pedal_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+
+
+def _fits(params: PedalParams, fault: SensorFault) -> None:
+    if max(fault.channel) > len(params.sensors):
+        raise ValueError(f"ECU {params.name!r} has no channel {max(fault.channel)}")
+
+
+PEDAL = VirtualEcu(
+    type="pedal",
+    api=2,
+    params=PedalParams,
+    fault=SensorFault,
+    frames=_frames,
+    fits=_fits,
+)

@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuFault, EcuParams
 
 
 class SensorParams(StrictModel):
@@ -33,7 +34,7 @@ SENSORS = {
 }
 
 
-class PedalParams(StrictModel):
+class PedalParams(EcuParams):
     """Pedal electronics that send their sensors' readings, one sample a message."""
 
     type: Literal["pedal"] = "pedal"
@@ -82,7 +83,7 @@ class PedalParams(StrictModel):
         return self
 
 
-class SensorFault(StrictModel):
+class SensorFault(EcuFault):
     """A fault of one sensor, or of several."""
 
     kind: Literal[

@@ -10,19 +10,10 @@ import numpy as np
 from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
 from gateway.signals.database import load_database
-from gateway.vecu.engine_ecu import engine_frames
-from gateway.vecu.engine_params import EngineParams, PulseFault
-from gateway.vecu.linear_ecu import linear_frames
-from gateway.vecu.linear_params import LinearFault, LinearParams
-from gateway.vecu.pedal_ecu import pedal_frames
-from gateway.vecu.pedal_params import PedalParams, SensorFault
+from gateway.vecu.contract import Run
 from gateway.vecu.pulse_faults import Truth
+from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import Scenario
-from gateway.vecu.steering_ecu import steering_frames
-from gateway.vecu.steering_faults import SteeringFault
-from gateway.vecu.steering_params import SteeringParams
-from gateway.vecu.truck_ecu import truck_frames
-from gateway.vecu.truck_params import TruckFault, TruckParams
 from gateway.vecu.wire_faults import apply_wire_faults
 
 
@@ -39,8 +30,7 @@ class Player:
         frames: shape (n,) of FRAME, stamped from 0.
         truth: what was injected.
         seed: that was used.
-        step_ns: steps in which the frames are to be sent in real time. Monitors that compare messages of a steering
-            with each other go by the time at which these arrive: its steps are short.
+        step_ns: steps in which the frames are to be sent in real time, the shortest that an ECU asks for [ns].
 
     Raises:
         InputError: an ECU names a bus that is not there, or messages that cannot carry what it sends.
@@ -57,8 +47,7 @@ class Player:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         self.truth: list[Truth] = []
-        steered_too = any(isinstance(ecu, SteeringParams) for ecu in scenario.ecu)
-        self.step_ns = 1_000_000 if steered_too else 10_000_000
+        self.step_ns = min(VIRTUAL_ECUS[ecu.type].step_ns for ecu in scenario.ecu)
         runs = [empty(0)]
         for k, ecu in enumerate(scenario.ecu):
             if ecu.bus is None and len(buses) == 1:
@@ -71,51 +60,26 @@ class Player:
                 )
             mine = [fault for fault in scenario.fault if fault.ecu == ecu.name]
             rng = np.random.default_rng([self.seed, k])
-            if isinstance(ecu, EngineParams):
-                pulse = [fault for fault in mine if isinstance(fault, PulseFault)]
-                frames, truth = engine_frames(ecu, pulse, scenario.duration_s, bus=bus, rng=rng)
-            elif isinstance(ecu, PedalParams):
-                sensor = [fault for fault in mine if isinstance(fault, SensorFault)]
-                frames, truth = pedal_frames(ecu, sensor, scenario.duration_s, bus=bus, rng=rng)
-            elif isinstance(ecu, LinearParams):
-                added = [fault for fault in mine if isinstance(fault, LinearFault)]
-                frames, truth = self._linear(
-                    k, ecu, added, bus, rng, (databases or {}).get(bus, ())
-                )
-            elif isinstance(ecu, TruckParams):
-                broken = [fault for fault in mine if isinstance(fault, TruckFault)]
-                frames, truth = truck_frames(ecu, broken, scenario.duration_s, bus=bus, rng=rng)
-            else:
-                steered = [fault for fault in mine if isinstance(fault, SteeringFault)]
-                frames, truth = steering_frames(ecu, steered, scenario.duration_s, bus=bus, rng=rng)
+            run = Run(scenario.duration_s, bus, rng, (databases or {}).get(bus, ()))
+            try:
+                frames, truth = VIRTUAL_ECUS[ecu.type].frames(ecu, mine, run)
+            except InputError as error:
+                if error.key is None:
+                    raise
+                key = f"ecu[{k}].{error.key}"
+                raise InputError(
+                    error.message, file=error.file, key=key, value=error.value
+                ) from error
             runs.append(frames)
             self.truth += truth
         frames = np.concatenate(runs)
+        frames["t_ns"] = np.maximum(frames["t_ns"], 1)  # a bus stamps what has no stamp: 0
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
         rng = np.random.default_rng([self.seed, 1 << 20])
         named = any(fault.message != "*" for fault in scenario.wire)
         known = {bus: load_database(files) for bus, files in (databases or {}).items() if named}
         self.frames, done = apply_wire_faults(frames, scenario.wire, rng, known)
         self.truth += done
-
-    def _linear(
-        self,
-        place: int,
-        ecu: LinearParams,
-        faults: list[LinearFault],
-        bus: int,
-        rng: np.random.Generator,
-        databases: Sequence[Path],
-    ) -> tuple[Frames, list[Truth]]:
-        try:
-            return linear_frames(
-                ecu, faults, self.scenario.duration_s, bus=bus, rng=rng, databases=databases
-            )
-        except InputError as error:
-            if error.key is None:
-                raise
-            key = f"ecu[{place}].{error.key}"
-            raise InputError(error.message, file=error.file, key=key, value=error.value) from error
 
     def batches(
         self, step_ns: int = 10_000_000, *, start_ns: int = 0

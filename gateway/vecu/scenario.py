@@ -2,52 +2,84 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
-from gateway.errors import InputError, nearest
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import DtcText
-from gateway.resources import shipped
-from gateway.tomlfile import StrictModel, load
-from gateway.vecu.engine_params import EngineParams, PulseFault
-from gateway.vecu.linear_params import LinearFault, LinearParams
-from gateway.vecu.pedal_params import PedalParams, SensorFault
-from gateway.vecu.steering_faults import SteeringFault
-from gateway.vecu.steering_params import SteeringParams
-from gateway.vecu.truck_params import TruckFault, TruckParams
+from gateway.plugins import importable
+from gateway.tomlfile import StrictModel, load, validate
+from gateway.vecu.contract import EcuFault, EcuParams, VirtualEcu
+from gateway.vecu.registry import VIRTUAL_ECUS
+
+T = TypeVar("T")
+
+#: An ECU without a type is an engine.
+_DEFAULT = "engine"
 
 
-def _type(ecu: Any) -> str:
-    """Return the type of an ECU; without one it is an engine."""
-    return str(ecu.get("type", "engine") if isinstance(ecu, dict) else ecu.type)
+def _of_type(type_: str, key: str) -> VirtualEcu[Any, Any]:
+    """Return a type of virtual ECU.
+
+    Raises:
+        InputError: there is none.
+    """
+    try:
+        found = VIRTUAL_ECUS.get(type_)
+        if found is None:
+            known = list(VIRTUAL_ECUS)
+            raise InputError(
+                f"the types are {', '.join(known)}{nearest(type_, known)}", value=type_
+            )
+    except InputError as error:
+        raise InputError(error.message, key=f"{key}.type", value=type_) from error
+    return found
 
 
-Ecu = Annotated[
-    Annotated[EngineParams, Tag("engine")]
-    | Annotated[PedalParams, Tag("pedal")]
-    | Annotated[SteeringParams, Tag("steering")]
-    | Annotated[LinearParams, Tag("linear")]
-    | Annotated[TruckParams, Tag("hybrid_truck")],
-    Discriminator(
-        _type,
-        custom_error_type="ecu_type",
-        custom_error_message="the types are engine, pedal, steering, linear, hybrid_truck",
-    ),
-]
-EcuFault = Annotated[
-    PulseFault | SensorFault | SteeringFault | LinearFault | TruckFault,
-    Field(discriminator="kind"),
-]
-#: Which faults an ECU of a type can have.
-_FAULTS: dict[str, type[StrictModel]] = {
-    "engine": PulseFault,
-    "pedal": SensorFault,
-    "steering": SteeringFault,
-    "linear": LinearFault,
-    "hybrid_truck": TruckFault,
-}
+def _ecu(entry: Any, key: str) -> EcuParams:
+    """Return an ECU of a scenario.
+
+    Raises:
+        InputError, InputErrors: no such type; wrong parameters.
+    """
+    if isinstance(entry, EcuParams):
+        return entry
+    type_ = str(entry.get("type", _DEFAULT))
+    found: EcuParams = validate({**entry, "type": type_}, _of_type(type_, key).params, None, key)
+    return found
+
+
+def _kinds(ecu: EcuParams) -> list[str]:
+    """Return the kinds of fault that an ECU can have."""
+    model = _of_type(ecu.type, "ecu").fault
+    if model is None:
+        return []
+    return [str(kind) for kind in get_args(model.model_fields["kind"].annotation)]
+
+
+def _fault(entry: Any, ecus: Sequence[EcuParams], key: str) -> EcuFault:
+    """Return a fault of a scenario.
+
+    Raises:
+        InputError, InputErrors: no such ECU, no such kind; wrong parameters.
+    """
+    if isinstance(entry, EcuFault):
+        return entry
+    kind, name = entry.get("kind"), entry.get("ecu")
+    having = [ecu for ecu in ecus if kind in _kinds(ecu)]
+    named = [ecu for ecu in ecus if ecu.name == name]
+    ecu = (named or having or list(ecus))[0]
+    model, kinds = _of_type(ecu.type, key).fault, _kinds(ecu)
+    if model is None or kind not in kinds:
+        text = (
+            f"ECU {ecu.name!r} is of type {ecu.type}: it has no {kind}; it has {', '.join(kinds)}"
+        )
+        raise InputError(f"{text}{nearest(str(kind), kinds)}", key=f"{key}.kind", value=kind)
+    found: EcuFault = validate(entry, model, None, key)
+    return found
 
 
 class WireFault(StrictModel):
@@ -88,11 +120,32 @@ class Scenario(StrictModel):
     duration_s: float = Field(gt=0, le=86400, description="[s]")
     seed: int = Field(1, ge=0)
     config: Path = Field(Path("../gateway.toml"), description="relative to the scenario")
-    ecu: tuple[Ecu, ...] = Field(min_length=1)
-    fault: tuple[EcuFault, ...] = ()
+    ecu: tuple[SerializeAsAny[EcuParams], ...] = Field(min_length=1)
+    fault: tuple[SerializeAsAny[EcuFault], ...] = ()
     wire: tuple[WireFault, ...] = ()
     expect: tuple[Expectation, ...] = ()
     unexpected: Literal["fail", "allow"] = Field("fail", description="DTCs that no line expects")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _types(cls, data: Any) -> Any:
+        """Read ECUs and faults by the models of their types."""
+        if not isinstance(data, dict):
+            return data
+        tables = {key: data.get(key, ()) for key in ("ecu", "fault")}
+        for entries in tables.values():
+            if not isinstance(entries, list | tuple) or not all(
+                isinstance(entry, dict | EcuParams | EcuFault) for entry in entries
+            ):
+                return data  # said below
+        wrong: list[InputError] = []
+        ecus = _all(tables["ecu"], "ecu", _ecu, wrong)
+        if wrong:
+            raise InputErrors(wrong)
+        faults = _all(tables["fault"], "fault", lambda entry, key: _fault(entry, ecus, key), wrong)
+        if wrong:
+            raise InputErrors(wrong)
+        return {**data, "ecu": tuple(ecus), "fault": tuple(faults)}
 
     @model_validator(mode="after")
     def _names_fit(self) -> Scenario:
@@ -103,20 +156,26 @@ class Scenario(StrictModel):
             if fault.ecu not in names:
                 raise ValueError(f"no ECU {fault.ecu!r}; there are {', '.join(names)}")
             ecu = self.ecu[names.index(fault.ecu)]
-            if type(fault) is not _FAULTS[ecu.type]:
+            found = _of_type(ecu.type, "ecu")
+            if found.fault is None or not isinstance(fault, found.fault):
                 raise ValueError(f"ECU {ecu.name!r} is of type {ecu.type}: it has no {fault.kind}")
-            if isinstance(fault, SensorFault) and isinstance(ecu, PedalParams):
-                most = len(ecu.sensors)
-                if max(fault.channel) > most:
-                    raise ValueError(f"ECU {ecu.name!r} has no channel {max(fault.channel)}")
-            if isinstance(fault, LinearFault) and isinstance(ecu, LinearParams):
-                acts = fault.kind.startswith("actuator")
-                count = ecu.plant.inputs if acts else ecu.plant.outputs
-                if fault.place > count:
-                    raise ValueError(
-                        f"ECU {ecu.name!r} has no place {fault.place} for {fault.kind}"
-                    )
+            found.fits(ecu, fault)
         return self
+
+
+def _all(
+    entries: Sequence[Any], name: str, read: Callable[[Any, str], T], wrong: list[InputError]
+) -> list[T]:
+    """Read all entries of a table; what is wrong is collected."""
+    found = []
+    for k, entry in enumerate(entries):
+        try:
+            found.append(read(entry, f"{name}[{k}]"))
+        except InputErrors as errors:
+            wrong += errors.errors
+        except InputError as error:
+            wrong.append(error)
+    return found
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -125,29 +184,15 @@ def load_scenario(path: Path) -> Scenario:
     Raises:
         InputError, InputErrors: the file cannot be read, or a key is wrong.
     """
-    scenario = load(path, Scenario)
-    ecus = tuple(
-        ecu.model_copy(update={"database": _found(path, k, ecu.database)})
-        if isinstance(ecu, LinearParams) and ecu.database is not None
-        else ecu
-        for k, ecu in enumerate(scenario.ecu)
-    )
-    return scenario.model_copy(update={"config": path.parent / scenario.config, "ecu": ecus})
-
-
-def _found(scenario: Path, place: int, database: Path) -> Path:
-    """Return the path of an ECU's database: beside the scenario, else among the shipped."""
-    beside = scenario.parent / database
-    if beside.exists():
-        return beside
+    importable(path.parent)
     try:
-        return shipped(str(database))
-    except InputError:
-        known = sorted(f"dbc/{path.name}" for path in shipped("dbc").glob("*.dbc"))
-        raise InputError(
-            f"no such file beside the scenario, and the gateway comes with {', '.join(known)} only"
-            f"{nearest(str(database), known)}",
-            file=scenario,
-            key=f"ecu[{place}].database",
-            value=str(database),
-        ) from None
+        scenario = load(path, Scenario)
+        ecus = tuple(
+            _of_type(ecu.type, f"ecu[{k}]").locate(ecu, path.parent, f"ecu[{k}]")
+            for k, ecu in enumerate(scenario.ecu)
+        )
+    except InputErrors as errors:
+        raise InputErrors([error.within(path) for error in errors.errors]) from errors
+    except InputError as error:
+        raise error.within(path) from error
+    return scenario.model_copy(update={"config": path.parent / scenario.config, "ecu": ecus})

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from gateway.bus.frames import Frames, empty, put
+from gateway.vecu.contract import Run, VirtualEcu
 from gateway.vecu.protection import message_of, protect
 from gateway.vecu.pulse_faults import Truth
 from gateway.vecu.steering_course import Course, driving, sweep, times
@@ -124,3 +125,20 @@ def steering_frames(
             count = round((end - fault.from_s) * 1e3 / period)
             truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
     return frames, truth
+
+
+def _frames(
+    params: SteeringParams, faults: Sequence[SteeringFault], run: Run
+) -> tuple[Frames, list[Truth]]:
+    return steering_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+
+
+STEERING = VirtualEcu(
+    type="steering",
+    api=2,
+    params=SteeringParams,
+    fault=SteeringFault,
+    frames=_frames,
+    # Monitors that compare messages of a steering with each other go by the time at which these arrive.
+    step_ns=1_000_000,
+)

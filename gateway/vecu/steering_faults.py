@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuFault
 from gateway.vecu.sensor_faults import drift, offset, stuck
 from gateway.vecu.steering_plant import CONTROL
 
@@ -39,7 +39,7 @@ BURST, BURSTS = 5e-3, 20.0
 Array = NDArray[np.float64]
 
 
-class SteeringFault(StrictModel):
+class SteeringFault(EcuFault):
     """A fault of a steering."""
 
     kind: Kind

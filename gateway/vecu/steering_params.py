@@ -8,12 +8,12 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.fdi.filters.motor import Motor
-from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuParams
 from gateway.vecu.steering_column import Column
 from gateway.vecu.steering_plant import Plant
 
 
-class SteeringParams(StrictModel):
+class SteeringParams(EcuParams):
     """An active front steering with its ECU, the steering wheel's sensor and the car's speed."""
 
     type: Literal["steering"]

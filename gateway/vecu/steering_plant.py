@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gateway.fdi.filters import motor
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park
-from gateway.jit import f8, kernel, record
+from gateway.jit import f8, kernel, record, zeros
 
 #: Controller's period [s], and integration steps in it.
 CONTROL, SUBSTEPS = 1e-4, 5
@@ -28,8 +28,8 @@ CURRENT_LOOP, SPEED_LOOP, SPEED_INTEGRAL, TRACKER, POSITION = 1900.0, 190.0, 40.
 CREEP, ZERO_CURRENT = 0.05, 0.3
 
 CONST = record(
-    motor=motor.CONST,
-    believed=motor.CONST,
+    motor=motor.Const,
+    believed=motor.Const,
     coulomb=f8,
     dead=f8,
     voltage=f8,
@@ -40,35 +40,31 @@ CONST = record(
 
 #: What may go wrong, sample by sample of the controller: added to the angle [rad], its scale, the angle stands still;
 #: added to the current of U [A], its scale, it stands still; scale of all voltages, added to the voltage of U [V].
-DISTURBANCE = np.dtype(
-    [
-        ("angle", f8),
-        ("scale", f8),
-        ("stuck", f8),
-        ("current", f8),
-        ("gain", f8),
-        ("frozen", f8),
-        ("supply", f8),
-        ("volts", f8),
-    ]
+DISTURBANCE = record(
+    angle=f8,
+    scale=f8,
+    stuck=f8,
+    current=f8,
+    gain=f8,
+    frozen=f8,
+    supply=f8,
+    volts=f8,
 )
 
 #: One bus frame: currents [A], mean voltages [V] in the controller's frame and in the stator's, mechanical sensor angle
 #: [rad] and its Park angle, and the truth.
-SAMPLE = np.dtype(
-    [
-        ("i_u", f8),
-        ("i_v", f8),
-        ("u_d", f8),
-        ("u_q", f8),
-        ("u_alpha", f8),
-        ("u_beta", f8),
-        ("sensor", f8),
-        ("theta", f8),
-        ("omega", f8),
-        ("i_d", f8),
-        ("i_q", f8),
-    ]
+SAMPLE = record(
+    i_u=f8,
+    i_v=f8,
+    u_d=f8,
+    u_q=f8,
+    u_alpha=f8,
+    u_beta=f8,
+    sensor=f8,
+    theta=f8,
+    omega=f8,
+    i_d=f8,
+    i_q=f8,
 )
 
 
@@ -254,7 +250,7 @@ def drive(
         period: of the frames, a multiple of the controller's [s].
     """
     n, per = len(demand), round(period / CONTROL)
-    c = np.zeros(1, CONST)
+    c = zeros(1, CONST)
     motor.prepare(c[0]["motor"], plant.motor)
     motor.prepare(c[0]["believed"], plant.believed)
     for name in ("coulomb", "dead", "voltage", "current"):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.fdi.structure.file import load_model
-from gateway.jit import f8, i8, kernel
+from gateway.jit import f8, i8, kernel, record
 from gateway.resources import shipped
 from gateway.vecu import truck_control, truck_plant
 from gateway.vecu.cycles import speeds
@@ -19,24 +19,22 @@ from gateway.vecu.truck_params import TruckFault, TruckParams
 from gateway.vecu.truck_plant import STEP
 
 #: A sample: controls and what sensors without noise read; behind these the truth.
-SAMPLE = np.dtype(
-    [
-        ("i_b", f8),
-        ("u_em", f8),
-        ("i_em", f8),
-        ("omega_e", f8),
-        ("omega_gb", f8),
-        ("volts", f8),
-        ("ice", f8),
-        ("clutch", f8),
-        ("gear", i8),
-        ("shifting", f8),
-        ("brake", f8),
-        ("v", f8),
-        ("soc", f8),
-        ("fuel", f8),
-        ("locked", i8),
-    ]
+SAMPLE = record(
+    i_b=f8,
+    u_em=f8,
+    i_em=f8,
+    omega_e=f8,
+    omega_gb=f8,
+    volts=f8,
+    ice=f8,
+    clutch=f8,
+    gear=i8,
+    shifting=f8,
+    brake=f8,
+    v=f8,
+    soc=f8,
+    fuel=f8,
+    locked=i8,
 )
 
 

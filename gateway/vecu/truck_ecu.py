@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
+from gateway.vecu.contract import Run, VirtualEcu
 from gateway.vecu.packing import pack
 from gateway.vecu.protection import message_of
 from gateway.vecu.pulse_faults import Truth
@@ -110,3 +111,18 @@ def truck_frames(
             count = round((end - fault.from_s) / PERIOD)
             truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
     return frames, truth
+
+
+def _frames(
+    params: TruckParams, faults: Sequence[TruckFault], run: Run
+) -> tuple[Frames, list[Truth]]:
+    return truck_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+
+
+TRUCK = VirtualEcu(
+    type="hybrid_truck",
+    api=2,
+    params=TruckParams,
+    fault=TruckFault,
+    frames=_frames,
+)

@@ -7,6 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.tomlfile import StrictModel
+from gateway.vecu.contract import EcuFault, EcuParams
 from gateway.vecu.truck_plant import Disturbance
 
 #: Table II of paper 004: field of the plant, size.
@@ -29,7 +30,7 @@ class SensorNoise(StrictModel):
     gearbox_speed: float = Field(0.2, ge=0, description="[rad/s]")
 
 
-class TruckParams(StrictModel):
+class TruckParams(EcuParams):
     """A parallel hybrid truck on a driving cycle."""
 
     type: Literal["hybrid_truck"]
@@ -66,7 +67,7 @@ class TruckParams(StrictModel):
         return f"hybrid truck on {self.cycle.upper()} from {self.start_s:g} s"
 
 
-class TruckFault(StrictModel):
+class TruckFault(EcuFault):
     """A fault of the battery, the power electronics, the machine or its voltage sensor, (13)."""
 
     kind: Literal[

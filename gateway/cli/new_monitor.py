@@ -1,0 +1,52 @@
+"""``gateway new-monitor``: a folder with a monitor of one's own, which runs as it is."""
+
+from __future__ import annotations
+
+import keyword
+from importlib.util import find_spec
+from pathlib import Path
+
+from gateway.errors import InputError
+from gateway.resources import shipped
+
+#: The folder that is copied: a monitor that CI runs.
+TEMPLATE = "examples/battery_voltage"
+#: Of its files, what is copied.
+_KINDS = (".py", ".dbc", ".toml", ".md")
+#: Its names, and what stands for them; the first that fits.
+_NAMES = ("battery_voltage", "battery_ecu")
+
+
+def new_monitor(name: str, folder: Path | None) -> int:
+    """Write a folder; returns the exit code.
+
+    Raises:
+        InputError: no name for a module of Python; the folder is there already.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
+        raise InputError(
+            "a name for a module of Python: small letters, digits, underscores",
+            key="NAME",
+            value=name,
+        )
+    place = folder or Path(name)
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise InputError("this is there already; nothing was written", value=str(place))
+    if find_spec(name) is not None:
+        raise InputError("a module of this name is installed already", key="NAME", value=name)
+    place.mkdir(parents=True, exist_ok=True)
+    written = []
+    for source in sorted(shipped(TEMPLATE).iterdir()):
+        if source.suffix not in _KINDS:
+            continue
+        target = place / _renamed(source.name, name)
+        target.write_text(_renamed(source.read_text(), name))
+        written.append(target.name)
+    print(f"{place}: {', '.join(written)}")
+    print(f"It runs as it is:  cd {place} && gateway demo drained.toml --speed 0")
+    print(f"Then edit {name}.py; gateway check says what does not fit.")
+    return 0
+
+
+def _renamed(text: str, name: str) -> str:
+    return text.replace(_NAMES[0], name).replace(_NAMES[1], f"{name}_ecu")

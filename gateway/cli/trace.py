@@ -1,0 +1,158 @@
+"""Each step of a monitor, printed: its inputs, its state after it, and what it reported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.config import Config
+from gateway.engine.core import Engine
+from gateway.errors import InputError, nearest
+from gateway.monitors.contract import FAILED, TIMER
+
+#: Elements of an array that are printed.
+_FEW = 8
+
+
+def only(config: Config, name: str) -> Config:
+    """Return a configuration with one of its monitors.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    kept = tuple(entry for entry in config.monitor if entry.name == name)
+    if not kept:
+        known = [entry.name for entry in config.monitor]
+        text = f"the monitors are {', '.join(known)}{nearest(name, known)}"
+        raise InputError(text, key="--only", value=name)
+    gone = {entry.name for entry in config.monitor} - {name}
+    settings = {
+        fault: override
+        for fault, override in config.fault.items()
+        if fault.split(".")[0] not in gone
+    }
+    return config.model_copy(update={"monitor": kept, "fault": settings})
+
+
+def single(frames: Frames) -> Iterator[Frames]:
+    """Yield frames one by one."""
+    for k in range(len(frames)):
+        yield frames[k : k + 1]
+
+
+class Trace:
+    """Looks after each frame which monitors have stepped.
+
+    Args:
+        engine: whose monitors are watched.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._steps = [int(h["steps"]) for h in engine.tables.handlers]
+
+    def steps(self) -> Iterator[dict[str, Any]]:
+        """Yield the last step of each monitor that has stepped since the last call, as events of the JSON contract."""
+        for k, handler in enumerate(self._engine.tables.handlers):
+            count = int(handler["steps"])
+            if count != self._steps[k]:
+                missed, self._steps[k] = count - self._steps[k] - 1, count
+                yield self._step(k, count, missed)
+
+    def _step(self, k: int, number: int, missed: int) -> dict[str, Any]:
+        engine = self._engine
+        instance, handler = engine.monitors[k], engine.tables.handlers[k]
+        monitor = instance.monitor
+        first = int(handler["inputs"])
+        count = monitor.inputs.dtype.itemsize // 8
+        cells = engine.tables.pool[first : first + count].copy()
+        inputs = cells.view(monitor.inputs.dtype)[0]
+        trigger = int(inputs["trigger"])
+        out = engine.tables.out.view(monitor.results)[0] if len(engine.monitors) == 1 else None
+        names = engine.plan.message_names
+        told: dict[str, Any] = {
+            "event": "step",
+            "t_ns": engine.wall_ns(int(inputs["t_ns"])),
+            "monitor": instance.name,
+            "step": number,
+            "not_shown": missed,
+            "trigger": "timer" if trigger == TIMER else names[trigger][1],
+            "inputs": {name: _plain(inputs[name]) for name in (inputs.dtype.names or ())[2:]},
+            "state": _plain(engine.state_of(k)[0]),
+        }
+        if out is not None:
+            faults = monitor.faults(instance.params)
+            told["results"] = [_result(out["results"][j], faults) for j in range(int(out["n"]))]
+            if int(out["send"]) and monitor.outputs is not None:
+                told["sent"] = _plain(out["values"])
+            if int(out["wake_ns"]):
+                told["wake_ns"] = engine.wall_ns(int(out["wake_ns"]))
+        return told
+
+
+def _result(row: Any, faults: Any) -> dict[str, Any]:
+    number = int(row["fault"])
+    known = 0 <= number < len(faults)
+    evidence = faults[number].evidence if known else ()
+    return {
+        "fault": faults[number].name if known else f"number {number}: there is none",
+        "result": "failed" if int(row["result"]) == FAILED else "passed",
+        "value": float(row["value"]),
+        "threshold": float(row["threshold"]),
+        "evidence": dict(zip(evidence, row["cells"].tolist(), strict=False)),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return a record, an array or a number as JSON has it; what is no number is None."""
+    if value.dtype.names is not None and not value.shape:
+        return {name: _plain(value[name]) for name in value.dtype.names}
+    if value.shape:
+        return [_plain(item) for item in value]
+    number = value.item()
+    return number if not isinstance(number, float) or np.isfinite(number) else None
+
+
+def text_of(event: dict[str, Any], start_ns: int) -> list[str]:
+    """Return a step as lines for people."""
+    seconds = (event["t_ns"] - start_ns) / 1e9
+    more = f" ({event['not_shown']} before it not shown)" if event["not_shown"] else ""
+    lines = [
+        f"{seconds:10.4f} s  {event['monitor']} step {event['step']}: {event['trigger']}{more}"
+    ]
+    lines += _fields("in", event["inputs"]) + _fields("state", event["state"])
+    for result in event.get("results", ()):
+        found = f"{result['fault']} {result['result']}: {_number(result['value'])} against"
+        lines += [f"{'':14}{found} {_number(result['threshold'])}"]
+        if result["result"] == "failed":
+            lines += _fields("evidence", result["evidence"])
+    if "sent" in event:
+        lines += _fields("sent", event["sent"])
+    return lines
+
+
+def _fields(title: str, fields: dict[str, Any]) -> list[str]:
+    parts = [f"{name} {_shown(value)}" for name, value in fields.items()]
+    lines, line = [], f"{'':14}{title:<10}"
+    for part in parts:
+        if len(line) + len(part) > 110 and line.strip() != title:
+            lines.append(line.rstrip())
+            line = " " * 24
+        line += part + "  "
+    return [*lines, line.rstrip()]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + "  ".join(f"{name} {_shown(part)}" for name, part in value.items()) + "}"
+    if isinstance(value, list):
+        more = " ..." if len(value) > _FEW else ""
+        return "[" + " ".join(map(_shown, value[:_FEW])) + more + "]"
+    return _number(value)
+
+
+def _number(value: Any) -> str:
+    return "-" if value is None else f"{value:.6g}"

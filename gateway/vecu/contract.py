@@ -1,0 +1,121 @@
+"""The contract of a virtual ECU: its parameters, the faults it can have, and the frames of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+from pydantic import Field
+
+from gateway.bus.frames import Frames
+from gateway.errors import InputError
+from gateway.tomlfile import StrictModel
+from gateway.vecu.pulse_faults import Truth
+
+#: Version of this contract. A virtual ECU says for which it was written.
+API = 2
+
+
+class EcuParams(StrictModel):
+    """Base of the parameters of a virtual ECU."""
+
+    type: str
+    name: str
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+
+    @property
+    def summary(self) -> str:
+        """What it is, for people."""
+        return self.type
+
+
+class EcuFault(StrictModel):
+    """Base of a fault of a virtual ECU; ``kind`` says which."""
+
+    kind: str
+    ecu: str = Field(description="name of the ECU")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run asks for.
+
+    Attributes:
+        duration_s: its length [s].
+        bus: index of the ECU's bus.
+        rng: source of all randomness.
+        databases: database files of the bus.
+    """
+
+    duration_s: float
+    bus: int
+    rng: np.random.Generator
+    databases: Sequence[Path] = ()
+
+
+P = TypeVar("P", bound=EcuParams)
+F = TypeVar("F", bound=EcuFault)
+T = TypeVar("T")
+#: Within VirtualEcu ``type`` is its name.
+Class: TypeAlias = type[T]
+
+
+def _fits(_params: Any, _fault: Any) -> None:
+    """Any fault fits."""
+
+
+def _as_it_is(params: Any, _folder: Path, _key: str) -> Any:
+    """Return parameters that name no files."""
+    return params
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualEcu(Generic[P, F]):
+    """A type of virtual ECU.
+
+    Attributes:
+        type: its name in a scenario.
+        api: version of the contract that it was written for: :data:`API`, as a number.
+        params: pydantic model of its parameters.
+        fault: pydantic model of its faults; None: it has none.
+        frames: parameters, faults, run -> frames stamped from time 0, and what was injected.
+        fits: parameters, fault -> raises ValueError where this ECU cannot have this fault.
+        locate: parameters, folder of the scenario, key -> parameters with the paths of their files.
+        step_ns: steps in which its frames are to be sent in real time [ns].
+    """
+
+    type: str
+    api: int
+    params: Class[P]
+    fault: Class[F] | None
+    frames: Callable[[P, Sequence[F], Run], tuple[Frames, list[Truth]]]
+    fits: Callable[[P, F], None] = _fits
+    locate: Callable[[P, Path, str], P] = _as_it_is
+    step_ns: int = 10_000_000
+
+
+def accepted(found: object, name: str) -> VirtualEcu[Any, Any]:
+    """Return what a name stands for, if it is a virtual ECU of this contract.
+
+    Raises:
+        InputError: it is none, or one of another version.
+    """
+    if not isinstance(found, VirtualEcu):
+        raise InputError(f"this is no VirtualEcu, but {type(found).__name__}", value=name)
+    key = f'virtual ECU "{found.type}"'
+    if found.api != API:
+        raise InputError(
+            f"written for version {found.api!r} of the contract, this gateway has {API}",
+            key=f"{key}.api",
+            value=found.api,
+        )
+    for field, base in (("params", EcuParams), ("fault", EcuFault)):
+        model = getattr(found, field)
+        if model is None and field == "fault":
+            continue
+        if not (isinstance(model, type) and issubclass(model, base)):
+            raise InputError(f"a class that derives from {base.__name__}", key=f"{key}.{field}")
+    return found

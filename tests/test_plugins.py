@@ -1,0 +1,201 @@
+"""A stranger's packages: found by entry point or by place, from folders of their own, with the installed gateway only."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.resources import shipped
+
+EXAMPLES = sorted(path for path in shipped("examples").iterdir() if path.is_dir())
+GATEWAY = [str(Path(sys.executable).parent / "gateway")]
+COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0] = 'gateway'; sys.exit(main())"]  # fmt: skip
+
+
+def run(*arguments, cwd, path=None, **environment):
+    """Run the gateway as a stranger does; returns what ended."""
+    kept = {
+        k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "COVERAGE_PROCESS_START")
+    }
+    if path is not None:
+        kept["PYTHONPATH"] = str(path)
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=600, check=False,
+        env={**kept, "COLUMNS": "200", **environment},
+    )  # fmt: skip
+
+
+def copy(example, place):
+    """Copy an example to a folder that knows nothing of ours."""
+    ignored = shutil.ignore_patterns("__pycache__", "*.sqlite*")
+    return Path(shutil.copytree(shipped("examples") / example, place / example, ignore=ignored))
+
+
+def package(place, name, points, **modules):
+    """Make an installed package with entry points; returns the folder for PYTHONPATH."""
+    site = place / "site"
+    info = site / f"{name}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(points)
+    for module, text in modules.items():
+        (site / f"{module}.py").write_text(text)
+    return site
+
+
+def battery():
+    return (shipped("examples") / "battery_voltage/battery_voltage.py").read_text()
+
+
+@pytest.mark.parametrize("example", [path.name for path in EXAMPLES])
+def test_each_example_is_checked_and_demonstrated_in_a_folder_of_its_own(tmp_path, example):
+    folder = copy(example, tmp_path)
+    made = run("check", "gateway.toml", cwd=folder)
+    assert made.returncode == 0, made.stderr
+    (scenario,) = [p for p in folder.glob("*.toml") if p.name != "gateway.toml"]
+    made = run("demo", scenario.name, "--speed", "0", cwd=folder)
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "NOT as expected" not in made.stdout
+
+
+@pytest.mark.parametrize("example", [path.name for path in EXAMPLES])
+def test_each_example_s_own_tests_pass(tmp_path, example):
+    folder = copy(example, tmp_path)
+    made = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"],
+        cwd=folder, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stdout
+    assert " passed" in made.stdout
+
+
+def test_a_new_monitor_runs_as_it_is(tmp_path):
+    made = run("new-monitor", "coolant", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    folder = tmp_path / "coolant"
+    assert {p.name for p in folder.iterdir()} >= {
+        "coolant.py", "coolant_ecu.py", "gateway.toml", "test_coolant.py", "README.md", "battery.dbc",
+    }  # fmt: skip
+    for path in folder.iterdir():
+        assert "battery_voltage" not in path.read_text(), path
+    made = run("demo", "drained.toml", "--speed", "0", cwd=folder)
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "as expected: P0562-16 set" in made.stdout
+    again = run("new-monitor", "coolant", cwd=tmp_path)
+    assert again.returncode == 2
+    assert "there already" in again.stderr
+
+
+@pytest.mark.parametrize("name", ["3x", "class", "With-Dash", "json", "numpy"])
+def test_a_name_that_is_no_module_s_or_taken_is_refused(tmp_path, name):
+    made = run("new-monitor", name, cwd=tmp_path)
+    assert made.returncode == 2
+    assert made.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_entry_point_of_another_package_is_a_type_like_ours(tmp_path):
+    folder = copy("battery_voltage", tmp_path)
+    points = "[gateway.monitors]\nmy_battery = battery_of_mine:MONITOR\n"
+    site = package(tmp_path, "mine", points, battery_of_mine=battery())
+    (folder / "battery_voltage.py").unlink()
+    text = (folder / "gateway.toml").read_text().replace("battery_voltage:MONITOR", "my_battery")
+    (folder / "gateway.toml").write_text(text)
+    made = run("demo", "drained.toml", "--speed", "0", cwd=folder, path=site)
+    assert made.returncode == 0, made.stdout + made.stderr
+    schema = json.loads(run("check", "--schema", cwd=folder, path=site).stdout)
+    types = [
+        case["properties"]["type"]["const"] for case in schema["$defs"]["MonitorConfig"]["anyOf"]
+    ]
+    assert "my_battery" in types
+    assert "crank_sync" in types
+
+
+BROKEN = {
+    "does not import": ("1 / 0", "battery_of_mine cannot be imported: ZeroDivisionError"),
+    "is not there": ("MONITORS = 1", "battery_of_mine has no MONITOR"),
+    "is no monitor": ("MONITOR = 1", "this is no Monitor, but int"),
+    "is of another version": (None, "written for version 1 of the contract, this gateway has 2"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_one_is_one_clear_line_and_the_rest_runs(tmp_path, case):
+    text, told = BROKEN[case]
+    folder = copy("battery_voltage", tmp_path)
+    text = battery().replace("api=2", "api=1") if text is None else text
+    points = "[gateway.monitors]\nmy_battery = battery_of_mine:MONITOR\n"
+    site = package(tmp_path, "mine", points, battery_of_mine=text)
+    made = run("demo", "drained.toml", "--speed", "0", cwd=folder, path=site)
+    assert made.returncode == 0, "who does not name it is not concerned"
+    assert run("check", "--schema", cwd=folder, path=site).returncode == 0
+    (folder / "gateway.toml").write_text(
+        (folder / "gateway.toml").read_text().replace("battery_voltage:MONITOR", "my_battery")
+    )
+    made = run("check", "gateway.toml", cwd=folder, path=site)
+    assert made.returncode == 2
+    assert told in made.stderr
+    assert "monitor[0].type = 'my_battery'" in made.stderr
+    assert made.stderr.count("\n") == 1
+
+
+def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path):
+    folder = copy("battery_voltage", tmp_path)
+    points = (
+        "[gateway.monitors]\ncrank_sync = battery_of_mine:MONITOR\nboth = battery_of_mine:MONITOR\n"
+    )
+    package(tmp_path, "mine", points, battery_of_mine=battery())
+    site = package(
+        tmp_path, "theirs", "[gateway.monitors]\nboth = other:MONITOR\n", other=battery()
+    )
+    told = "from gateway.monitors.registry import MONITORS; print(MONITORS['crank_sync'].type); MONITORS['both']"
+    made = subprocess.run(
+        [sys.executable, "-c", told], cwd=folder, env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert made.stdout == "crank_sync\n"
+    assert (
+        "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR"
+        in made.stderr
+    )
+
+
+def test_a_misspelt_field_is_one_line_compiled_or_not(tmp_path):
+    folder = copy("battery_voltage", tmp_path)
+    module = folder / "battery_voltage.py"
+    module.write_text(module.read_text().replace("s.lowest = min(", "s.lowets = min("))
+    for setting in ("0", "1"):
+        made = run("demo", "drained.toml", "--speed", "0", cwd=folder, NUMBA_DISABLE_JIT=setting)
+        assert made.returncode == 2, made.stdout + made.stderr
+        assert "lowets" in made.stderr
+        assert "battery_voltage.py" in made.stderr
+        assert "Traceback" not in made.stderr
+
+
+def test_each_step_can_be_traced(tmp_path):
+    folder = copy("battery_voltage", tmp_path)
+    log = tmp_path / "a.log"
+    volts = [12.6] * 5 + [10.5] * 6
+    lines = [
+        f"({1000 + k / 10:.6f}) vcan0 510#{round(1000 * v).to_bytes(2, 'little').hex()}000000000000"
+        for k, v in enumerate(volts)
+    ]
+    log.write_text("\n".join(lines) + "\n")
+    made = run("replay", log, "--only", "battery", "--trace", "--json", cwd=folder)
+    assert made.returncode == 0, made.stderr
+    steps = [e for e in map(json.loads, made.stdout.splitlines()) if e["event"] == "step"]
+    assert [s["inputs"]["volts"] for s in steps] == pytest.approx(volts)
+    assert [s["step"] for s in steps] == list(range(1, 12))
+    assert [s["results"][0]["result"] for s in steps] == ["passed"] * 5 + ["failed"] * 6
+    assert steps[-1]["state"] == {"lowest": 10.5}
+    assert steps[-1]["results"][0]["evidence"]["terminal voltage [V]"] == 10.5
+    shown = run("replay", log, "--only", "battery", "--trace", cwd=folder).stdout
+    assert "low failed: 10.5 against 11" in shown
+    assert max(map(len, shown.splitlines())) <= 120
+    wrong = run("replay", log, "--only", "batery", cwd=folder)
+    assert wrong.returncode == 2
+    assert "did you mean battery?" in wrong.stderr
