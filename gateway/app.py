@@ -37,7 +37,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.log import get_logger
-from gateway.monitors.shape import FAILED, PASSED
+from gateway.monitors.contract import FAILED, PASSED
 from gateway.outputs.base import NEVER, Output
 from gateway.outputs.dtc_frame import message_of
 from gateway.outputs.uds.services.x19_read_dtc_information import EXTENDED_DATA

@@ -21,8 +21,8 @@ from gateway.faults.kept import KeptStore, Mishap
 from gateway.faults.memory import FaultMemory
 from gateway.faults.pace import Pace
 from gateway.log import get_logger
+from gateway.monitors.contract import Fault
 from gateway.monitors.memory_health import DAMAGED, NOT_WRITTEN, OWNER
-from gateway.monitors.shape import Fault
 
 log = get_logger(__name__)
 

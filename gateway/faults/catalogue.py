@@ -11,7 +11,7 @@ from gateway.faults.dtc import NO_DTC, Dtc, is_group
 from gateway.faults.remedy import remedy_of
 from gateway.faults.settings import CLASSES, POWER, SEVERITIES, FaultOverride
 from gateway.faults.status import Rules
-from gateway.monitors.shape import Debounce, Fault
+from gateway.monitors.contract import Debounce, Fault
 
 
 @dataclass(frozen=True)
