@@ -128,11 +128,22 @@ class Gateway:
         Args:
             t_ns: now.
         """
+        self._upkeep.pause()
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
-        self.memory.commit(self.engine.now_ns)
+        if not self._upkeep.beside:  # else the successor has it from this one, and writes it
+            self.memory.commit(self.engine.now_ns)
         return sent
+
+    def go_on(self) -> None:
+        """Write again, after :meth:`finish`, where no successor could be made."""
+        self._upkeep.resume()
+
+    @property
+    def writing(self) -> bool:
+        """Whether a thread writes the fault memory at present."""
+        return self.memory.under_way()
 
     def succeed(self, old: Gateway) -> None:
         """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.

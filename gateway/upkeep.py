@@ -73,6 +73,7 @@ class Upkeep:
         self._patience_s = 0.0
         self._under_way = NOTHING  # what was noted when the write under way began
         self._down = False
+        self._paused = False
         self.not_stored = 0
 
     def succeed(self, old: Upkeep) -> None:
@@ -84,6 +85,19 @@ class Upkeep:
         self._tested = old._tested and same
         self._executor, self._patience_s = old._executor, old._patience_s
         old._executor = None
+
+    @property
+    def beside(self) -> bool:
+        """Whether a thread writes."""
+        return self._executor is not None
+
+    def pause(self) -> None:
+        """Begin no further write in the thread: whoever comes next reads the file."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on with writing."""
+        self._paused = False
 
     @property
     def stored(self) -> bool:
@@ -158,7 +172,7 @@ class Upkeep:
         memory = self._memory
         patience_s = self._patience_s if self._pace.calm else 0.0
         if self._under_way == NOTHING:
-            if not self._pace.allows(t_ns, memory.unsaved):
+            if self._paused or not self._pace.allows(t_ns, memory.unsaved):
                 return NOTHING
             assert self._executor is not None
             memory.begin(t_ns, self._executor)
@@ -183,7 +197,7 @@ class Upkeep:
         if not memory.outage.reason:
             return False
         self._judge(t_ns, sink)
-        if memory.outage.is_due(t_ns):
+        if not self._paused and memory.outage.is_due(t_ns):
             assert self._executor is not None
             memory.begin(t_ns, self._executor)
         return True

@@ -417,6 +417,45 @@ def test_attempts_that_take_long_hold_nobody_up_and_all_is_written_at_their_end(
     assert rig.gateway.stored
 
 
+def test_a_successor_is_made_without_waiting_for_the_disk(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    assert rig.gateway.writing, "a reload waits for this one"
+    slow.go_on(rig)
+    rig.wait(20)
+    assert not rig.gateway.writing
+    slow.stall()
+    old = rig.gateway
+    old._upkeep.pause()  # as finish does first
+    rig.fail(1)
+    old.finish(rig.now)
+    assert not old.writing, "nothing is begun that the successor would have to wait for"
+    successor = Gateway(old.config, parts=prepare(old.config), store=old.store)
+    successor.succeed(old)
+    rig.gateway = successor
+    slow.go_on(rig)
+    rig.wait(100)
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length"}
+    assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length", "b.M1.length"]
+
+
+def test_one_that_has_finished_without_a_successor_writes_again(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    rig.gateway.finish(rig.now)
+    rig.fail(0)
+    assert stored(rig) == {}
+    rig.gateway.go_on()
+    rig.wait(50)
+    slow.go_on(rig)
+    rig.wait(20)
+    assert set(stored(rig)) == {"b.M0.length"}
+
+
 def test_a_file_deleted_while_a_thread_writes_is_written_anew(make, slow):
     rig = make()
     rig.gateway.write_beside()

@@ -154,6 +154,8 @@ class Daemon:
         self._notifier.alive()
         if self.reloader.begin():
             self._notifier.reloading()
+        if self.gateway.writing:
+            return  # a change reads the file; until the thread is done, whatever the disk takes, all goes on
         found = self.reloader.take()
         if found is None:
             return
@@ -222,6 +224,7 @@ class Daemon:
             self._live.finish()
             gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
         except GatewayError:
+            old.go_on()
             for link in opened:
                 link.close()
             raise
