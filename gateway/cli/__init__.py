@@ -486,7 +486,10 @@ def new_monitor(
         Path | None, typer.Option("--folder", help="Where to write it.  [default: NAME]")
     ] = None,
 ) -> None:
-    """Write a folder with a monitor of your own: it runs as it is, and is edited."""
+    """Write a folder with a monitor of your own.
+
+    It runs as it is: monitor, database, configuration, virtual ECU, scenario, test.
+    """
     from gateway.cli.new_monitor import new_monitor as work
 
     raise typer.Exit(work(name, folder))

@@ -31,9 +31,7 @@ def _of_type(type_: str, key: str) -> VirtualEcu[Any, Any]:
         found = VIRTUAL_ECUS.get(type_)
         if found is None:
             known = list(VIRTUAL_ECUS)
-            raise InputError(
-                f"the types are {', '.join(known)}{nearest(type_, known)}", value=type_
-            )
+            raise InputError(f"there are {', '.join(known)}{nearest(type_, known)}", value=type_)
     except InputError as error:
         raise InputError(error.message, key=f"{key}.type", value=type_) from error
     return found
@@ -74,10 +72,9 @@ def _fault(entry: Any, ecus: Sequence[EcuParams], key: str) -> EcuFault:
     ecu = (named or having or list(ecus))[0]
     model, kinds = _of_type(ecu.type, key).fault, _kinds(ecu)
     if model is None or kind not in kinds:
-        text = (
-            f"ECU {ecu.name!r} is of type {ecu.type}: it has no {kind}; it has {', '.join(kinds)}"
-        )
-        raise InputError(f"{text}{nearest(str(kind), kinds)}", key=f"{key}.kind", value=kind)
+        text = f"there are {', '.join(kinds)}{nearest(str(kind), kinds)}"
+        text += f"; ECU {ecu.name!r} is of type {ecu.type}: it has no {kind}"
+        raise InputError(text, key=f"{key}.kind", value=kind)
     found: EcuFault = validate(entry, model, None, key)
     return found
 
