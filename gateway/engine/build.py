@@ -167,10 +167,10 @@ def build_engine(
         h["bus"] = m.bus
         h["wake_ns"] = NEVER
         h["emit"] = -1
-        emission_ = checked_emission(m.monitor, m.params)
-        if m.emission is not None and emission_ is not None:
+        own_message = checked_emission(m.monitor, m.params)
+        if m.emission is not None and own_message is not None:
             h["emit"] = len(emitted)
-            emitted.append(Emitted(emission_, m.emission, m.bus))
+            emitted.append(Emitted(own_message, m.emission, m.bus))
         slots += own
         sources += rows
         cells += m.monitor.inputs.dtype.itemsize // 8

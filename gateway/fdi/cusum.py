@@ -44,7 +44,7 @@ LEAST = 100
 
 
 def prepare(c: Const, nu: float, threshold: float, most: float = MOST) -> None:
-    """Fill a record of CONST."""
+    """Fill a record of Const."""
     c.nu, c.threshold, c.most = nu, threshold, most * threshold
 
 

@@ -69,10 +69,10 @@ def prepare(
     most: float = np.inf,
     window: int = 20,
 ) -> None:
-    """Fill a record of CONST.
+    """Fill a record of Const.
 
     Args:
-        c: record of CONST.
+        c: record of Const.
         rule: which.
         threshold: of the level.
         forget: lambda of the moving average.
@@ -118,8 +118,8 @@ def update(s: State, c: Const, x: float) -> bool:
     """Take one value of a symptom; returns whether the level has reached the threshold.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         x: the symptom.
     """
     if c.rule == _DIRECT:

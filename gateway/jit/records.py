@@ -13,7 +13,7 @@ NumPy takes such a class wherever it takes a dtype.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import (
     Annotated,
     Any,
@@ -143,13 +143,6 @@ def labels(cls: type[Record]) -> tuple[str, ...]:
         counted = [f" {k}" for k in range(1, int(np.prod(shape)) + 1)] if shape else [""]
         found += [f"{text}{number}{unit}" for number in counted]
     return tuple(found)
-
-
-def numbers(dtype: np.dtype[np.void]) -> Iterator[tuple[str, str, int, bool]]:
-    """Yield the fields of a record: name, kind of number (``"V"`` for a record), how many, whether it is an array."""
-    for name in dtype.names or ():
-        form = dtype[name]
-        yield name, form.base.str, int(np.prod(form.shape)), bool(form.shape)
 
 
 def record(**fields: Any) -> np.dtype[np.void]:

@@ -26,7 +26,6 @@ from gateway.monitors.contract import (
     Inputs,
     Monitor,
     MonitorParams,
-    NotTestedReasons,
     Readout,
     Signal,
 )
@@ -113,11 +112,7 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
     if monitor.capability(Calibration) and monitor.capability(CusumCalibration):
         yield "one kind of calibration", "capabilities"
     known = monitor.state.dtype.names or ()
-    shown = list(monitor.readout)
-    reasons = monitor.capability(NotTestedReasons)
-    if reasons is not None:
-        shown.append(reasons.field)
-    for name in shown:
+    for name in monitor.readout:
         if name not in known:
             yield f"the state has no field {name!r}{nearest(name, known)}", "capabilities"
         elif monitor.state.dtype[name].shape or monitor.state.dtype[name].names is not None:

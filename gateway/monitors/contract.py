@@ -314,22 +314,9 @@ class Warnings:
     of: Callable[[Any], tuple[str, ...]]
 
 
-@dataclass(frozen=True)
-class NotTestedReasons:
-    """Why a monitor does not test at present.
-
-    Attributes:
-        field: of the state, a whole number; 0: it tests.
-        texts: number -> reason.
-    """
-
-    field: str
-    texts: Mapping[int, str]
-
-
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Calibration | CusumCalibration | Readout | Warnings | NotTestedReasons
-C = TypeVar("C", Calibration, CusumCalibration, Readout, Warnings, NotTestedReasons)
+Capability = Calibration | CusumCalibration | Readout | Warnings
+C = TypeVar("C", Calibration, CusumCalibration, Readout, Warnings)
 
 
 @dataclass(frozen=True, kw_only=True)

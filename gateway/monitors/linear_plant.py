@@ -163,7 +163,7 @@ def triggers(p: PlantParams) -> tuple[str, ...]:
 
 
 def prepare(c: Const, p: PlantParams) -> None:
-    """Fill a record of CONST."""
+    """Fill a record of Const."""
     c.period_ns, c.counted = round(p.sample_ms * 1e6), p.counter is not None
 
 

@@ -21,7 +21,6 @@ from gateway.monitors.contract import (
     Fault,
     Monitor,
     MonitorParams,
-    NotTestedReasons,
     Readout,
     Signal,
     report,
@@ -108,7 +107,7 @@ GOOD = Monitor(
     prepare=lambda p, s, c: setattr(c, "limit", p.limit),
     faults=lambda p: (FAULT,),
     emits=lambda p: Emission("SAID", {"twice": "Twice", "half": "Half"}),
-    capabilities=(Readout(("lowest",)), NotTestedReasons("lowest", {1: "never"})),
+    capabilities=(Readout(("lowest",)),),
 )
 
 
@@ -192,10 +191,6 @@ WRONG = {
     "a readout of an array": (
         {"capabilities": (Readout(("cells",)),)},
         "'cells' is not one number",
-    ),
-    "a reason that is not there": (
-        {"capabilities": (NotTestedReasons("why", {}),)},
-        "no field 'why'",
     ),
     "two readouts": ({"capabilities": (Readout(()), Readout(()))}, "Readout is there 2 times"),
     "two calibrations": (

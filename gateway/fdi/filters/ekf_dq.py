@@ -62,10 +62,10 @@ def prepare(
     wander: float = 2.0,
     current: float = 0.13,
 ) -> None:
-    """Fill a record of CONST.
+    """Fill a record of Const.
 
     Args:
-        c: record of CONST.
+        c: record of Const.
         m: the motor.
         period: of a step [s].
         load: with the load torque as fourth state.

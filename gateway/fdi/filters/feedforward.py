@@ -46,10 +46,10 @@ class State(Record):
 def prepare(
     c: Const, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False
 ) -> None:
-    """Fill a record of CONST.
+    """Fill a record of Const.
 
     Args:
-        c: record of CONST.
+        c: record of Const.
         motor: the motor.
         period: of a step [s].
         held: below this EMF the angle is held [V].
@@ -73,8 +73,8 @@ def emf(
     """Return the EMF's mean over the step that ends now [V]; keeps the currents.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         u_alpha: mean voltage over the step [V].
         u_beta: of beta.
         i_alpha: current at its end [A].

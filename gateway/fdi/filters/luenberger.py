@@ -55,7 +55,7 @@ def design(
 def prepare(
     c: Const, motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)
 ) -> None:
-    """Fill a record of CONST; period [s], continuous poles [1/s]."""
+    """Fill a record of Const; period [s], continuous poles [1/s]."""
     a, b, k = design(motor, period, poles)
     c.a, c.b, c.k, c.period = a.ravel(), b.ravel(), k.ravel(), period
 
@@ -65,8 +65,8 @@ def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         u_q: mean voltage over the step that ends now [V].
         i_q: current now [A].
     """

@@ -80,7 +80,7 @@ class Motor:
 
 
 def prepare(c: Const, motor: Motor) -> None:
-    """Fill a record of CONST."""
+    """Fill a record of Const."""
     for name in Const.dtype.names or ():
         setattr(c, name, getattr(motor, name))
 

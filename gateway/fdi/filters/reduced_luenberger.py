@@ -43,7 +43,7 @@ def printed_pole(motor: Motor) -> float:
 
 
 def prepare(c: Const, motor: Motor, period: float, pole: float = -700.0) -> None:
-    """Fill a record of CONST for a continuous pole [1/s], discretised exactly; period [s]."""
+    """Fill a record of Const for a continuous pole [1/s], discretised exactly; period [s]."""
     gain = (motor.friction / motor.inertia + pole) * motor.lq / motor.emf
     a = pole
     c.a = exp(a * period)
@@ -60,8 +60,8 @@ def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step; the current in between is taken for the mean of both ends.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         u_q: mean voltage over the step that ends now [V].
         i_q: current now [A].
     """

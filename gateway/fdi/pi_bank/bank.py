@@ -45,7 +45,7 @@ class State(Record):
 
 
 def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
-    """Fill a record of CONST.
+    """Fill a record of Const.
 
     Raises:
         ValueError: the plant is too large.

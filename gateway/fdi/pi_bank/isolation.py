@@ -115,8 +115,8 @@ def prepare(
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of CONST.
-        s: record of STATE.
+        c: record of Const.
+        s: record of State.
         plant: the plant.
         noise: of it.
         observers: of :func:`gateway.fdi.pi_bank.design.design`.

@@ -87,8 +87,8 @@ def prepare(
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of CONST.
-        s: record of STATE.
+        c: record of Const.
+        s: record of State.
         plant: the plant.
         bank: its observers.
         largest: standard deviation of each actuator's faults, beforehand; shape (m,).

@@ -41,10 +41,10 @@ class State(Record):
 
 
 def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: np.ndarray) -> None:
-    """Fill a record of CONST.
+    """Fill a record of Const.
 
     Args:
-        c: record of CONST.
+        c: record of Const.
         plant: the plant.
         noise: of it.
         samples: how long the start takes.

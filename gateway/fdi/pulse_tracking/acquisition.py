@@ -42,7 +42,7 @@ def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     """Take an interval; returns the index of the tooth that ended it, -1: not known yet.
 
     Args:
-        se: record of SEARCH.
+        se: record of Search.
         logs: ln of the wheel's pitches.
         period: pulses after which the wheel's pattern repeats.
         y: interval [us].

@@ -251,7 +251,7 @@ def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float)
     """Take one pulse into all hypotheses.
 
     Args:
-        tr: record of TRACKER.
+        tr: record of Tracker.
         pulses: of one turn.
         acceleration: that the engine can have [pitch/s^2].
         ripple: growth that torsional ripple can have [1/pitch].
@@ -428,7 +428,7 @@ def rebase(tr: Tracker, before: float, after: float) -> None:
     """Keep the motion right when ripple moves from it into the pitches, or back.
 
     Args:
-        tr: record of TRACKER.
+        tr: record of Tracker.
         before: what ln(pitch) of the slot before the last tooth lost.
         after: what that of the slot behind it lost.
     """

@@ -81,7 +81,7 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
     """End a revolution; returns whether it was clean.
 
     Args:
-        pr: record of PROFILE.
+        pr: record of Profile.
         wh: record of WHEEL.
         pitches: takes the learned ones.
     """

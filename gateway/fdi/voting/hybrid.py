@@ -54,7 +54,7 @@ def prepare(
     """Fill the constants.
 
     Args:
-        c: record of CONST.
+        c: record of Const.
         channels: 2 or 3.
         beta: width of the interval, as a share of FT.
         lower: whether a reading that changes less than predicted is rejected, as printed.
@@ -100,8 +100,8 @@ def vote(s: State, c: Const, y: f8s, forecast: float) -> float:
     """Detect, handle and vote for one sample.
 
     Args:
-        s: record of STATE, started.
-        c: record of CONST.
+        s: record of State, started.
+        c: record of Const.
         y: readings.
         forecast: FT(k) of the predictor.
 

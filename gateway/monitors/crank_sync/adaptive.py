@@ -82,10 +82,10 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval between two pulses.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         y: interval [us].
-        out: record of RESULTS.
+        out: record of Out.
     """
     s.teeth += 1
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):

@@ -50,8 +50,8 @@ def prepare(
     """Fill state and constants.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         edges: (crank angle 0..720 [deg], level after it) of each edge.
         tolerance_deg: of an edge's angle [deg]; as much as variable valve timing moves it.
         tooth_0_deg: crank angle of tooth 0 [deg].
@@ -73,12 +73,12 @@ def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports)
     """Take an edge.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         angle: crank angle of the edge within its revolution, tooth 0 at zero [deg].
         ahead: revolutions from the present one to that of the edge (-1, 0, 1).
         level: after the edge.
-        out: record of RESULTS.
+        out: record of Out.
     """
     s.quiet = 0
     s.seen += 1

@@ -98,8 +98,8 @@ def prepare(
     """Fill state and constants.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         wheel: the wheel.
         gain: observer gain D.
         threshold: of the residual [pitch]; None: half the smallest gap's step.
@@ -263,7 +263,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         s: state.
         c: constants.
         y: interval [us].
-        out: record of RESULTS.
+        out: record of Out.
     """
     s.teeth += 1
     found = _gap_seen(s, c, y)

@@ -93,7 +93,7 @@ def _stray(s: State, number: int, following: int) -> bool:
     """Tell whether a frame from the past came late; two that follow each other are a sender that restarted.
 
     Args:
-        s: record of STATE.
+        s: record of State.
         number: of the frame in the sender's count.
         following: number of the frame after it.
     """

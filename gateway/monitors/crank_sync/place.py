@@ -86,8 +86,8 @@ def prepare(
     """Fill state and constants.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         wheel: the wheel.
         acceleration: that the engine can have [rpm/s].
         runout: variation of the pitch once a revolution that is a fault, amplitude as a share.

@@ -47,7 +47,7 @@ def seen(re: Reversal, pulses: int, gap: float, y2: float, y1: float, y: float) 
     """Take an interval; returns whether the gap came where only a wheel that turned back shows it.
 
     Args:
-        re: record of REVERSAL.
+        re: record of Reversal.
         pulses: of a revolution.
         gap: pitch at the gap [pitch].
         y2: the last interval but two [us].

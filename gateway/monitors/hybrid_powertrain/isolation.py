@@ -29,7 +29,7 @@ class Const(Record):
 
 
 def prepare(c: Const, model: Model, system: str) -> None:
-    """Fill a record of CONST from the faults that stand in the equations of the tests' sets."""
+    """Fill a record of Const from the faults that stand in the equations of the tests' sets."""
     for k, fault in enumerate(STRUCTURAL):
         bits = 0
         for place, test in enumerate(TESTS[system]):

@@ -51,7 +51,7 @@ def sampled_at(s: Clock, arrived_ns: int, counter: int, period_ns: float) -> int
     """Return when a frame was sampled [ns].
 
     Args:
-        s: record of CLOCK.
+        s: record of Clock.
         arrived_ns: when it came.
         counter: its alive counter, modulo 16.
         period_ns: of the message.

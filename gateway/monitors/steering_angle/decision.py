@@ -366,8 +366,8 @@ def decide(
     """Take the symptoms of one pair of motor frames; sets ``s.found``.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         increment: residual [rad].
         angle: error of the sensor by an EMF that is beyond doubt [rad], NaN: there is none.
         parity: the newest residual of (1) [deg].

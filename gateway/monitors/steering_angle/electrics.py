@@ -192,8 +192,8 @@ def step(
     """Take a pair of motor frames.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         i_u: phase current at the frame's end [A].
         i_v: likewise.
         theta: electrical angle used for Park there [rad].

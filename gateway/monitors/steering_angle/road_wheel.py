@@ -38,7 +38,7 @@ class State(Record):
 
 
 def prepare(c: Const, ratio: Ratio | None) -> None:
-    """Fill a record of CONST; without a ratio nothing is checked."""
+    """Fill a record of Const; without a ratio nothing is checked."""
     if ratio is None:
         return
     n = len(ratio.speed)

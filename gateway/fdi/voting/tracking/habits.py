@@ -49,7 +49,7 @@ def watch(h: State, n: int, y: f8s, trusted: int, straight: float, slew: float) 
     """Take the readings of one sample.
 
     Args:
-        h: record of STATE.
+        h: record of State.
         n: channels.
         y: readings; NaN: none.
         trusted: bits of the channels that are not held for failed.
@@ -81,7 +81,7 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
     """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself; -1: none.
 
     Args:
-        h: record of STATE.
+        h: record of State.
         n: channels.
         i: the channel.
         y: readings.

@@ -111,8 +111,8 @@ def vote(s: State, c: Const, y: f8s, dt: float) -> None:
     """Take the readings of one sample.
 
     Args:
-        s: record of STATE.
-        c: record of CONST.
+        s: record of State.
+        c: record of Const.
         y: readings; what is not finite is none.
         dt: time since the last sample, in sample periods.
     """
