@@ -6,7 +6,7 @@ tests all drive this same class.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     Events,
 )
-from gateway.errors import GatewayError, InputError, InputErrors
+from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
@@ -102,7 +102,8 @@ class Gateway:
             self.store,
             self._recorder,
             self._parts.slots,
-            self._tell_all,
+            self._before_clear,
+            self._after_clear,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self._outputs = outputs_of(
@@ -116,6 +117,7 @@ class Gateway:
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
+        self._entries: set[str] = set()  # before the clear that is done now
         self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self.event_count = 0
@@ -170,7 +172,7 @@ class Gateway:
             self._set_due(k)
         self._listeners = old._listeners
         self.event_count = old.event_count
-        self._note_catalogue()
+        self.memory.note_descriptions()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
         names = {name: k for k, name in enumerate(self._parts.cycles)}
@@ -183,7 +185,7 @@ class Gateway:
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
         self.engine.warm()
-        self._note_catalogue()
+        self.memory.note_descriptions()
         self.controls.start_cycle(t_ns)
 
     def stop(self, t_ns: int) -> None:
@@ -319,19 +321,13 @@ class Gateway:
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
-        self.controls.forget(self.memory.serve_requests(self._tell_all))
+        cleared = self.memory.serve_requests(self._before_clear)
+        if cleared:
+            self.controls.forget(cleared)
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
         self.memory.note_buses(states)
-
-    def _note_catalogue(self) -> None:
-        """Keep what the faults are called where ``gateway faults`` can see it without the configuration."""
-        told = {d.id: (d.description, d.severity, d.remedy) for d in self.catalogue}
-        try:
-            self.store.save_catalogue(told)
-        except GatewayError as error:
-            log.warning("descriptions of the faults not written", error=str(error))
 
     def _on_events(self, events: Events) -> None:
         self.event_count += len(events)
@@ -416,9 +412,16 @@ class Gateway:
             self._set_due(k)
         return frames
 
-    def _tell_all(self) -> None:
+    def _before_clear(self) -> None:
         """Write and tell all that waits: what is cleared next must not be told as set after it."""
         self._early += self._frames_of(self._settle(self.engine.now_ns, final=True))
+        self._entries = {entry.fault for entry in self.memory.entries()}
+
+    def _after_clear(self, cleared: Iterable[str]) -> None:
+        """Tell which entries went."""
+        gone = sorted(self._entries.intersection(cleared))
+        t_ns = self.engine.wall_ns(self.engine.now_ns)
+        self._tell({"event": "clear", "t_ns": t_ns, "faults": gone})
 
     def _take_early(self) -> list[Frames]:
         early, self._early = self._early, []
@@ -435,7 +438,12 @@ class Gateway:
         noted = Noted(len(waiting), len(self._untold))
         may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)
         own, self._changes = self._changes, waiting[may.changes :]
-        events = len(self._untold) if may == noted else may.events
+        events = may.events
+        if self._upkeep.beside and not final and self._upkeep.stored:
+            self._changes += own  # of the memory's own faults: they are written next
+            own = []
+        elif may == noted:
+            events = len(self._untold)
         told, self._untold = self._untold[:events], self._untold[events:]
         stored = self._upkeep.stored
         for event in told:

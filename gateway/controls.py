@@ -21,6 +21,7 @@ class Controls:
         store: its file.
         recorder: of frames around failures, if there is one.
         slots: mailbox slots of signals by name.
+        before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
     """
 
     def __init__(
@@ -31,13 +32,14 @@ class Controls:
         recorder: Recorder | None,
         slots: Mapping[str, int],
         before_clear: Callable[[], None] = lambda: None,
+        after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
     ) -> None:
         self._engine = engine
         self._memory = memory
         self._store = store
         self._recorder = recorder
         self._slots = slots
-        self._before_clear = before_clear
+        self._before_clear, self._after_clear = before_clear, after_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
         self._dtcs_on = True
         self.receive = True
@@ -73,6 +75,7 @@ class Controls:
             self._engine.set_active(index, False)
         if self._recorder is not None:
             self._recorder.forget(names)
+        self._after_clear(names)
 
     def set_dtcs(self, on: bool) -> None:
         """Let test results count, or not."""

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from gateway.engine.core import Engine, Sink
 from gateway.faults.kept import KeptStore, Mishap
@@ -27,11 +28,18 @@ from gateway.monitors.memory_health import DAMAGED, NOT_WRITTEN, OWNER
 log = get_logger(__name__)
 
 
-class Noted(NamedTuple):
+@dataclass(frozen=True)
+class Noted:
     """How many changes, and how many events, have been noted to be told."""
 
     changes: int
     events: int
+
+    def __add__(self, more: Noted) -> Noted:
+        return Noted(self.changes + more.changes, self.events + more.events)
+
+    def __sub__(self, told: Noted) -> Noted:
+        return Noted(self.changes - told.changes, self.events - told.events)
 
 
 NOTHING = Noted(0, 0)
@@ -145,19 +153,12 @@ class Upkeep:
             final: write in any case.
         """
         memory = self._memory
-        quiet = self._tested and not (self._down or self._store.happened)
-        if quiet and not memory.unsaved:
+        if self.idle:
             return noted
-        beside = self._executor is not None and not final
-        if beside and quiet and not memory.outage.reason:
-            done = self._write_beside(t_ns, noted)
-            if done is not None:
-                return done
-        if beside and memory.outage.reason and self._try_beside(t_ns, sink):
-            self._under_way = NOTHING
-            return noted
+        if self._executor is not None and not final:
+            return self._settle_beside(t_ns, noted, sink, self._executor)
         if memory.unsaved:
-            urgent = final or asked or beside or memory.outage.reason
+            urgent = final or asked or memory.outage.reason
             if not (urgent or self._pace.allows(t_ns, memory.unsaved)):
                 return NOTHING
             memory.commit(t_ns, final=final)
@@ -167,40 +168,37 @@ class Upkeep:
         self._under_way = NOTHING
         return noted
 
-    def _write_beside(self, t_ns: int, noted: Noted) -> Noted | None:
-        """Go on with writing in the thread; returns what may be told, None: something is wrong, judge it."""
+    def _settle_beside(self, t_ns: int, noted: Noted, sink: Sink, executor: Executor) -> Noted:
+        """Have the thread write, if it is time; returns what may be told: what it has written, in an outage all."""
         memory = self._memory
-        patience_s = self._patience_s if self._pace.calm else 0.0
-        if self._under_way == NOTHING:
-            if self._paused or not self._pace.allows(t_ns, memory.unsaved):
-                return NOTHING
-            assert self._executor is not None
-            memory.begin(t_ns, self._executor)
-            self._under_way = noted
+        down = bool(memory.outage.reason)
+        patience_s = self._patience_s if self._pace.calm and not down else 0.0
         if memory.under_way(patience_s):
-            return NOTHING
-        memory.join()
-        if not self._store.look():  # written, but into a file that nobody will find
-            memory.rewrite()
-            return None
-        if memory.outage.reason:
-            return None
-        done, self._under_way = self._under_way, NOTHING
-        return done
+            return noted if down else NOTHING
+        done = self._written(t_ns, sink)
+        if memory.unsaved and not self._paused and self._is_time(t_ns):
+            down = bool(memory.outage.reason)
+            memory.begin(t_ns, executor, anew=not self._store.look())
+            self._under_way = NOTHING if down else noted - done  # in an outage it is told at once
+            if not down and not memory.under_way(patience_s):
+                done += self._written(t_ns, sink)
+        return noted if memory.outage.reason else done
 
-    def _try_beside(self, t_ns: int, sink: Sink) -> bool:
-        """Go on with an outage, in which the thread tries again; returns whether it lasts."""
+    def _is_time(self, t_ns: int) -> bool:
+        if self._memory.outage.reason:
+            return self._memory.outage.is_due(t_ns)
+        return self._pace.allows(t_ns, self._memory.unsaved)
+
+    def _written(self, t_ns: int, sink: Sink) -> Noted:
+        """End a write of the thread; returns what of that which was noted is stored now."""
         memory = self._memory
-        if memory.under_way():
-            return True
         memory.join()
-        if not memory.outage.reason:
-            return False
+        done, self._under_way = self._under_way, NOTHING
+        if not memory.outage.reason and not self._store.look():
+            memory.rewrite()  # written, but into a file that nobody will find
+            done = NOTHING
         self._judge(t_ns, sink)
-        if not self._paused and memory.outage.is_due(t_ns):
-            assert self._executor is not None
-            memory.begin(t_ns, self._executor)
-        return True
+        return done
 
     def look(self, t_ns: int) -> None:
         """Look whether the file is still there; if not, all is written anew."""
@@ -209,7 +207,8 @@ class Upkeep:
         self._memory.join()
         if not self._store.look() and not self._memory.outage.reason:
             self._memory.rewrite()
-            self._memory.commit(t_ns)
+            if not self.beside:
+                self._memory.commit(t_ns)
 
     def _judge(self, t_ns: int, sink: Sink) -> bool:
         """Report what became of the file, where that is news; returns whether there was any."""

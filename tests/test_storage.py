@@ -142,8 +142,10 @@ def test_testers_are_not_told_that_something_was_stored_or_cleared_that_was_not(
     assert (0x18E8FF80 | EXTENDED, bytes.fromhex("01fffffff9d3fe00")) in rig.sent, rig.sent
     assert rig.status(0) == 0x2F, "nothing was cleared"
     disk["broken"] = False
+    assert of(rig, "clear") == []
     assert ask("14FFFFFF") == "54"
     assert stored(rig) == {}
+    assert len(of(rig, "clear")) == 1
     assert ask("2EF190" + b"XYZ".hex()) == "6ef190"
     assert ask("22F190") == "62f190" + b"XYZ".hex()
 
@@ -158,6 +160,9 @@ def test_a_deleted_file_is_noticed_without_any_change(make):
     assert set(stored(rig)) == {"b.M0.length", DAMAGED}
     assert [e["state"] for e in of(rig, "memory")] == ["deleted"]
     assert ("U3000-42", True) in told(rig)
+    assert stored(rig)["b.M0.length"]["description"], (
+        "what faults are called is in the new file too"
+    )
 
 
 def test_a_damaged_file_is_put_aside_recovered_and_told(make, tmp_path):
@@ -377,8 +382,9 @@ def test_what_a_thread_could_not_write_is_told_as_such_and_written_later(make, s
     assert told(rig)[-3:] == [("U3000-44", True), ("P1000-11", True), ("C1001-11", True)]
     slow.fails = False
     rig.wait(500)
-    slow.go_on(rig)
-    rig.wait(20)
+    for _ in range(2):  # what was waiting, then that writing works again
+        slow.go_on(rig)
+        rig.wait(20)
     assert set(stored(rig)) == {"b.M0.length", "b.M1.length", NOT_WRITTEN}
     assert told(rig)[-1] == ("U3000-44", False)
 
@@ -511,6 +517,9 @@ def test_what_waits_to_be_told_is_told_before_it_is_cleared_not_after(make, slow
         other.close()
     assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length", "b.M1.length"]
     assert all(e["stored"] for e in of(rig, "dtc"))
+    (clear,) = of(rig, "clear")
+    assert clear["faults"] == ["b.M0.length", "b.M1.length"]
+    assert rig.events.index(clear) > rig.events.index(of(rig, "dtc")[-1])
     place = len(rig.sent)
     rig.wait(500)
     assert len(of(rig, "dtc")) == 2

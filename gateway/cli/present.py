@@ -99,6 +99,9 @@ class EventPrinter:
             self._clock(event)
         elif event["event"] == "memory":
             self._memory(event)
+        elif event["event"] == "clear":
+            gone = ", ".join(event["faults"]) or "no entry was there"
+            self._console.print(f"{self._time(event)}  cleared: {gone}", markup=False)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "log":

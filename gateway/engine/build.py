@@ -160,6 +160,10 @@ def build_engine(
         rows = sorted({int(plan.slot_message[slot]) for slot in own if slot != nowhere} - waived)
         h["state"], h["const"] = state.ctypes.data, const.ctypes.data
         h["inputs"] = cells
+        size = m.monitor.inputs.dtype.itemsize
+        assert size == 8 * (2 + len(own)), "as the step copies them"
+        while own and own[-1] == nowhere:  # stays NaN without a step's copying it
+            own.pop()
         h["first_slot"], h["slots"] = len(slots), len(own)
         h["first_source"], h["sources"] = len(sources), len(rows)
         mine = checked_faults(m.monitor, m.params)
@@ -173,12 +177,11 @@ def build_engine(
             emitted.append(Emitted(own_message, m.emission, m.bus))
         slots += own
         sources += rows
-        cells += m.monitor.inputs.dtype.itemsize // 8
-        assert m.monitor.inputs.dtype.itemsize == 8 * (2 + len(own)), "as the step copies them"
+        cells += size // 8
         for message in sorted(wired.triggers):
             triggered.setdefault(plan.message(*message), []).append(k)
         faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]
-    pool = np.zeros(max(cells, 1))
+    pool = np.full(max(cells, 1), np.nan)
     for k in range(len(monitors)):
         handlers[k]["inputs_address"] = pool.ctypes.data + 8 * int(handlers[k]["inputs"])
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
-from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
+from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.store import Store, StoreError
 
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
@@ -40,6 +40,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
         identifiers={**first.identifiers, **then.identifiers},
         facts={**first.facts, **then.facts},
         buses=first.buses if then.buses is None else then.buses,
+        described={**first.described, **then.described},
     )
 
 
@@ -83,6 +84,7 @@ class Ledger:
         self._dirty: set[str] = set()
         self._more = False  # whether anything waits beside records
         self._buses: Sequence[Mapping[str, Any]] | None = None
+        self._described: Mapping[str, Description] = {}
         self._stored = {fault: _copy(record) for fault, record in self.records.items()}
         self._stored_permanent = self._permanent.all()
         self._write: _Write | None = None
@@ -100,7 +102,7 @@ class Ledger:
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
         self._pending.kept_recordings = kept
-        self._buses = old._buses
+        self._buses, self._described = old._buses, old._described
         self.outage, self.commits = old.outage, old.commits
 
     # Changes
@@ -168,6 +170,12 @@ class Ledger:
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Note how the buses do."""
         self._buses = self._pending.buses = states
+        self._more = True
+
+    def describe(self, described: Mapping[str, Description]) -> None:
+        """Note what faults are called; others that the store describes stay."""
+        self._described = {**self._described, **described}
+        self._pending.described = self._described
         self._more = True
 
     def answer(self, request: int, done: int) -> None:
@@ -253,14 +261,15 @@ class Ledger:
 
     # Writing beside
 
-    def begin(self, t_ns: int, executor: Executor) -> None:
-        """Have all changes written by a thread; :meth:`join` ends it. In an outage it may begin another file.
+    def begin(self, t_ns: int, executor: Executor, *, anew: bool = False) -> None:
+        """Have all changes written by a thread; :meth:`join` ends it.
 
         Args:
             t_ns: now, of the engine's clock.
             executor: of one thread.
+            anew: whether the file may have to be begun anew with all there is, as in an outage.
         """
-        copied = self._copy_of_all() if self.outage.reason else None
+        copied = self._copy_of_all() if anew or self.outage.reason else None
         whole = None if copied is None else lambda: copied
         changes = self._pending
         changes.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
@@ -306,7 +315,7 @@ class Ledger:
         whole.permanent = self._permanent.all()
         whole.identifiers = self.identifiers
         whole.facts = self._facts
-        whole.buses = self._buses
+        whole.buses, whole.described = self._buses, self._described
         return whole
 
     def _copy_of_all(self) -> Changes:
@@ -321,12 +330,13 @@ class Ledger:
     def undoing(self) -> Iterator[None]:
         """Undo what is done within, if it cannot be written.
 
-        Records are replaced within, not changed.
+        Records are replaced within, not changed. A commit that failed may have reached the disk all the same: what it
+        changed is to be written again as it was.
         """
         self.join()
         records, identifiers = dict(self.records), dict(self.identifiers)
         facts, permanent = dict(self._facts), self._permanent.all()
-        dirty, more, pending = set(self._dirty), self._more, copy(self._pending)
+        dirty, pending = set(self._dirty), copy(self._pending)
         try:
             yield
         except StoreError:
@@ -335,5 +345,12 @@ class Ledger:
             self.identifiers.clear()
             self.identifiers.update(identifiers)
             self._facts, self._permanent = facts, PermanentDtcs(permanent)
-            self._dirty, self._more, self._pending = dirty, more, pending
+            undone, self._pending = self._pending, pending
+            self._dirty |= dirty
+            self._more = True
+            back = {did: identifiers.get(did) for did in undone.identifiers}
+            pending.identifiers = {**pending.identifiers, **back}
+            pending.facts = {**pending.facts, **{n: facts.get(n, 0) for n in undone.facts}}
+            if undone.permanent is not None:
+                pending.permanent = permanent
             raise

@@ -32,7 +32,7 @@ from gateway.faults.failures import (
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.outage import Outage
 from gateway.faults.reading import Readable
-from gateway.faults.records import Cycle, FreezeFrame, Record, Recording
+from gateway.faults.records import Cycle, Description, FreezeFrame, Record, Recording
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Cycles, Status
 from gateway.faults.store import Store, StoreError
@@ -363,10 +363,10 @@ class FaultMemory(Readable):
         self._now_ns = max(self._now_ns, t_ns or 0)
         return self._held.commit(self._now_ns, final=final)
 
-    def begin(self, t_ns: int, executor: Executor) -> None:
-        """Have all changes made durable by a thread (see :meth:`under_way`)."""
+    def begin(self, t_ns: int, executor: Executor, *, anew: bool = False) -> None:
+        """Have all changes made durable by a thread (see :meth:`under_way`), in a new file if need be."""
         self._now_ns = max(self._now_ns, t_ns)
-        self._held.begin(self._now_ns, executor)
+        self._held.begin(self._now_ns, executor, anew=anew)
 
     def under_way(self, patience_s: float = 0.0) -> bool:
         """Tell whether a thread writes still, after waiting so long at most [s]."""
@@ -387,6 +387,12 @@ class FaultMemory(Readable):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do, with the next commit."""
         self._held.note_buses(states)
+
+    def note_descriptions(self) -> None:
+        """Keep what the faults are called, with the next commit, for readers without the configuration."""
+        self._held.describe(
+            {d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue}
+        )
 
     def write_identifier(self, did: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 
 @dataclass
@@ -85,6 +85,14 @@ class Recording:
     log: bytes
 
 
+class Description(NamedTuple):
+    """What a fault is called, its severity (byte of ISO 14229-1, Annex D.3), and what to do about it."""
+
+    text: str
+    severity: int
+    remedy: str
+
+
 @dataclass
 class Changes:
     """What one commit writes; everything in it is durable together.
@@ -96,9 +104,10 @@ class Changes:
         permanent: permanent DTCs, all of them; None: not changed.
         recordings: new ones.
         kept_recordings: how many are kept of each fault.
-        identifiers: values that testers wrote.
+        identifiers: values that testers wrote; None: there is none.
         facts: numbers by name.
         buses: how the buses do, all of them: name, URI, state, time, and counters; None: not said.
+        described: what faults are called, for readers without the configuration.
     """
 
     records: Sequence[Record] = ()
@@ -107,6 +116,7 @@ class Changes:
     permanent: Sequence[Permanent] | None = None
     recordings: Sequence[Recording] = ()
     kept_recordings: int = 1
-    identifiers: Mapping[int, bytes] = field(default_factory=dict)
+    identifiers: Mapping[int, bytes | None] = field(default_factory=dict)
     facts: Mapping[str, int] = field(default_factory=dict)
     buses: Sequence[Mapping[str, Any]] | None = None
+    described: Mapping[str, Description] = field(default_factory=dict)

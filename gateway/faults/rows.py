@@ -73,8 +73,16 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
             " (SELECT id FROM recording WHERE fault = ?1 ORDER BY id DESC LIMIT ?2)",
             (r.fault, changes.kept_recordings),
         )
-    db.executemany("INSERT OR REPLACE INTO identifier VALUES (?, ?)", changes.identifiers.items())
+    for did, data in changes.identifiers.items():
+        if data is None:
+            db.execute("DELETE FROM identifier WHERE did = ?", (did,))
+        else:
+            db.execute("INSERT OR REPLACE INTO identifier VALUES (?, ?)", (did, data))
     db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
+    db.executemany(
+        "INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?)",
+        [(fault, *description) for fault, description in changes.described.items()],
+    )
     for request, done in changes.answered.items():
         db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
     if changes.buses is not None:

@@ -70,7 +70,7 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
     try:
         permanent = {entry.fault for entry in store.permanent()}
         recorded = [recording.fault for recording in store.recordings()]
-        told = store.catalogue()
+        told = store.descriptions()
         stored = not is_unsaved(path)
         return [
             {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +17,7 @@ from typing import Any, cast
 from gateway.errors import GatewayError, InputError
 from gateway.faults import rows
 from gateway.faults.lock import is_marked, mark, take_lock
-from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
+from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 
 _MAGIC = b"SQLite format 3\0"
@@ -315,28 +315,11 @@ class Store:
             for name, uri, state, t_ns, counters in found
         ]
 
-    def save_catalogue(self, told: Mapping[str, tuple[str, int, str]]) -> None:
-        """Keep what faults are called, for readers without the configuration; others that are there stay.
-
-        Args:
-            told: fault -> description, severity (byte of ISO 14229-1, Annex D.3), what to do.
-
-        Raises:
-            GatewayError: it could not be written.
-        """
-        with self.transaction():
-            self._db.executemany(
-                "INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?)",
-                [(fault, *facts) for fault, facts in told.items()],
-            )
-
-    def catalogue(self) -> dict[str, tuple[str, int, str]]:
-        """Return what faults are called: fault -> description, severity, what to do."""
+    def descriptions(self) -> dict[str, Description]:
+        """Return what faults are called, by their id."""
         with self._reading():
-            rows = list(
-                self._db.execute("SELECT fault, description, severity, remedy FROM catalogue")
-            )
-        return {fault: (text, severity, remedy) for fault, text, severity, remedy in rows}
+            found = self._db.execute("SELECT fault, description, severity, remedy FROM catalogue")
+            return {fault: Description(*description) for fault, *description in found}
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""

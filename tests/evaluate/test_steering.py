@@ -75,7 +75,7 @@ def test_the_offset_at_standstill_of_fig_7_is_gone_with_the_extra_state(estimato
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    runs = amount(8, 3)
+    runs = amount(8, 2)
     jobs = [(case.name, UNKNOWN, 1e-3, FIRST_SEED, runs) for case in CASES[:13]]
     jobs = [("", UNKNOWN, 1e-3, FIRST_SEED + 10 * k, 10) for k in range(amount(4, 1))] + jobs
     return once(tmp_path_factory, "steering", lambda: monte_carlo(jobs))
@@ -93,7 +93,7 @@ def test_no_false_alarm_and_no_lost_angle(study):
 @pytest.mark.parametrize("case", [c.name for c in CASES[:13]])
 def test_faults_are_detected_in_time_and_their_sensor_is_named(study, case):
     (score,) = [s for s in study[0] if s.case == case]
-    assert score.runs == amount(8, 3)
+    assert score.runs == amount(8, 2)
     assert score.wrong == 0
     assert score.isolated == 1.0
     if case.startswith(("offset", "stuck", "noise", "intermittent")):

@@ -91,6 +91,35 @@ def test_what_cannot_be_written_stays_and_is_written_later(tmp_path, disk):
     store.close()
 
 
+def test_what_was_refused_and_reached_the_disk_all_the_same_is_written_back(tmp_path, monkeypatch):
+    """A commit may fail after its work is done: the tester was told that nothing was cleared, and so it shall be."""
+    store, memory = kept(tmp_path / "f.sqlite")
+    memory.start_cycle(0)
+    for k in range(2):
+        memory.apply(event(k, True, k), nothing)
+    memory.write_identifier(0xF190, b"VIN")
+    memory.commit(1)
+    save = Store.save
+
+    def late(store, changes, whole=None):
+        save(store, changes, whole)
+        raise StoreError(store.path, "disk I/O error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "save", late)
+        with pytest.raises(StoreError):
+            memory.clear()
+        assert listed(store.path) == {}, "the disk has it"
+        for did, data in ((0xF190, b"other"), (0xF191, b"new")):
+            with pytest.raises(StoreError):
+                memory.write_identifier(did, data)
+    assert store.identifiers()[0xF191] == b"new"
+    assert memory.commit(FIRST_NS * 20) is True
+    assert listed(store.path) == {"m.f0": 1, "m.f1": 1}
+    assert store.identifiers() == memory.identifiers == {0xF190: b"VIN"}
+    store.close()
+
+
 def test_attempts_grow_rare_and_never_end(tmp_path, disk):
     _, memory = kept(tmp_path / "f.sqlite")
     memory.start_cycle(0)

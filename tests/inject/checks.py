@@ -9,8 +9,8 @@ from gateway.bus.frames import ERROR, OWN
 
 MS = 1_000_000
 CONFIRMED = 0x08
-#: A file that was deleted is missed after this time at the latest [ns].
-MISSED_NS = 400 * MS
+#: A file that was deleted is missed after this time at the latest [ns]; its successor takes the thread two writes.
+MISSED_NS, WRITES = 400 * MS, 2
 #: Engine's time is never further from true time than this [ns].
 LAG_NS = 120 * MS
 
@@ -75,8 +75,7 @@ class Promises:
     def __init__(self, path, bench):
         self._stored, self._bench = Stored(path), bench
         self._told, self._kept = {}, {}
-        self._uncertain = False
-        self._deleted_ns = None
+        self._deleted_ns, self._slowest_ns = None, 0
         self.count = self.unstored = self.outages = 0
         self.down = False
 
@@ -88,6 +87,11 @@ class Promises:
                 self.down and event["state"] != "written"
             )
             return None
+        if event["event"] == "clear":
+            for fault in event["faults"]:
+                self._told.pop(fault, None)
+                self._kept.pop(fault, None)
+            return None
         if event["event"] != "dtc" or not event["status"] & CONFIRMED:
             return None
         fault, occurrence = event["fault"], event["occurrence"]
@@ -97,28 +101,24 @@ class Promises:
             self.unstored += 1
             return None
         self._kept[fault] = occurrence
-        return None if self._uncertain else self._missing({fault: occurrence})
-
-    def asked_to_clear(self):
-        """A tester asks to clear: until he is answered, nobody knows whether it was done."""
-        self._uncertain = True
-
-    def clear_ended(self, refused):
-        """He was told, or never will be."""
-        self._uncertain = False
-        if not refused:
-            self._told, self._kept = {}, {}
+        return self._missing({fault: occurrence})
 
     def deleted(self):
         """The file was deleted."""
         self._deleted_ns = self._bench.now_ns - self._bench.stalled_ns
+        self._slowest_ns = self._write_ns()
+
+    def _write_ns(self):
+        return self._bench.writer_late_ns + self._bench.disk.slow_ns
 
     def look(self):
         """Return what is missing of what was told as stored."""
-        if self._uncertain or self.down:
+        if self.down:
             return None
         if self._deleted_ns is not None:
-            if self._bench.now_ns - self._bench.stalled_ns < self._deleted_ns + MISSED_NS:
+            self._slowest_ns = max(self._slowest_ns, self._write_ns())
+            since_ns = self._bench.now_ns - self._bench.stalled_ns - self._deleted_ns
+            if since_ns < MISSED_NS + WRITES * self._slowest_ns:
                 return None
             self._deleted_ns = None
         return self._missing(self._kept)

@@ -68,17 +68,14 @@ class Run:
         }
         self.tester = Tester(self.bench, BUSES[0], random.Random(seed))
         self.promises = Promises(folder / "f.sqlite", self.bench)
-        self.tester.on_clear = self.promises.asked_to_clear
-        self.tester.on_clear_ended = self.promises.clear_ended
         self.tap = Tap()
         self._totals = {}
         self._waiting = list(schedule)
         self._active = {}  # (kind, bus) -> (until, disturbance)
         self._held = dict.fromkeys(BUSES, empty(0))
-        self._reloads, self._reloading = 0, False
-        # Who clears waits until it is written, and so does a reload; what could not be written is tried again by the
-        # loop itself.
-        self.bench.may_block = lambda: self.tester.clears or self._reloading or self.promises.down
+        self._reloads = 0
+        # Who clears waits until it is written; nobody else does.
+        self.bench.may_block = lambda: self.tester.clears or self.promises.down
         self._stalled = False
         self._traffic_ns = self.bench.now_ns
         self.turns = 0
@@ -165,8 +162,6 @@ class Run:
         self.events += 1
         told = {name: value for name, value in event.items() if name not in ("file", "aside")}
         self.digest.update(repr(told).encode())
-        if event["event"] == "config":
-            self._reloading = False
         if event["event"] == "bus":
             self._totals[event["uri"]] = event
         self._must(self.promises.note(event))
@@ -202,7 +197,7 @@ class Run:
         elif item.kind == "loop_late":
             bench.stall(item.amount * MS)
         elif item.kind == "reload":
-            self._reloads, self._reloading = self._reloads + 1, True
+            self._reloads += 1
             bench.reload_late_ns = item.amount * MS
             write_config(self.folder, other=self._reloads % 2 == 1)
             self.daemon.reloader.request()

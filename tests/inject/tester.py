@@ -24,7 +24,6 @@ class Tester:
     Attributes:
         asked, answered, excused: requests; the last are those that the bus itself kept from coming or going.
         longest_ns: longest time to an answer.
-        on_clear: called when a clear is asked for; ``on_clear_ended`` with whether it was refused.
     """
 
     def __init__(self, bench, uri, rng, *, clearing=2):
@@ -37,8 +36,6 @@ class Tester:
         self.asked = self.answered = self.excused = 0
         self.longest_ns = 0
         self.refused = []
-        self.on_clear = lambda: None
-        self.on_clear_ended = lambda refused: None
 
     def excuse(self):
         """What is under way may fail: the bus does not carry it."""
@@ -82,8 +79,6 @@ class Tester:
         self._begun, self._excused, self._missing = False, self._uri in self._bench.room, 0
         self._restart()
         self.asked += 1
-        if self._request == CLEAR:
-            self.on_clear()
         length = len(self._request)
         self._put(bytes([length]) + self._request + bytes(7 - length))
 
@@ -124,12 +119,10 @@ class Tester:
             return None
         if found[0] == 0x7F:
             self.refused.append(found.hex())
-        self._end(answered=True, refused=found[0] == 0x7F)
+        self._end(answered=True)
         return None
 
-    def _end(self, *, answered, refused=False):
-        if self._request == CLEAR:
-            self.on_clear_ended(refused)
+    def _end(self, *, answered):
         self.answered += answered
         self.excused += not answered
         self._request = None

@@ -241,7 +241,8 @@ def test_frames_lost_on_the_bus_are_no_fault():
     assert seen.failed() == []
 
 
-@settings(max_examples=amount(25, 25, 2))
+@pytest.mark.long
+@settings(max_examples=amount(25, 15, 2))
 @given(st.integers(0, 2**16), st.lists(st.integers(1, 700), min_size=1, max_size=8))
 def test_live_is_replay(seed, cuts):
     """Any cutting into batches gives the same events and the same frames."""

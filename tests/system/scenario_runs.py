@@ -1,18 +1,32 @@
-"""The shipped scenarios, each played by this process to a daemon of its own configuration."""
+"""The shipped scenarios, each played by this process to a daemon of its own configuration.
+
+What is found in which of them is tested in one process (tests/test_gateway.py), where time is the frames'. Here they go
+over a bus in real time: two of each configuration, with GATEWAY_TESTS=full all of them.
+"""
 
 import re
 import time
 from pathlib import Path
 
 import pytest
+from amount import amount
 from kernel_can import daemon
 
 from gateway.cli.simulate import simulate
 from gateway.resources import shipped
 from gateway.vecu.scenario import load_scenario
 
-#: How often a scenario is played to which a busy machine gave no time.
+#: How often a scenario is played, of which a busy machine let too little through in time.
 ATTEMPTS = 4
+
+
+def some(paths):
+    """Return those of one configuration that are played: the shortest of those in which something is found."""
+    known = {path: load_scenario(path) for path in paths}
+    telling = [path for path in paths if known[path].expect] or list(paths)
+    telling.sort(key=lambda path: known[path].duration_s)
+    kept = telling[: amount(len(telling), 2)]
+    return [path for path in paths if path in kept]
 
 
 def by_config(ecu):
@@ -93,16 +107,17 @@ def run_all(config, scenarios, folder, *, strict=True):
             more = unexpected(scenario, running.events()[known:])
             if load_scenario(scenario).unexpected == "fail" and more:
                 print(f"{scenario.stem}: not expected: {', '.join(sorted(more))}")
-                return False
-            return not code
+                return None if any("stood still" in line for line in said) else False
+            return None if code else True
 
         def judged(scenario):
-            """A plant that stood still, on a busy machine, is none that a monitor knows: it is played once more."""
-            for _ in range(ATTEMPTS):
-                if passes(scenario):
-                    return True
-                if not any("stood still" in line for line in said):
-                    return False
+            """On a busy machine a plant stands still, which is none that a monitor knows, or frames miss the fault's
+            few seconds: it is played once more. What is wrong is so each time; a DTC that nobody expects is wrong at once.
+            """
+            for _ in range(ATTEMPTS if strict else 1):
+                verdict = passes(scenario)
+                if verdict is not None:
+                    return verdict
             return False
 
         failed = [scenario.stem for scenario in scenarios if not judged(scenario)]

@@ -288,6 +288,7 @@ def still(n, rng):
     return u
 
 
+@pytest.mark.long
 def test_a_motor_at_rest_is_healthy_and_one_that_jumps_is_not():
     rng = np.random.default_rng(6)
     u = still(800, rng)
