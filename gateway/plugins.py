@@ -6,7 +6,7 @@ The gateway's own parts come through the same door. To list types imports nothin
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
@@ -45,6 +45,11 @@ def _all(group: str) -> dict[str, tuple[EntryPoint, ...]]:
         found.setdefault(entry.name, {})[entry.value] = entry
     by_name = {name: tuple(entries.values()) for name, entries in found.items()}
     return by_name | {name: (entry,) for name, entry in _own(group).items()}
+
+
+def foreign(group: str) -> list[str]:
+    """Return the types of a group that other packages bring."""
+    return sorted(_all(group).keys() - _own(group).keys())
 
 
 def _load(place: str) -> object:
@@ -109,10 +114,10 @@ class Registry(Mapping[str, T], Generic[T]):
     def __len__(self) -> int:
         return len(_all(self.group))
 
-    def described(self) -> dict[str, T | InputError]:
-        """Return all types of all installed packages: what they stand for, or what is wrong with it."""
+    def described(self, types: Iterable[str] | None = None) -> dict[str, T | InputError]:
+        """Return types, or all of all installed packages: what they stand for, or what is wrong with it."""
         found: dict[str, T | InputError] = {}
-        for type_ in self:
+        for type_ in self if types is None else types:
             try:
                 found[type_] = self[type_]
             except InputError as error:

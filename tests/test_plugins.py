@@ -113,6 +113,8 @@ def test_an_entry_point_of_another_package_is_a_type_like_ours(tmp_path):
     ]
     assert "my_battery" in types
     assert "crank_sync" in types
+    known = json.loads(run("doctor", "--json", cwd=folder, path=site).stdout)["plugins"]
+    assert known == {"monitor": {"my_battery": ""}, "ecu": {}}
 
 
 BROKEN = {
@@ -132,6 +134,10 @@ def test_a_broken_one_is_one_clear_line_and_the_rest_runs(tmp_path, case):
     site = package(tmp_path, "mine", points, battery_of_mine=text)
     made = run("demo", "drained.toml", "--speed", "0", cwd=folder, path=site)
     assert made.returncode == 0, "who does not name it is not concerned"
+    (line,) = [
+        line for line in run("doctor", cwd=folder, path=site).stdout.splitlines() if "my_b" in line
+    ]
+    assert told in line
     assert run("check", "--schema", cwd=folder, path=site).returncode == 0
     (folder / "gateway.toml").write_text(
         (folder / "gateway.toml").read_text().replace("battery_voltage:MONITOR", "my_battery")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import socket
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,14 @@ from typing import Any
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
 from gateway.config import load_config
+from gateway.errors import InputError
 from gateway.extras import EXTRAS, PURPOSES, installed
 from gateway.faults.service import daemon_state
 from gateway.jit import COMPILED, cache, cache_directory, shipped
+from gateway.plugins import foreign
 
+#: Kind of plug-in, its group of entry points, which is a package of ours too, and the name of its registry there.
+_REGISTRIES = (("monitor", "gateway.monitors", "MONITORS"), ("ecu", "gateway.vecu", "VIRTUAL_ECUS"))
 _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
 
 
@@ -111,6 +116,18 @@ def _told(kernels: dict[str, Any]) -> str:
     return f"{text}, {kernels['cached']} compiled here ({kernels['cached_bytes'] / 1e6:.1f} MB in {kernels['cache']})"
 
 
+def _plugins() -> dict[str, dict[str, str]]:
+    """Return the types that other packages bring, of each kind, with what is wrong with them ("": nothing)."""
+    found: dict[str, dict[str, str]] = {kind: {} for kind, *_ in _REGISTRIES}
+    for kind, group, registry_name in _REGISTRIES:
+        types = foreign(group)
+        if types:  # else its registry is not imported
+            registry = getattr(import_module(f"{group}.registry"), registry_name)
+            for name, known in registry.described(types).items():
+                found[kind][name] = known.message if isinstance(known, InputError) else ""
+    return found
+
+
 def doctor(
     config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool
 ) -> int:
@@ -137,6 +154,7 @@ def doctor(
         "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
         "extras": _extras(),
+        "plugins": _plugins(),
     }
     if json:
         print_json(facts)
@@ -149,6 +167,9 @@ def doctor(
     print(_told(kernels))
     _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
+    for kind, types in _plugins().items():
+        for name, wrong in types.items():
+            print(f"{kind} type {name} of another package: {wrong or 'usable'}")
     for extra, found in _extras().items():
         if found is None:
             print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")

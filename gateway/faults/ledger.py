@@ -313,7 +313,10 @@ class Ledger:
         whole.records = list(self.records.values())
         whole.cycles = self.cycles
         whole.permanent = self._permanent.all()
-        whole.identifiers = self.identifiers
+        whole.identifiers = {
+            **self._pending.identifiers,
+            **self.identifiers,
+        }  # with those that are to go
         whole.facts = self._facts
         whole.buses, whole.described = self._buses, self._described
         return whole

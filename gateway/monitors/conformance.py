@@ -82,12 +82,13 @@ def _wrong_in_type(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
         if kind.dtype.itemsize > 8 * most:
             yield f"{kind.dtype.itemsize // 8} numbers; there is room for {most}", name
         yield from ((text, f"{name}.{field}") for field, text in _no_numbers(kind.dtype))
-    fields = {name for name, *_ in _fields(monitor)}
-    yield from (
-        (text, f"inputs.{field}")
-        for field, text in _no_numbers(monitor.inputs.dtype)
-        if field in fields
-    )
+    wired = {"inputs": monitor.inputs.dtype}
+    if monitor.outputs is not None:
+        wired["outputs"] = monitor.outputs.dtype
+    for name, dtype in wired.items():  # a signal each
+        for field in set(dtype.names or ()).difference(_OWN):
+            if dtype[field].base != _FLOAT:
+                yield "a field here is float64: f8, or an array of f8s", f"{name}.{field}"
     function = getattr(monitor.step, "py_func", monitor.step)
     if len(inspect.signature(function).parameters) != 4:
         yield "step takes (s, c, u, out): state, constants, inputs, what it reports", "step"

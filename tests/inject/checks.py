@@ -11,8 +11,9 @@ MS = 1_000_000
 CONFIRMED = 0x08
 #: A file that was deleted is missed after this time at the latest [ns]; its successor takes the thread two writes.
 MISSED_NS, WRITES = 400 * MS, 2
-#: Engine's time is never further from true time than this [ns].
-LAG_NS = 120 * MS
+#: Engine's time is never further behind true time than this [ns]; nor ahead of it: where the clock was set among frames
+#: that come out of order by a turn, nobody can tell the place to less than that turn.
+LAG_NS, AHEAD_NS = 120 * MS, 6 * MS
 
 #: Counters of what may become of a frame; each is counted in one of them.
 OUTCOMES = (
@@ -163,7 +164,7 @@ class Time:
         if stalled:
             return None
         self.worst_ns = max(self.worst_ns, lag)
-        if not -MS <= lag <= LAG_NS:
+        if not -AHEAD_NS <= lag <= LAG_NS:
             return f"the engine's time is {lag / 1e6:.1f} ms behind true time"
         return None
 

@@ -46,10 +46,14 @@ class Tester:
         """Whether a clear is under way."""
         return self._request == CLEAR
 
+    @property
+    def _kept_from(self):
+        return self._uri in self._bench.cut or self._uri in self._bench.room
+
     def turn(self):
         """Ask, or see whether it is time for an answer; returns what is wrong, None if nothing is."""
         bench = self._bench
-        if self._uri in bench.cut or self._uri in bench.room:
+        if self._kept_from:
             self.excuse()
         if self._begun and bench.stalled_ns - self._stalled_ns >= REST_NS // 2:
             self.excuse()  # the gateway gave up: its own time passed while it could not read the flow control
@@ -76,7 +80,7 @@ class Tester:
         self._request = (
             CLEAR if self._rng.random() * 100 < self._clearing else self._rng.choice(REQUESTS)
         )
-        self._begun, self._excused, self._missing = False, self._uri in self._bench.room, 0
+        self._begun, self._excused, self._missing = False, self._kept_from, 0
         self._restart()
         self.asked += 1
         length = len(self._request)

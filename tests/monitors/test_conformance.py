@@ -166,9 +166,18 @@ class Seventeen(Record):
     many: Annotated[f8s, 17]
 
 
+class Eight(Record):
+    many: Annotated[f8s, 8]
+
+
 class Crooked(Record):
     good: f8
     number: i8
+
+
+class Deep(contract.Inputs):
+    volts: f8
+    inner: Crooked
 
 
 BAD = Signal("BATT.Amps")
@@ -180,6 +189,7 @@ WRONG = {
     "evidence that is no record": ({"evidence": f8}, "evidence: a class that derives from Record"),
     "an input that is no float": ({"inputs": Whole}, "inputs.volts: a field here is float64"),
     "an output that is no float": ({"outputs": Crooked}, "outputs.number: a field here is float64"),
+    "a record in an input": ({"inputs": Deep}, "inputs.inner: a field here is float64"),
     "nine of evidence": ({"evidence": Nine}, "evidence: 9 numbers; there is room for 8"),
     "seventeen outputs": ({"outputs": Seventeen}, "outputs: 17 numbers; there is room for 16"),
     "a kernel of three": ({"step": too_few}, "step takes (s, c, u, out)"),
@@ -253,6 +263,29 @@ def test_each_slip_is_one_line_with_monitor_field_and_file(database, case):
     assert told in text
     assert "\n" not in text
     assert text.startswith(f'{__file__}: monitor type "battery"')
+
+
+def test_what_there_is_just_room_for_is_accepted():
+    assert accepted(replace(GOOD, evidence=Eight), "a:GOOD").evidence is Eight
+
+
+@pytest.mark.parametrize("name", ["volts", "amps"])
+def test_an_input_may_be_connected_to_nothing(database, name):
+    only = {**CONNECTED, name: None} | (
+        {"amps": [CONNECTED["volts"]] * 2} if name == "volts" else {}
+    )
+    engine, failed = run(database, ("a", replace(GOOD, connect=lambda p: only)))
+    assert failed == ([] if name == "volts" else ["a.low"])
+    assert np.isnan(engine.tables.pool[2:]).sum() == (1 if name == "volts" else 2)
+
+
+def test_a_monitor_may_send_nothing(database):
+    @kernel
+    def silent(s, c, u, out):
+        report(out, 0, u.volts < c.limit, u.volts, c.limit).volts = u.volts
+
+    _, failed = run(database, ("a", replace(GOOD, step=silent, emits=None, outputs=None)))
+    assert set(failed) == {"a.low"}
 
 
 def test_what_is_no_monitor_is_refused():
