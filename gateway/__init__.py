@@ -1,6 +1,6 @@
 """CAN-bus ECU diagnostic gateway: model-based fault detection with a real fault memory."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 from gateway.postponed import postpone
 

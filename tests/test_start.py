@@ -98,6 +98,15 @@ def test_help_imports_no_work():
     )
 
 
+def test_the_module_runs_the_command_line_and_types_are_shipped():
+    said = subprocess.run(
+        [sys.executable, "-m", "gateway", "--help"], capture_output=True, text=True, check=False
+    )
+    assert said.returncode == 0, said.stderr
+    assert "faults" in said.stdout
+    assert (Path(gateway.__file__).parent / "py.typed").exists()
+
+
 @pytest.mark.parametrize("group", ["faults", "evaluate", "convert"])
 def test_help_of_a_group_imports_no_work(group):
     said, modules = command(group, "--help")

@@ -7,8 +7,8 @@ from typing import Any
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
-from gateway.engine.message_checks import start_anew
-from gateway.engine.results import announce, tested, witness
+from gateway.engine.message_checks import restart_supervision
+from gateway.engine.results import announce, report_result, store_evidence
 from gateway.jit import kernel
 from gateway.monitors.bus_health import CLOCK_STEPPED as STEP_FAULT
 from gateway.monitors.bus_health import note, note_step
@@ -16,15 +16,15 @@ from gateway.monitors.contract import NOT_TESTED
 
 
 @kernel
-def conclude(T: Any, t_ns: int, h: Any) -> None:
+def report_bus_results(T: Any, t_ns: int, h: Any) -> None:
     """Debounce the verdicts that the health of a bus has just come to."""
     for k in range(h.fault.shape[0]):
         fault, bit = h.fault[k], 1 << k
         if fault >= 0 and (h.failed | h.passed) & bit:
             failed = h.failed & bit != 0
-            place = tested(T, t_ns, fault, failed, h.value if failed else 0.0, h.limit)
+            place = report_result(T, t_ns, fault, failed, h.value if failed else 0.0, h.limit)
             for e in range(h.evidence.shape[0]):
-                witness(T, fault, place, e, h.evidence[e] if failed else 0.0)
+                store_evidence(T, fault, place, e, h.evidence[e] if failed else 0.0)
 
 
 @kernel
@@ -40,12 +40,12 @@ def on_step(T: Any, t_ns: int, step_us: int) -> None:
     h = T.health[T.health.shape[0] - 1]
     if h.fault[STEP_FAULT] >= 0:
         note_step(h, t_ns, step_us * 1e-6, clock.clock_steps)
-        conclude(T, t_ns, h)
+        report_bus_results(T, t_ns, h)
         clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
 
 
 @kernel
-def pass_over_windows(T: Any, t_ns: int, h: Any) -> None:
+def skip_settled_windows(T: Any, t_ns: int, h: Any) -> None:
     """Let the windows without a step go by that can change nothing any more: the pass is qualified already."""
     fault = h.fault[STEP_FAULT]
     if fault < 0 or h.until[STEP_FAULT] > t_ns:
@@ -69,6 +69,6 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
     h = T.health[bus]
     condition = note(h, t_ns, can_id, word)
     if condition in (LOSS, RUNNING):
-        start_anew(T, t_ns, bus, condition)
-    conclude(T, t_ns, h)
+        restart_supervision(T, t_ns, bus, condition)
+    report_bus_results(T, t_ns, h)
     clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)

@@ -166,7 +166,7 @@ def _verdict(d: Any) -> int:
 
 
 @kernel
-def count(d: Any, result: int) -> int:
+def report_counter_based(d: Any, result: int) -> int:
     """Count one test result of a fault; returns the kind of event it makes, 0 for none.
 
     Args:
@@ -191,7 +191,7 @@ def count(d: Any, result: int) -> int:
 
 
 @kernel
-def mature(d: Any, t_ns: int) -> int:
+def qualify_by_time(d: Any, t_ns: int) -> int:
     """Bring a time debounce up to a time; returns the kind of event it makes, 0 for none."""
     d.counter = _at(d, t_ns)
     d.since_ns = max(d.since_ns, t_ns)
@@ -207,11 +207,11 @@ def mature(d: Any, t_ns: int) -> int:
 
 
 @kernel
-def turn(d: Any, t_ns: int, result: int) -> int:
+def report_time_based(d: Any, t_ns: int, result: int) -> int:
     """Take one test result of a time debounce; returns the kind of event it makes, 0 for none."""
     changed = d.last != result
     d.last = result
-    kind = mature(d, t_ns)
+    kind = qualify_by_time(d, t_ns)
     if d.direction != result:
         d.direction = result
         if result == FAILED:
@@ -220,7 +220,7 @@ def turn(d: Any, t_ns: int, result: int) -> int:
             d.counter = min(d.counter, 0)
         d.since_ns = max(d.since_ns, t_ns)
         if kind == 0:
-            kind = mature(d, t_ns)
+            kind = qualify_by_time(d, t_ns)
     if kind == 0 and changed:
         return RESULT_CHANGED
     return kind

@@ -93,7 +93,7 @@ class CycleWatch:
 
 
 @kernel
-def reached(T: Any, t_ns: int, row: int) -> bool:
+def is_valid(T: Any, t_ns: int, row: int) -> bool:
     """Tell whether a message has arrived and is not overdue."""
     v = T.vectors[row]
     if v.arrived_ns < 0:
@@ -120,7 +120,7 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
         return True
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
-        if not reached(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
+        if not is_valid(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
             return True
     for k in range(d.first_root, d.first_root + d.roots):
         root = T.debounces[T.roots[k]]

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.bus_checks import conclude, on_error_frame, pass_over_windows
-from gateway.engine.debounce import mature
+from gateway.engine.bus_checks import on_error_frame, report_bus_results, skip_settled_windows
+from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
-from gateway.engine.gate import closed, reached
-from gateway.engine.message_checks import judge, pass_over, time_out
-from gateway.engine.results import announce, not_tested, push, tested, witness
+from gateway.engine.gate import closed, is_valid
+from gateway.engine.message_checks import check_message, report_timeout, skip_settled_timeouts
+from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.jit import call_entry, kernel
-from gateway.monitors.bus_health import disproved, elapsed, watch_clock
+from gateway.monitors.bus_health import on_frame_received, on_timer, watch_clock
 from gateway.monitors.communication import ACCEPT, REJECT
 from gateway.monitors.contract import FAILED, TIMER
 from gateway.signals.decode import (
@@ -44,7 +44,7 @@ _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
 
 
 @kernel
-def skip(T: Any, t_ns: int, h: Any) -> None:
+def mark_not_tested(T: Any, t_ns: int, h: Any) -> None:
     """Skip a monitor whose inputs are stale or invalid: not tested, state held."""
     h.skipped += 1
     if h.tested == 1:
@@ -54,10 +54,10 @@ def skip(T: Any, t_ns: int, h: Any) -> None:
 
 
 @kernel
-def fresh(T: Any, t_ns: int, h: Any) -> bool:
+def inputs_valid(T: Any, t_ns: int, h: Any) -> bool:
     """Tell whether every message that feeds a monitor has arrived and is not overdue."""
     for k in range(h.first_source, h.first_source + h.sources):
-        if not reached(T, t_ns, T.sources[k]):
+        if not is_valid(T, t_ns, T.sources[k]):
             return False
     return True
 
@@ -91,19 +91,19 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
             clock.results_unknown += 1
             continue
         fault = h.fault + r.fault
-        place = tested(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
+        place = report_result(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
         if place >= 0 or T.debounces[fault].timed == 1:
             for e in range(r.evidence.shape[0]):
-                witness(T, fault, place, e, r.evidence[e])
+                store_evidence(T, fault, place, e, r.evidence[e])
 
 
 @kernel
-def ripen(T: Any, due: int, fault: int) -> None:
+def advance_time_debounce(T: Any, due: int, fault: int) -> None:
     """Let time qualify the verdict of a fault; if its gate is closed by now, its time starts anew."""
     d = T.debounces[fault]
     if (d.gated == 1 or T.clock[0].held == 1) and closed(T, due, d):
         d.since_ns = due
-    kind = mature(d, due)
+    kind = qualify_by_time(d, due)
     if kind != 0:
         place = push(T, due, fault, kind, d.last, d.value, d.limit)
         if place >= 0:
@@ -134,14 +134,14 @@ def run_timers(T: Any, t_ns: int) -> None:
         if due > t_ns:
             return
         if bus >= 0:
-            elapsed(T.health[bus], due)
-            conclude(T, due, T.health[bus])
-            pass_over_windows(T, t_ns, T.health[bus])
+            on_timer(T.health[bus], due)
+            report_bus_results(T, due, T.health[bus])
+            skip_settled_windows(T, t_ns, T.health[bus])
         elif fault >= 0:
-            ripen(T, due, fault)
+            advance_time_debounce(T, due, fault)
         elif check >= 0:
-            time_out(T, due, T.checks[check])
-            pass_over(T, t_ns, T.checks[check])
+            report_timeout(T, due, T.checks[check])
+            skip_settled_timeouts(T, t_ns, T.checks[check])
         else:
             h = T.handlers[handler]
             h.wake_ns = NEVER
@@ -170,8 +170,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
         return
     if bus < T.health.shape[0] - 1 and T.health[bus].bad != 0:
-        disproved(T.health[bus])
-        conclude(T, t_ns, T.health[bus])
+        on_frame_received(T.health[bus])
+        report_bus_results(T, t_ns, T.health[bus])
     if can_id & _REMOTE:
         clock.remote += 1
         return
@@ -193,12 +193,12 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
             status = INVALID_VALUE
     verdict = ACCEPT if status == OK else REJECT
     if v.check >= 0:
-        verdict = judge(T, t_ns, T.checks[v.check], words, length, status, bad)
+        verdict = check_message(T, t_ns, T.checks[v.check], words, length, status, bad)
     if verdict == REJECT:
         if status == INVALID_VALUE:
             v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
         for k in range(v.first, v.first + v.count):
-            skip(T, t_ns, T.handlers[T.triggers[k]])
+            mark_not_tested(T, t_ns, T.handlers[T.triggers[k]])
         return
     clock.decoded += 1
     commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
@@ -207,10 +207,10 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         watch(T, t_ns, T.watches[k])
     for k in range(v.first, v.first + v.count):
         h = T.handlers[T.triggers[k]]
-        if fresh(T, t_ns, h):
+        if inputs_valid(T, t_ns, h):
             step(T, t_ns, row, h)
         else:
-            skip(T, t_ns, h)
+            mark_not_tested(T, t_ns, h)
 
 
 @kernel
@@ -219,9 +219,9 @@ def take_reports(T: Any) -> None:
     clock = T.clock[0]
     for k in range(clock.reported):
         r = T.reports[k]
-        place = tested(T, clock.now_ns, r.fault, r.failed == 1, r.value, r.limit)
+        place = report_result(T, clock.now_ns, r.fault, r.failed == 1, r.value, r.limit)
         for e in range(r.evidence.shape[0]):
-            witness(T, r.fault, place, e, r.evidence[e])
+            store_evidence(T, r.fault, place, e, r.evidence[e])
     clock.reported = 0
 
 

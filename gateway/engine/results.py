@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.engine.debounce import count, fault_detection_counter, hold, turn
+from gateway.engine.debounce import (
+    fault_detection_counter,
+    hold,
+    report_counter_based,
+    report_time_based,
+)
 from gateway.engine.events import RESULT_CHANGED
 from gateway.engine.gate import closed
 from gateway.jit import kernel
@@ -62,7 +67,7 @@ def announce(
 
 
 @kernel
-def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
+def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> int:
     """Debounce one test result; returns the place of the event it made, -1 for none."""
     d = T.debounces[fault]
     if (d.gated == 1 or T.clock[0].held == 1) and closed(T, t_ns, d):
@@ -71,18 +76,18 @@ def tested(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: flo
     result = FAILED if failed else PASSED
     if d.timed == 1:
         d.value, d.limit = value, limit
-        kind = turn(d, t_ns, result)
+        kind = report_time_based(d, t_ns, result)
         clock = T.clock[0]
         clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)
     else:
-        kind = count(d, result)
+        kind = report_counter_based(d, result)
     if kind == 0:
         return -1
     return push(T, t_ns, fault, kind, result, value, limit)
 
 
 @kernel
-def witness(T: Any, fault: int, place: int, k: int, value: float) -> None:
+def store_evidence(T: Any, fault: int, place: int, k: int, value: float) -> None:
     """Keep evidence value ``k`` of a result: with its event, and for one that time makes of it later."""
     if place >= 0:
         T.ring[place].evidence[k] = value

@@ -96,6 +96,9 @@ class Stamps:
         times = stamps[:, None] - np.asarray(self._offsets)
         count, ways = times.shape
         wrong = np.maximum(self._floor_ns - times, 0) + np.maximum(times - now, 0)
+        if not self._own_clock:  # after a step was noticed this machine stamps nothing as before it
+            noticed = np.asarray([step.noticed_ns for step in self._steps])
+            wrong[:, :-1] += np.maximum(times[:, :-1] - noticed, 0)
         if self._settled:
             wrong += np.arange(ways)[::-1]  # of two that fit the later one
         cost = wrong[0].astype(np.float64)
@@ -121,7 +124,7 @@ class Stamps:
         """Forget the offsets before the one that is in use, and steps that the stamps did not follow."""
         del self._offsets[:taken]
         del self._steps[:taken]
-        while self._steps and t_ns > self._steps[0].noticed_ns:
+        while self._own_clock and self._steps and t_ns > self._steps[0].noticed_ns:
             step = self._steps.pop(0)
             del self._offsets[1]
             self._offsets[1:] = [offset - step.step_ns for offset in self._offsets[1:]]

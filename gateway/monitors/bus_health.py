@@ -284,7 +284,7 @@ def watch_clock(h: Any, t_ns: int) -> None:
 
 
 @kernel
-def disproved(h: Any) -> None:
+def on_frame_received(h: Any) -> None:
     """Take a frame that was received while the bus was said to be off or lost."""
     h.failed = 0
     h.passed = h.bad
@@ -292,7 +292,7 @@ def disproved(h: Any) -> None:
 
 
 @kernel
-def elapsed(h: Any, t_ns: int) -> None:
+def on_timer(h: Any, t_ns: int) -> None:
     """Let what healed by silence up to a time pass; sets the next deadline."""
     h.failed = h.passed = 0
     h.deadline_ns = NEVER

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from gateway.engine.debounce import (
     DebounceRow,
     configure,
-    count,
     fault_detection_counter,
     hold,
-    mature,
+    qualify_by_time,
+    report_counter_based,
+    report_time_based,
     reset,
-    turn,
 )
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
 from gateway.jit import zeros
@@ -30,12 +30,12 @@ def row(debounce):
 def test_counter_reaches_the_limits_in_the_asked_number_of_results():
     for number in (1, 2, 3, 7, 50, 100, 128, 300, 1000):
         rows = row(Debounce(failed_after=number, passed_after=number))
-        kinds = [count(rows[0], FAILED) for _ in range(number)]
+        kinds = [report_counter_based(rows[0], FAILED) for _ in range(number)]
         assert kinds[-1] == QUALIFIED_FAILED
         assert QUALIFIED_FAILED not in kinds[:-1]
         assert fault_detection_counter(rows[0], 0) == 127
         reset(rows[0])
-        kinds = [count(rows[0], PASSED) for _ in range(number)]
+        kinds = [report_counter_based(rows[0], PASSED) for _ in range(number)]
         assert kinds[-1] == QUALIFIED_PASSED
         assert QUALIFIED_PASSED not in kinds[:-1]
         assert fault_detection_counter(rows[0], 0) == -128
@@ -90,7 +90,7 @@ def test_counter_follows_the_reference(debounce, results):
     reference = Reference(debounce)
     last = None
     for failed in results:
-        kind = count(rows[0], FAILED if failed else PASSED)
+        kind = report_counter_based(rows[0], FAILED if failed else PASSED)
         verdict = reference.take(failed)
         expected = {"failed": QUALIFIED_FAILED, "passed": QUALIFIED_PASSED}.get(verdict, 0)
         if expected == 0 and failed != last:
@@ -116,7 +116,7 @@ def test_time_debounce_follows_a_reference(failed_ms, passed_ms, steps):
         end = now + wait * 10**6
         while d["deadline_ns"] <= end:
             due = int(d["deadline_ns"])
-            kind = mature(d, due)
+            kind = qualify_by_time(d, due)
             assert kind == (QUALIFIED_FAILED if direction == "F" else QUALIFIED_PASSED)
             verdict = direction
         if direction == "F":
@@ -130,7 +130,7 @@ def test_time_debounce_follows_a_reference(failed_ms, passed_ms, steps):
             hold(d, now)
             direction = None
         elif what in "FP":
-            turn(d, now, FAILED if what == "F" else PASSED)
+            report_time_based(d, now, FAILED if what == "F" else PASSED)
             if direction != what:
                 counter = max(counter, 0) if what == "F" else min(counter, 0)
                 if counter == {"F": failed_ms, "P": -passed_ms}[what] * 10**6:
@@ -144,8 +144,8 @@ def test_time_debounce_follows_a_reference(failed_ms, passed_ms, steps):
 
 def test_reset_starts_anew():
     rows = row(Debounce())
-    count(rows[0], FAILED)
+    report_counter_based(rows[0], FAILED)
     reset(rows[0])
     assert rows[0]["counter"] == 0
-    assert count(rows[0], FAILED) == QUALIFIED_FAILED
+    assert report_counter_based(rows[0], FAILED) == QUALIFIED_FAILED
     assert fault_detection_counter(rows[0], 0) == 127

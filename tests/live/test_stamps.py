@@ -210,6 +210,35 @@ def test_of_two_buses_in_a_log_each_steps_when_its_stamps_do():
     assert times.tolist() == [0, 0, 20, 40, 60, 80, 80, 80, 81, 90, 100, 120, 140, 160]
 
 
+@pytest.mark.parametrize("step_ms", [15, -15, 40, 500, -500])
+@pytest.mark.parametrize("at", [0.05, 0.5, 0.99])
+def test_a_small_step_in_a_long_backlog_is_found(step_ms, at):
+    """The loop stood still for 2 s; it reads what waits in pieces, and is behind when it comes to now."""
+    c = Clocks()
+    stamps = Stamps(c.clock)
+    stamps.apply(batch([]), more=False)
+    begun = c.true
+    c.true += 2 * S
+    set_at = begun + round(at * 2 * S)
+    c.ahead += step_ms * MS
+    noticed = c.true
+    waiting = [begun + k * MS for k in range(1, 2001)]
+    while waiting:
+        read, waiting = waiting[:160], waiting[160:]
+        true = np.asarray(read)
+        ahead = c.ahead - np.where(true < set_at, step_ms * MS, 0)
+        frames = batch(true + ahead)
+        stamps.apply(frames, more=bool(waiting))
+        error = frames["t_ns"].astype(np.int64) - c.zero - true
+        assert np.abs(error).max() <= abs(step_ms) * MS
+        assert (error[true > noticed] == 0).all()
+        waiting += (
+            [waiting[-1] + k * MS for k in range(1, 6)] if waiting and c.true < 10 * S else []
+        )
+        c.true += 5 * MS
+    assert error[-1] == 0
+
+
 @pytest.mark.parametrize("mark", [{"flags": OWN}, {"can_id": ERROR}])
 def test_what_the_bus_has_not_stamped_is_no_step(mark):
     """A frame that we sent is stamped as it leaves, those received before it may be read later."""
