@@ -115,7 +115,7 @@ class Upkeep:
     @property
     def idle(self) -> bool:
         """Whether nothing waits to be written, and nothing has happened to the file."""
-        return self._tested and not (self._down or self._store.happened or self._memory.unsaved)
+        return self._memory.clean and self._tested and not (self._down or self._store.happened)
 
     @property
     def failures(self) -> int:

@@ -18,7 +18,7 @@ from gateway.monitors.bus_health import COUNTED
 from gateway.monitors.contract import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
 
-_CELLS = FRAME.itemsize // 8
+_CELL, _CELLS = np.dtype("<u8"), FRAME.itemsize // 8
 _NO_FRAMES = empty(0)
 _NO_CELLS = np.zeros((0, _CELLS), np.uint64)
 
@@ -56,6 +56,10 @@ class Engine:
         self.monitors = monitors
         self._states = states
         self._consts = consts  # the handlers hold its address
+        # Views of single numbers: a record and its field take five times as long to reach, for each batch.
+        clock = tables.clock
+        self._now, self._offset = clock["now_ns"], clock["offset_ns"]
+        self._events, self._to_send = clock["events"], clock["sent"]
         self._run: Callable[..., int] = self._first_run
 
     def state_of(self, monitor: int) -> Any:
@@ -75,12 +79,12 @@ class Engine:
     @property
     def now_ns(self) -> int:
         """Time of the latest frame or :meth:`advance` [ns]."""
-        return int(self.tables.clock[0]["now_ns"])
+        return int(self._now.item())
 
     @property
     def offset_ns(self) -> int:
         """What the wall clock is ahead of the engine's time, since it was set [ns]."""
-        return int(self.tables.clock[0]["offset_ns"])
+        return int(self._offset.item())
 
     def wall_ns(self, t_ns: int) -> int:
         """Return a time of the engine as people read it [ns]."""
@@ -95,13 +99,13 @@ class Engine:
         """
         if not (frames.flags.c_contiguous and frames.flags.writeable):
             frames = frames.copy()  # the loop is compiled for one kind of array
-        cells = frames.view("<u8").reshape(len(frames), _CELLS)
+        cells = frames.view(_CELL).reshape(len(frames), _CELLS)
         start, count = 0, len(frames)
         sent = []
         while start < count:
             start = self._run(frames, cells, start, NEVER)
             self._drain(sink)
-            if self.tables.clock[0]["sent"]:
+            if self._to_send.item():
                 sent.append(self._sent())
         return np.concatenate(sent) if sent else _NO_FRAMES
 
@@ -151,10 +155,9 @@ class Engine:
         self._drain(sink)
 
     def _drain(self, sink: Sink) -> None:
-        clock = self.tables.clock[0]
-        count = int(clock["events"])
+        count = self._events.item()
         if count:
-            clock["events"] = 0
+            self._events[0] = 0
             sink(self.tables.ring[:count])
 
     def _sent(self) -> Frames:

@@ -203,6 +203,11 @@ class Ledger:
         under_way = 0 if self._write is None else max(len(self._write.changes.records), 1)
         return len(self._dirty) + self._more + under_way
 
+    @property
+    def clean(self) -> bool:
+        """Whether nothing is unsaved: asked for each batch."""
+        return not (self._dirty or self._more or self._write)
+
     def commit(self, t_ns: int, *, final: bool = False) -> bool:
         """Write all changes; returns whether all is durable now.
 

@@ -347,6 +347,11 @@ class FaultMemory(Readable):
         return self._held.unsaved
 
     @property
+    def clean(self) -> bool:
+        """Whether there is nothing unsaved."""
+        return self._held.clean
+
+    @property
     def commits(self) -> int:
         """How often changes were written."""
         return self._held.commits
