@@ -25,7 +25,9 @@ import sys
 import tarfile
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from live import BASE, BUFFER, MESSAGES, StructBus, datagrams, spoilt, write_config
@@ -65,10 +67,15 @@ def receive(descriptor: int, config: Path, memory: Path) -> None:
     gateway.listen(count)
     if hasattr(gateway, "write_beside"):  # as the daemon does
         gateway.write_beside()
-    link = Link("test:live", 0, "b", lambda uri, index: StructBus(ours, index))
+    clocks: dict[str, Any] = {}
+    with suppress(ImportError):  # the peer may be from before it
+        from gateway.live.clock import Clock  # noqa: PLC0415
+
+        clocks = {"clock": Clock()}
+    link = Link("test:live", 0, "b", lambda uri, index: StructBus(ours, index), **clocks)
     link.start()
     gateway.start(time.time_ns())
-    live = Live(gateway, [link], lambda event: None)
+    live = Live(gateway, [link], lambda event: None, **clocks)
     ended = False
 
     def end(*_: object) -> None:
