@@ -142,7 +142,7 @@ def doctor(
     code = 1 if running and not healthy else 0
     lacking = no_socketcan()
     can = not lacking
-    kernels = _kernels()
+    kernels, plugins = _kernels(), _plugins()
     facts = {
         "gateway": __version__,
         "python": platform.python_version(),
@@ -154,7 +154,7 @@ def doctor(
         "daemon": daemon,
         "libraries": {name: version(name) for name in _LIBRARIES},
         "extras": _extras(),
-        "plugins": _plugins(),
+        "plugins": plugins,
     }
     if json:
         print_json(facts)
@@ -167,7 +167,7 @@ def doctor(
     print(_told(kernels))
     _tell_daemon(daemon)
     print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
-    for kind, types in _plugins().items():
+    for kind, types in plugins.items():
         for name, wrong in types.items():
             print(f"{kind} type {name} of another package: {wrong or 'usable'}")
     for extra, found in _extras().items():

@@ -180,6 +180,10 @@ class Deep(contract.Inputs):
     inner: Crooked
 
 
+class Within(Record):
+    inner: Crooked
+
+
 BAD = Signal("BATT.Amps")
 WRONG = {
     "another version": ({"api": 1}, "api = 1: written for version 1"),
@@ -190,6 +194,10 @@ WRONG = {
     "an input that is no float": ({"inputs": Whole}, "inputs.volts: a field here is float64"),
     "an output that is no float": ({"outputs": Crooked}, "outputs.number: a field here is float64"),
     "a record in an input": ({"inputs": Deep}, "inputs.inner: a field here is float64"),
+    "a record in evidence": (
+        {"evidence": Within},
+        "evidence.inner.number: a field here is float64",
+    ),
     "nine of evidence": ({"evidence": Nine}, "evidence: 9 numbers; there is room for 8"),
     "seventeen outputs": ({"outputs": Seventeen}, "outputs: 17 numbers; there is room for 16"),
     "a kernel of three": ({"step": too_few}, "step takes (s, c, u, out)"),
