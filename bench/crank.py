@@ -11,9 +11,9 @@ import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from gateway_studies.crank.cases import healthy, sweep
+from gateway_studies.crank.follow import METHODS, follower
 
-from gateway.evaluate.crank.cases import healthy, sweep
-from gateway.evaluate.crank.follow import METHODS, follower
 from gateway.fdi.wheel import Wheel
 
 REPEATS = 5

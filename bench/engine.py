@@ -20,19 +20,19 @@ import crccheck
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from gateway.app import Gateway
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import empty, to_message
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.engine.build import MonitorInstance, build_engine
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.registry import MONITORS
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
-from gateway.vecu.crank import tooth_times
-from gateway.vecu.tooth_frames import tooth_frames
+from gateway.vecu.crank.kinematics import tooth_times
+from gateway.vecu.crank.tooth_frames import tooth_frames
 
 RATE_RPM = 3000
 BATCH = 64
@@ -59,7 +59,7 @@ def make_log(count):
 
 def user_loop(messages):
     """What one writes with the libraries: returns how many exceedances it saw."""
-    message = cantools.database.load_file(shipped("dbc/engine.dbc")).get_message_by_name("CTW_PT4")
+    message = cantools.database.load_file(shipped("dbc/crank.dbc")).get_message_by_name("CTW_PT4")
     kf = KalmanFilter(dim_x=1, dim_z=1)
     kf.F, kf.H = np.eye(1), np.eye(1)
     kf.Q, kf.R = np.eye(1), np.eye(1)
@@ -128,7 +128,7 @@ def live_path(frames, batch):
 
 def engine_path(frames, monitors, *, every_signal):
     """The jitted loop alone: so many crank monitors on each frame, no fault memory."""
-    database = load_database([shipped("dbc/engine.dbc")])
+    database = load_database([shipped("dbc/crank.dbc")])
     crank = MONITORS["crank_sync"]
     params = crank.params.model_validate({"wheel": "60-2"})
     instances = [MonitorInstance(f"m{k}", crank, params) for k in range(monitors)]

@@ -27,15 +27,15 @@ import crccheck
 import numpy as np
 from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
 
-from gateway.app import Gateway
 from gateway.bus.base import Bus
 from gateway.bus.can_structs import RawReceiver
 from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.live.link import Link
 from gateway.live.loop import Live
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
 
 MESSAGES = 16
 BASE = 0x300

@@ -42,9 +42,9 @@ MB = 1e6
 COMMANDS = {
     "python -m can.logger --help": ([*PEER, "can.logger", "--help"], ""),
     "cantools --help": ([*PEER, "cantools", "--help"], ""),
-    "cantools dump engine.dbc": ([*PEER, "cantools", "dump", "dbc/engine.dbc"], ""),
+    "cantools dump crank.dbc": ([*PEER, "cantools", "dump", "dbc/crank.dbc"], ""),
     "gateway --help": ([*GATEWAY, "--help"], "cantools --help"),
-    "gateway check": ([*GATEWAY, "check", "gateway.toml"], "cantools dump engine.dbc"),
+    "gateway check": ([*GATEWAY, "check", "gateway.toml"], "cantools dump crank.dbc"),
     "gateway doctor": ([*GATEWAY, "doctor", "gateway.toml"], "python -m can.logger --help"),
     "gateway faults list": (
         [*GATEWAY, "faults", "list", "--memory", "{folder}/faults.sqlite"],

@@ -11,15 +11,15 @@ import time
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from gateway_studies.steering.estimators import nominal
 
-from gateway.app import Gateway
-from gateway.config import load_config
-from gateway.evaluate.steering.estimators import nominal
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
 from gateway.jit import kernel, zeros
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 

@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 from live import BASE, BUFFER, MESSAGES, StructBus, datagrams, spoilt, write_config
 
-from gateway.app import Gateway
-from gateway.config import load_config
+from gateway.config.model import load_config
 from gateway.live.link import Link
 from gateway.live.loop import Live
+from gateway.runtime.app import Gateway
 
 #: The state before changes were written in groups.
 BEFORE = "cd117c2"

@@ -14,11 +14,11 @@ import time
 import warnings
 from functools import partial
 
+from gateway.common.resources import shipped
 from gateway.fdi.structure.candidates import classify
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.incidence import counted
 from gateway.fdi.structure.mso import find_msos
-from gateway.resources import shipped
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -99,7 +99,7 @@ def msos_in_python(model):
 
 def classified():
     """Seconds for all candidates of the truck, once."""
-    truck = load_model(shipped("models/hybrid_truck.toml"))
+    truck = load_model(shipped("models/truck.toml"))
     msos = find_msos(counted(truck))
     begun = time.perf_counter()
     classify(truck, msos)
@@ -126,7 +126,7 @@ def main():
     if arguments.classify:
         print(classified())
         return
-    truck = load_model(shipped("models/hybrid_truck.toml"))
+    truck = load_model(shipped("models/truck.toml"))
     find_msos(counted(truck))  # compiled
     classify(truck, find_msos(counted(truck)))
     rows = []

@@ -2,6 +2,6 @@
 
 __version__ = "0.2.0"
 
-from gateway.postponed import postpone
+from gateway.common.postponed import postpone
 
 postpone()  # before anything here imports cantools or can-isotp

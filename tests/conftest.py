@@ -6,7 +6,7 @@ import pytest
 from amount import SMALL, examples
 from hypothesis import settings
 
-from gateway import log
+from gateway.common import log
 from gateway.jit import BOUNDSCHECK, COMPILED
 
 # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.

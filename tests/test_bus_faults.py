@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from bench_config import beat, write_config
 
-from gateway.app import Gateway
 from gateway.bus import conditions as c
 from gateway.bus.conditions import condition_frame
 from gateway.bus.frames import ERROR, empty, put
-from gateway.config import load_config
+from gateway.config.model import load_config
 from gateway.errors import InputErrors
+from gateway.runtime.app import Gateway
 
 MS = 1_000_000
 

@@ -9,15 +9,15 @@ from amount import amount, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gateway.app import Gateway
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import open_writer, read_log
-from gateway.config import load_config, schema
-from gateway.drive import drive
+from gateway.common.resources import shipped
+from gateway.config.model import load_config, schema
 from gateway.errors import InputError, InputErrors
 from gateway.faults import service
-from gateway.replay import replay
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
+from gateway.runtime.drive import drive
+from gateway.runtime.replay import replay
 from gateway.vecu.expectations import Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
@@ -244,7 +244,7 @@ def config_error(tmp_path, *changes):
             "crank.missed_pulse has this DTC",
         ),
         ('"CTW_PT4.FrameCnt"]', '"powertrain.CTW_PT4.Pt9"]', "no signal 'Pt9'"),
-        ("engine.dbc", "motor.dbc", "No such file"),
+        ("crank.dbc", "motor.dbc", "No such file"),
         ('name = "bench"', 'name = "bench', "gateway.toml:3"),
         ("cycle_ms = 1000.0", 'cycle_ms = "x"', "output.dtc_frame.cycle_ms = 'x'"),
     ],

@@ -11,7 +11,7 @@ TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
 ENGINE = ("engine", "bus/test_adapters.py", "signals/test_random_databases.py", "signals/test_crc_and_codec.py")  # fmt: skip
-MONITORS = ("monitors", "--ignore=monitors/crank_sync")
+MONITORS = ("monitors", "--ignore=monitors/crank")
 
 # Whether something hangs is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
     ("setting", "parts"),
     [
         pytest.param(PLAIN, ENGINE, id="plain-engine"),
-        pytest.param(PLAIN, ("monitors/crank_sync",), id="plain-crank_sync"),
+        pytest.param(PLAIN, ("monitors/crank",), id="plain-crank_sync"),
         pytest.param(PLAIN, MONITORS, id="plain-monitors"),
         pytest.param(PLAIN, ("fdi",), id="plain-fdi"),
         pytest.param(CHECKED, (*ENGINE, "monitors", "fdi"), id="checked"),

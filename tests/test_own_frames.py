@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from gateway.app import Gateway
 from gateway.bus.frames import ANSWER, CYCLIC, OWN, URGENT, empty, put
-from gateway.config import load_config
-from gateway.replay import replay
-from gateway.resources import shipped
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import replay
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 

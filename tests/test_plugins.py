@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.resources import shipped
+from gateway.common.resources import shipped
 
 EXAMPLES = sorted(path for path in shipped("examples").iterdir() if path.is_dir())
 GATEWAY = [str(Path(sys.executable).parent / "gateway")]

@@ -5,9 +5,9 @@ import random
 import numpy as np
 import pytest
 
-from gateway.app import Gateway, prepare
-from gateway.config import load_config
-from gateway.resources import shipped
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
+from gateway.runtime.app import Gateway, prepare
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 
@@ -65,7 +65,7 @@ def test_a_reload_of_the_same_configuration_changes_nothing(name):
     assert last.memory.cycle_number() == one.memory.cycle_number() == 1, "the same operation cycle"
 
 
-@pytest.mark.parametrize("name", ["belt_faults", "hybrid_healthy", "steering_healthy"])
+@pytest.mark.parametrize("name", ["linear_belt_faults", "truck_healthy", "steering_healthy"])
 def test_monitors_whose_parameters_keep_what_they_computed_go_on(name):
     """Arrays among the parameters have no truth value: a reload ended the daemon."""
     config, frames = frames_of(name, 2.0)

@@ -10,19 +10,19 @@ from pathlib import Path
 
 import pytest
 import structlog
+from gateway_studies.crank.command import crank
+from gateway_studies.linear.command import pi_bank
+from gateway_studies.pedal.command import voters
+from gateway_studies.steering.command import steering
+from gateway_studies.truck.command import hybrid
 
 import gateway
-from gateway import log
 from gateway.bus.logs import open_writer, read_log
 from gateway.cli.doctor import doctor
-from gateway.cli.evaluate.crank import crank
-from gateway.cli.evaluate.hybrid import hybrid
-from gateway.cli.evaluate.pi_bank import pi_bank
-from gateway.cli.evaluate.steering import steering
-from gateway.cli.evaluate.voters import voters
 from gateway.cli.structure import structure
+from gateway.common import log
+from gateway.common.extras import EXTRAS, PURPOSES
 from gateway.errors import InputError
-from gateway.extras import EXTRAS, PURPOSES
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
@@ -36,7 +36,7 @@ EXTRA = ("asammdf", "pandas", "matplotlib", "sympy")
 DESIGN = ("scipy.linalg", "scipy.special", "scipy.signal", "scipy.optimize", "filterpy")
 PYTHON_CAN = ("can.bus", "can.io", "can.message")
 QUIET = ("structlog", "asyncio", "pydantic_settings", "rich")
-STUDIES = ("gateway.evaluate", "gateway.vecu", "gateway.fdi.structure", "gateway.calibration")
+STUDIES = ("gateway_studies", "gateway.vecu", "gateway.fdi.structure", "gateway.calibration")
 #: What gateway.toml has no use for.
 OTHERS = tuple(
     f"gateway.monitors.{name}"
@@ -94,7 +94,8 @@ def test_help_imports_no_work():
     assert "simulate" in said
     assert "gateway.cli" in modules
     assert not loaded(
-        modules, ("numpy", "numba", "cantools", "gateway.app", "gateway.config", *PYTHON_CAN)
+        modules,
+        ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config.model", *PYTHON_CAN),
     )
 
 
@@ -111,13 +112,15 @@ def test_the_module_runs_the_command_line_and_types_are_shipped():
 def test_help_of_a_group_imports_no_work(group):
     said, modules = command(group, "--help")
     assert "Commands" in said
-    assert not loaded(modules, ("numpy", "numba", "cantools", "gateway.app", "gateway.config"))
+    assert not loaded(
+        modules, ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config.model")
+    )
 
 
 def test_check_imports_what_the_configuration_names():
     said, modules = command("check", "gateway.toml")
     assert "P0336-29" in said
-    assert "gateway.monitors.crank_sync.monitor" in modules
+    assert "gateway.monitors.crank.monitor" in modules
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *QUIET, *STUDIES, *OTHERS))
 
 
@@ -154,7 +157,7 @@ def test_a_daemon_on_our_own_buses_imports_no_python_can(tmp_path):
         *("run", "gateway.toml", "--bus", "loopback:127.0.0.1:1", "--duration", "0"),
         *("--memory", tmp_path / "faults.sqlite"),
     )
-    assert "gateway.outputs.isotp" in modules
+    assert "gateway.servers.isotp" in modules
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *STUDIES, *OTHERS))
 
 
@@ -327,7 +330,7 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {name for name in names if name.endswith(".figures")} | {"gateway.evaluate.drawing"}
+    pictures = {name for name in names if name.endswith(".figures")} | {"gateway.cli.drawing"}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
         for name in ("code", "initial", "loading", "realisation", "solving", "symbols")

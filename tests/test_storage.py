@@ -5,14 +5,14 @@ import threading
 import pytest
 from rig import MS, Rig, Tester, write_config
 
-from gateway.app import Gateway, prepare
 from gateway.bus.frames import EXTENDED
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.faults.store import Store, StoreError
-from gateway.outputs.dtc_frame import message_of
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway, prepare
+from gateway.servers.dtc_frame import message_of
 
 FRAMES = "[output.dtc_frame]\nmin_interval_ms = 0\ncycle_ms = 60000.0\n"
 NOT_WRITTEN, DAMAGED = "gateway.memory_not_written", "gateway.memory_damaged"

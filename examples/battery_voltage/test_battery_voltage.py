@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.app import Gateway
-from gateway.config import load_config
-from gateway.drive import drive
+from gateway.config.model import load_config
+from gateway.runtime.app import Gateway
+from gateway.runtime.drive import drive
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 

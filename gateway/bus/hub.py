@@ -24,8 +24,8 @@ from gateway.bus.socketcand import (
     plain_frame,
     split,
 )
+from gateway.common.log import get_logger
 from gateway.errors import BusError
-from gateway.log import get_logger
 
 log = get_logger(__name__)
 

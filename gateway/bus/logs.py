@@ -25,8 +25,8 @@ from gateway.bus.log_source import (
     take,
     tidy,
 )
+from gateway.common.extras import need
 from gateway.errors import InputError
-from gateway.extras import need
 
 if TYPE_CHECKING:
     import can

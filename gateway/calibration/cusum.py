@@ -12,12 +12,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from gateway.app import Gateway
 from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse, watch
-from gateway.config import Config
+from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.monitors.contract import CusumCalibration
+from gateway.runtime.app import Gateway
 
 #: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
 _NEVER = 1e9

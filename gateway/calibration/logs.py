@@ -10,14 +10,14 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
 from gateway.bus.timeline import LogTime
-from gateway.config import Config, channels_of, monitor_of
+from gateway.config.model import Config, channels_of, monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams
-from gateway.replay import contents
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import contents
 
 Progress = Callable[[int], None]
 Kind = TypeVar("Kind", Calibration, CusumCalibration)

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.app import Gateway
 from gateway.calibration.logs import Progress, batches, of_kind, parts, refuse, watch
-from gateway.config import Config
+from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
 from gateway.monitors.contract import Calibration
+from gateway.runtime.app import Gateway
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000

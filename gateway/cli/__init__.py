@@ -15,8 +15,10 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__, log
+from gateway import __version__
+from gateway.cli.commands import Commands
 from gateway.cli.failure import DEBUG, bug, install_hooks, refused
+from gateway.common import log
 from gateway.errors import GatewayError
 
 #: Exit code of an error of the gateway itself (EX_SOFTWARE of sysexits.h).
@@ -24,6 +26,7 @@ BUG = 70
 
 app = typer.Typer(
     name="gateway",
+    cls=Commands,
     rich_markup_mode=None,  # it takes units in brackets, [s], for markup, and swallows them
     help="CAN-bus ECU diagnostic gateway: fault detection, fault memory, DTCs back on the bus.",
     no_args_is_help=True,
@@ -36,13 +39,7 @@ faults_app = typer.Typer(
 convert_app = typer.Typer(
     help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None
 )
-evaluate_app = typer.Typer(
-    rich_markup_mode=None,
-    help="How good the methods are: figures and tables of our own data.",
-    no_args_is_help=True,
-)
 app.add_typer(faults_app, name="faults")
-app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(convert_app, name="convert")
 
 Json = Annotated[
@@ -176,7 +173,7 @@ def simulate(
 @app.command()
 def structure(
     model: Annotated[
-        Path, typer.Argument(help="Structural model, or the name of a shipped one: hybrid_truck.")
+        Path, typer.Argument(help="Structural model, or the name of a shipped one: truck.")
     ],
     json: Json = False,
     plot: Annotated[
@@ -200,117 +197,6 @@ def structure(
     raise typer.Exit(
         work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors)
     )
-
-
-@evaluate_app.command("crank")
-def evaluate_crank(
-    seeds: Annotated[
-        int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")
-    ] = 20,
-    pulses: Annotated[
-        int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")
-    ] = 200_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
-    json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")
-    ] = None,
-) -> None:
-    """Crankshaft: missed and added pulses.
-
-    Our two methods beside those of open engine controllers.
-    """
-    from gateway.cli.evaluate.crank import crank as work
-
-    raise typer.Exit(work(runs=seeds, pulses=pulses, seed=seed, json=json, plot=plot))
-
-
-@evaluate_app.command("voters")
-def evaluate_voters(
-    seeds: Annotated[int, typer.Option(min=0, help="Runs of each case; 0: none.")] = 300,
-    seed: Annotated[
-        int,
-        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
-    ] = 100_000,
-    json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")
-    ] = None,
-) -> None:
-    """Pedal: voters with faulty sensors.
-
-    Ours beside average, median, predictive and Kalman hybrid.
-    """
-    from gateway.cli.evaluate.voters import voters as work
-
-    raise typer.Exit(work(runs=seeds, seed=seed, json=json, plot=plot))
-
-
-@evaluate_app.command("steering")
-def evaluate_steering(
-    runs: Annotated[int, typer.Option(min=0, help="Runs of each fault; 0: none.")] = 40,
-    healthy: Annotated[int, typer.Option(min=0, help="Healthy runs of 24 s.")] = 120,
-    seed: Annotated[
-        int,
-        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
-    ] = 100_000,
-    rules: Annotated[
-        bool, typer.Option("--rules", help="Also all filters, distances and stopping rules.")
-    ] = False,
-    json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")
-    ] = None,
-) -> None:
-    """Steering: the motor's angle, and faults of its sensors.
-
-    Estimators, faults found and named, operations of the paper's Table 1.
-    """
-    from gateway.cli.evaluate.steering import steering as work
-
-    raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))
-
-
-@evaluate_app.command("hybrid")
-def evaluate_hybrid(
-    seeds: Annotated[int, typer.Option(min=1, help="Noises of each case.")] = 1,
-    seed: Annotated[
-        int, typer.Option(min=0, help="First seed; nothing was chosen on those from 30000 on.")
-    ] = 30_000,
-    json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")
-    ] = None,
-) -> None:
-    """Hybrid powertrain: which system isolates which fault.
-
-    On trucks as modelled, and on others.
-    """
-    from gateway.cli.evaluate.hybrid import hybrid as work
-
-    raise typer.Exit(work(seeds=seeds, seed=seed, json=json, plot=plot))
-
-
-@evaluate_app.command("pi-bank")
-def evaluate_pi_bank(
-    cases: Annotated[int, typer.Option(min=0, help="Random cases; 0: none.")] = 600,
-    hours: Annotated[float, typer.Option(min=0, help="Healthy flight, for each noise [h].")] = 20.0,
-    seed: Annotated[
-        int,
-        typer.Option(min=0, help="First seed; nothing was chosen on those from 100000 on."),
-    ] = 100_000,
-    json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")
-    ] = None,
-) -> None:
-    """Bank of PI observers: actuators and sensors of a linear plant.
-
-    The paper's figures, random faults, false alarms.
-    """
-    from gateway.cli.evaluate.pi_bank import pi_bank as work
-
-    raise typer.Exit(work(cases=cases, hours=hours, seed=seed, json=json, plot=plot))
 
 
 @app.command()
@@ -605,7 +491,7 @@ def convert_teeth(
     frame: Annotated[str, typer.Option(help="classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
     json: Json = False,
 ) -> None:
-    """Turn a crank sensor's capture into frames of dbc/engine.dbc."""
+    """Turn a crank sensor's capture into frames of dbc/crank.dbc."""
     from gateway.cli.convert import convert_teeth as work
 
     raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gateway.app import Gateway
 from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
-from gateway.config import Config, load_config, monitor_of, schema
+from gateway.config.model import Config, load_config, monitor_of, schema
 from gateway.errors import InputError, InputErrors
+from gateway.runtime.app import Gateway
 
 
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:

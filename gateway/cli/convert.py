@@ -7,8 +7,8 @@ from pathlib import Path
 from gateway.bus.logs import open_writer
 from gateway.cli.present import print_json
 from gateway.errors import InputError
-from gateway.vecu.capture import read_capture
-from gateway.vecu.tooth_frames import Format, tooth_frames
+from gateway.vecu.crank.capture import read_capture
+from gateway.vecu.crank.tooth_frames import Format, tooth_frames
 
 
 def convert_teeth(

@@ -11,12 +11,12 @@ from typing import Any
 
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
-from gateway.config import load_config
+from gateway.common.extras import EXTRAS, PURPOSES, installed
+from gateway.common.plugins import foreign
+from gateway.config.model import load_config
 from gateway.errors import InputError
-from gateway.extras import EXTRAS, PURPOSES, installed
 from gateway.faults.service import daemon_state
 from gateway.jit import COMPILED, cache, cache_directory, shipped
-from gateway.plugins import foreign
 
 #: Kind of plug-in, its group of entry points, which is a package of ours too, and the name of its registry there.
 _REGISTRIES = (("monitor", "gateway.monitors", "MONITORS"), ("ecu", "gateway.vecu", "VIRTUAL_ECUS"))

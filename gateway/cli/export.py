@@ -5,9 +5,9 @@ from __future__ import annotations
 from json import dumps
 from pathlib import Path
 
-from gateway.app import Gateway
 from gateway.cli.present import find_config, strict
-from gateway.config import load_config
+from gateway.config.model import load_config
+from gateway.runtime.app import Gateway
 
 
 def export(config_path: Path | None, *, out: Path | None) -> int:

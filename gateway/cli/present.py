@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gateway.common.resources import shipped
 from gateway.errors import InputError
 from gateway.faults.status import Status
-from gateway.resources import shipped
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any
 
-from gateway import progress
+from gateway.common import progress
 
 #: Time between two lines where no terminal is [s].
 PERIOD_S = 5.0

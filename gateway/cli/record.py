@@ -13,13 +13,13 @@ from gateway.bus.ring import Ring, RingParams
 from gateway.bus.uri import channel_of, open_bus
 from gateway.cli.present import EventPrinter, say
 from gateway.cli.run import Ending
+from gateway.common.tomlfile import validate
 from gateway.errors import InputError
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, bus_event
 from gateway.live.notify import Notifier
 from gateway.live.record import Nobody
-from gateway.tomlfile import validate
 
 
 def record(

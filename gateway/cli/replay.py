@@ -9,15 +9,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gateway.app import Gateway
 from gateway.bus.frames import Frames
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.trace import Trace, only, single
-from gateway.config import Config, channels_of, load_config
+from gateway.config.model import Config, channels_of, load_config
 from gateway.errors import InputError, InputErrors
-from gateway.replay import contents
-from gateway.replay import replay as feed
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import contents
+from gateway.runtime.replay import replay as feed
 
 
 def replay(

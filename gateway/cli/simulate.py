@@ -12,7 +12,6 @@ from typing import Any
 
 from rich.console import Console
 
-from gateway.app import Gateway
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
@@ -25,11 +24,12 @@ from gateway.cli.present import (
     status_text,
 )
 from gateway.cli.run import Ending
-from gateway.config import Config, load_config
-from gateway.drive import drive
+from gateway.common.resources import shipped
+from gateway.config.model import Config, load_config
 from gateway.errors import GatewayError, InputError
-from gateway.outputs.dtc_frame import DtcReport, message_of, read_dtc_frame
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
+from gateway.runtime.drive import drive
+from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, load_scenario

@@ -12,9 +12,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from gateway.cli.present import find_shipped, print_json, wide_console
+from gateway.common.extras import need
 from gateway.errors import InputError
-from gateway.evaluate.structure.analysis import Analysis, Test, analyse, as_dict
-from gateway.extras import need
+from gateway.fdi.structure.analysis import Analysis, Test, analyse, as_dict
 from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.isolability import Isolability
@@ -246,7 +246,7 @@ def structure(
     if plot is not None and plot.suffix not in _FORMATS:
         raise InputError(f"a picture is {', '.join(_FORMATS)}", key="--plot", value=str(plot))
     if plot is not None:
-        need("studies", "pictures", key="--plot")
+        need("plot", "pictures", key="--plot")
     if residual is not None:
         need("structure", "residual generators", key="--residual")
     model = load_model(find_shipped(name, "models", "model"))
@@ -264,7 +264,7 @@ def structure(
             progress=lambda what, share: bar.update(task, description=what, completed=share),
         )
     if plot is not None:
-        from gateway.evaluate.structure.figures import draw  # noqa: PLC0415 - slow to load
+        from gateway.cli.structure_figures import draw  # noqa: PLC0415 - slow to load
 
         draw(plot, analysis)
     if residual is not None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.config import Config
+from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.errors import InputError, nearest
 from gateway.monitors.contract import FAILED, TIMER

@@ -5,15 +5,15 @@ from __future__ import annotations
 import socket
 import time
 
-from gateway.app import Gateway
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver
 from gateway.cli.present import print_json, say
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.errors import InputError
 from gateway.jit import cache_directory
 from gateway.monitors.registry import MONITORS
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
 
 
 def warmup(*, json: bool) -> int:

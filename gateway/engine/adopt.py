@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from gateway.engine.checks.bus_health import HealthState, watch_clock
+from gateway.engine.checks.communication import CheckConst, CheckState
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
 from gateway.engine.gate import WatchConst, WatchState
 from gateway.engine.tables import NEVER, ClockState, HandlerState, VectorState
 from gateway.jit import Record
-from gateway.monitors.bus_health import HealthState, watch_clock
-from gateway.monitors.communication import CheckConst, CheckState
 from gateway.signals.tables import SignalRef
 
 

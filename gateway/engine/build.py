@@ -10,6 +10,10 @@ import numpy as np
 from cantools.database.can import Message
 
 from gateway.engine import emission
+from gateway.engine.checks import bus_health, communication
+from gateway.engine.checks.bus_health import Health
+from gateway.engine.checks.clock_health import OWN, OWN_FAULTS, ClockParams
+from gateway.engine.checks.communication import Check
 from gateway.engine.core import Engine, FaultSlot
 from gateway.engine.debounce import DebounceRow, configure
 from gateway.engine.emission import Emitted
@@ -26,10 +30,6 @@ from gateway.engine.tables import (
     table,
 )
 from gateway.errors import InputError, nearest
-from gateway.monitors import bus_health, communication
-from gateway.monitors.bus_health import Health
-from gateway.monitors.clock_health import OWN, OWN_FAULTS, ClockParams
-from gateway.monitors.communication import Check
 from gateway.monitors.conformance import checked_emission, checked_faults, connections
 from gateway.monitors.contract import RESULTS, Debounce, Fault, Monitor, MonitorParams, Signal
 from gateway.signals.crc import ALGORITHMS, crc8_table

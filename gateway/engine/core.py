@@ -10,11 +10,11 @@ import numpy as np
 
 from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
 from gateway.engine import loop
+from gateway.engine.checks.bus_health import COUNTED
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.tables import NEVER, Tables
 from gateway.jit import bound
-from gateway.monitors.bus_health import COUNTED
 from gateway.monitors.contract import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
 

@@ -17,17 +17,25 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.bus_checks import on_error_frame, report_bus_results, skip_settled_windows
+from gateway.engine.checks.bus_health import on_frame_received, on_timer, watch_clock
+from gateway.engine.checks.bus_health_steps import (
+    on_error_frame,
+    report_bus_results,
+    skip_settled_windows,
+)
+from gateway.engine.checks.communication import ACCEPT, REJECT
+from gateway.engine.checks.communication_steps import (
+    check_message,
+    report_timeout,
+    skip_settled_timeouts,
+)
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
 from gateway.engine.gate import closed, is_valid
-from gateway.engine.message_checks import check_message, report_timeout, skip_settled_timeouts
 from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.jit import call_entry, kernel
-from gateway.monitors.bus_health import on_frame_received, on_timer, watch_clock
-from gateway.monitors.communication import ACCEPT, REJECT
 from gateway.monitors.contract import FAILED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,

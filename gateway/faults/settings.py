@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from gateway.common.tomlfile import StrictModel
 from gateway.errors import InputError
 from gateway.faults.dtc import Dtc
-from gateway.tomlfile import StrictModel
 
 
 def _dtc_text(text: str) -> str:

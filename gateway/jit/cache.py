@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gateway import progress
+from gateway.common import progress
 from gateway.jit.settings import cache_directory
 
 _MAGIC = b"gateway kernel 2\n"

@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from gateway import progress
+from gateway.common import progress
 from gateway.errors import KernelError
 from gateway.jit import cache, shipped
 from gateway.jit.closure import Closure

@@ -12,7 +12,7 @@ import importlib.util
 import os
 from pathlib import Path
 
-from gateway import progress
+from gateway.common import progress
 
 
 def _on(name: str) -> bool:

@@ -1,6 +1,6 @@
 """Compiled kernels that come with the package: nobody compiles who does not write kernels.
 
-``gateway/precompiled/index.json`` names for each entry the key of the closure that it was made from, and the digests of
+``precompiled/index.json`` of a package names for each entry the key of the closure that it was made from, and the digests of
 the files in which this closure can lie. While these files are as they were, the key need not be computed; if one has
 changed, it is, and the shipped code is used if the kernels themselves have not. ``scripts/precompile`` makes all of it.
 """
@@ -9,29 +9,46 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
 from gateway.jit.cache import Code
 
-PACKAGE = Path(__file__).parent.parent
-FOLDER = PACKAGE / "precompiled"
+#: The folder in which packages lie that ship code: this one's.
+_PACKAGE = Path(__file__).parent.parent
 
 
 @cache
-def _index() -> dict[str, Any]:
+def package(name: str) -> Path:
+    """Return the folder of a package by its name; the package need not be imported."""
+    if name == _PACKAGE.name:
+        return _PACKAGE
+    module = sys.modules.get(name)
+    found = getattr(module, "__file__", None) if module is not None else None
+    if found is None:
+        spec = find_spec(name)
+        found = spec.origin if spec is not None else None
+    return Path(found).parent if found is not None else _PACKAGE / name
+
+
+@cache
+def _index(name: str) -> dict[str, Any]:
     try:
-        return cast("dict[str, Any]", json.loads((FOLDER / "index.json").read_text()))
+        file = package(name) / "precompiled" / "index.json"
+        return cast("dict[str, Any]", json.loads(file.read_text()))
     except FileNotFoundError:
         return {"files": [], "entries": {}}
 
 
 @cache
 def file_digest(name: str) -> str:
-    """Return the digest of a file of the package, "" if it is not there."""
+    """Return the digest of a file, ``package/folder/module.py``; "" if it is not there."""
+    owner, _, rest = name.partition("/")
     try:
-        data = (PACKAGE / name).read_bytes()
+        data = (package(owner) / rest).read_bytes()
     except OSError:
         return ""
     return hashlib.blake2b(data, digest_size=8).hexdigest()
@@ -44,18 +61,19 @@ def entry(kernel: str, signature: str) -> dict[str, Any] | None:
         kernel: ``module:name``.
         signature: digest of its forms.
     """
-    return cast("dict[str, Any] | None", _index()["entries"].get(f"{kernel} {signature}"))
+    entries = _index(kernel.partition(".")[0])["entries"]
+    return cast("dict[str, Any] | None", entries.get(f"{kernel} {signature}"))
 
 
 def unchanged(found: dict[str, Any]) -> bool:
     """Return whether the files that an entry can come from are as they were."""
-    files = _index()["files"]
+    files = _index(found["package"])["files"]
     return all(file_digest(files[k][0]) == files[k][1] for k in found["files"])
 
 
 def survey() -> tuple[int, int]:
-    """Return how many entries are shipped, and how many of these have sources that were changed since."""
-    entries = _index()["entries"].values()
+    """Return how many entries come with the gateway, and how many of these have sources that were changed since."""
+    entries = _index(_PACKAGE.name)["entries"].values()
     return len(entries), sum(not unchanged(found) for found in entries)
 
 
@@ -71,7 +89,7 @@ def bitcode(found: dict[str, Any]) -> Code | None:
 
 def _read(found: dict[str, Any], name: str, digest: str | None) -> Code | None:
     try:
-        data = (FOLDER / name).read_bytes()
+        data = (package(found["package"]) / "precompiled" / name).read_bytes()
     except OSError:
         return None
     if digest is None or hashlib.blake2b(data, digest_size=8).hexdigest() != digest:

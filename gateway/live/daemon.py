@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.app import Gateway, prepare
 from gateway.bus.ring import Ring
-from gateway.config import Config, load_config
+from gateway.common.log import get_logger
+from gateway.config.model import Config, load_config
 from gateway.errors import GatewayError, InputError
 from gateway.faults.kept import KeptStore
 from gateway.live.link import Link
@@ -16,7 +16,7 @@ from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
-from gateway.log import get_logger
+from gateway.runtime.app import Gateway, prepare
 
 log = get_logger(__name__)
 

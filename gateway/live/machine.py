@@ -15,7 +15,7 @@ from gateway.bus.uri import open_bus
 from gateway.faults.store import Connect
 from gateway.live.clock import Clock
 from gateway.live.loop import TICK_S
-from gateway.upkeep import PATIENCE_S, begin_writer
+from gateway.runtime.upkeep import PATIENCE_S, begin_writer
 
 
 class Thread(Protocol):

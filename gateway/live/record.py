@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from gateway.app import clock_event
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
-from gateway.outputs.base import NEVER
+from gateway.runtime.app import clock_event
+from gateway.servers.base import NEVER
 
 
 class Nobody:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.assemble import Parts
-from gateway.config import Config
+from gateway.config.model import Config
 from gateway.errors import GatewayError
 from gateway.live.machine import Thread, begin_thread
+from gateway.runtime.assemble import Parts
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from typing import Annotated, Any, Generic, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
 from gateway.jit import Record, entry_point, f8, f8s, i4, i8, kernel, means, record
-from gateway.tomlfile import StrictModel
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from gateway.common.plugins import Registry
 from gateway.monitors.conformance import accepted
 from gateway.monitors.contract import Monitor
-from gateway.plugins import Registry
 
 MONITORS: Registry[Monitor[Any]] = Registry("gateway.monitors", accepted)

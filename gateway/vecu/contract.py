@@ -11,9 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from gateway.bus.frames import Frames
+from gateway.common.tomlfile import StrictModel
 from gateway.errors import InputError
-from gateway.tomlfile import StrictModel
-from gateway.vecu.pulse_faults import Truth
 
 #: Version of this contract. A virtual ECU says for which it was written.
 API = 2
@@ -37,6 +36,23 @@ class EcuFault(StrictModel):
 
     kind: str
     ecu: str = Field(description="name of the ECU")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What was really injected.
+
+    Attributes:
+        t_ns: when [ns].
+        kind: ``missed_pulses``, ``added_pulses``, or a wire fault's kind.
+        count: pulses (or frames) concerned.
+        tooth: index of the first tooth concerned, -1 where it does not apply.
+    """
+
+    t_ns: int
+    kind: str
+    count: int
+    tooth: int = -1
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
 from gateway.signals.database import load_database
-from gateway.vecu.contract import Run
-from gateway.vecu.pulse_faults import Truth
+from gateway.vecu.contract import Run, Truth
 from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import Scenario
 from gateway.vecu.wire_faults import apply_wire_faults

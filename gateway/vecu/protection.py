@@ -10,8 +10,8 @@ import numpy as np
 from cantools.database.can import Message
 from numpy.typing import NDArray
 
+from gateway.common.resources import shipped
 from gateway.errors import InputError
-from gateway.resources import shipped
 from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
 from gateway.signals.database import load_database
 

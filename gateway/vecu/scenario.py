@@ -8,17 +8,20 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import Field, SerializeAsAny, model_validator
 
+from gateway.common.log import get_logger
+from gateway.common.plugins import importable
+from gateway.common.tomlfile import StrictModel, load, validate
 from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import DtcText
-from gateway.plugins import importable
-from gateway.tomlfile import StrictModel, load, validate
 from gateway.vecu.contract import EcuFault, EcuParams, VirtualEcu
-from gateway.vecu.registry import VIRTUAL_ECUS
+from gateway.vecu.registry import RENAMED, VIRTUAL_ECUS
 
 T = TypeVar("T")
 
-#: An ECU without a type is an engine.
-_DEFAULT = "engine"
+_log = get_logger(__name__)
+
+#: Type of an ECU that names none.
+_DEFAULT = "crank"
 
 
 def _of_type(type_: str, key: str) -> VirtualEcu[Any, Any]:
@@ -46,6 +49,9 @@ def _ecu(entry: Any, key: str) -> EcuParams:
     if isinstance(entry, EcuParams):
         return entry
     type_ = str(entry.get("type", _DEFAULT))
+    if type_ in RENAMED:
+        _log.warning("renamed", key=f"{key}.type", value=type_, now=RENAMED[type_])
+        type_ = RENAMED[type_]
     found: EcuParams = validate({**entry, "type": type_}, _of_type(type_, key).params, None, key)
     return found
 

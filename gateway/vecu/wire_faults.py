@@ -9,7 +9,7 @@ import numpy as np
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames
 from gateway.errors import InputError, nearest
 from gateway.signals.database import Database
-from gateway.vecu.pulse_faults import Truth
+from gateway.vecu.contract import Truth
 from gateway.vecu.scenario import WireFault
 
 #: Last identifier of 11 bits; digits that an identifier of 29 bits is written with.

@@ -12,14 +12,14 @@ from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest
 from gateway.cli import app
-from gateway.config import load_config, monitor_of
+from gateway.common.resources import shipped
+from gateway.config.model import load_config, monitor_of
 from gateway.errors import InputError
 from gateway.jit import COMPILED
-from gateway.monitors.hybrid_powertrain.params import QUANTITIES
-from gateway.resources import shipped
-from gateway.vecu.truck_drive import drive
-from gateway.vecu.truck_ecu import frames_of
-from gateway.vecu.truck_params import TruckFault, TruckParams
+from gateway.monitors.truck.params import QUANTITIES
+from gateway.vecu.truck.drive import drive
+from gateway.vecu.truck.ecu import frames_of
+from gateway.vecu.truck.params import TruckFault, TruckParams
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of frames")
 SECONDS = 90.0
@@ -36,7 +36,7 @@ def log(path, truck, seed, fault=None):
 
 @pytest.fixture(scope="module")
 def truck():
-    return TruckParams(type="hybrid_truck", start_s=175.0, noise_factor=2.0)
+    return TruckParams(type="truck", start_s=175.0, noise_factor=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +45,14 @@ def healthy(tmp_path_factory, truck):
     folder = tmp_path_factory.mktemp("truck")
     logs = [log(folder / f"{seed}.log", truck, seed) for seed in (1, 2)]
     config = folder / "truck.toml"
-    text = shipped("configs/hybrid.toml").read_text()
+    text = shipped("configs/truck.toml").read_text()
     config.write_text(text.replace("../dbc/", f"{shipped('dbc')}/"))
     return config, logs
 
 
 def by_hand(logs):
     """nu of T1 and, with it, its largest T in units of nu: cantools decodes, NumPy adds up."""
-    database = cantools.database.load_file(shipped("dbc/hybrid.dbc"))
+    database = cantools.database.load_file(shipped("dbc/truck.dbc"))
     drives = []
     for path in logs:
         asked, measured = [], []

@@ -14,11 +14,11 @@ from gateway.bus.logs import open_writer
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest
 from gateway.calibration.stopping import alarms, calibrate, levels, propose, tables
-from gateway.config import load_config, monitor_of
+from gateway.common.resources import shipped
+from gateway.config.model import load_config, monitor_of
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
 from gateway.jit import COMPILED
-from gateway.resources import shipped
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 

@@ -4,7 +4,7 @@ import importlib
 import json
 
 from gateway.cli.check import check
-from gateway.resources import shipped
+from gateway.common.resources import shipped
 
 check_module = importlib.import_module("gateway.cli.check")
 

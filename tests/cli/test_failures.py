@@ -167,7 +167,7 @@ def test_a_signal_while_it_compiles_ends_it_at_once(
 
 def test_a_simulation_that_is_stopped_is_not_judged(gateway, monkeypatch):
     """SIGTERM during the run ends it there, and a check that saw half of it is no pass."""
-    from gateway import drive as module
+    from gateway.runtime import drive as module
 
     taken = module.collect
 

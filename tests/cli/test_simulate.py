@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from gateway.config import load_config
-from gateway.resources import shipped
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.vecu.expectations import Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario

@@ -12,10 +12,10 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.evaluate.structure.analysis import analyse
-from gateway.evaluate.structure.figures import draw
+from gateway.cli.structure_figures import draw
+from gateway.common.resources import shipped
+from gateway.fdi.structure.analysis import analyse
 from gateway.fdi.structure.file import load_model
-from gateway.resources import shipped
 
 
 def run(*arguments, code=0):
@@ -27,7 +27,7 @@ def run(*arguments, code=0):
 
 
 def test_json_contract():
-    found = json.loads(run("hybrid_truck", "--json"))
+    found = json.loads(run("truck", "--json"))
     assert (found["equations"], found["unknowns"], found["msos"], found["candidates"]) == (
         37,
         32,
@@ -74,7 +74,7 @@ def test_json_contract():
 
 
 def test_text():
-    text = run("hybrid_truck")
+    text = run("truck")
     assert (
         "99 MSO sets (1 of 2, 1 of 5, 2 of 6, 4 of 7, 3 of 10, 3 of 11, 5 of 27, 32 of 28, 48 of 32)"
         in text
@@ -99,14 +99,14 @@ def test_models_without_faults_residuals_or_sets(tmp_path):
 
 
 def test_residual_by_name_and_by_set():
-    text = run("hybrid_truck", "--residual", "T2")
+    text = run("truck", "--residual", "T2")
     assert "T2: e11 checked, 11 equations, SI, unique; sensitive to f_b_sc, f_em_R" in text
     assert "r = I_b - I_em*U_em/U_b  # e11" in text
     found = json.loads(run("machine", "--residual", "unique", "--json"))
     assert (found["causality"], found["status"]) == ("SD", "unique")
     assert "differentiates omega" in found["refused"]
     assert "d_omega" in found["source"]
-    found = json.loads(run("hybrid_truck", "--residual", "99:e5", "--json"))
+    found = json.loads(run("truck", "--residual", "99:e5", "--json"))
     assert found["status"] == "none"
     assert found["source"] is None
     assert "cannot be solved" in found["refused"] or "algebraic loop" in found["refused"]
@@ -122,13 +122,13 @@ def test_sensor_places():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["truck"], "no such model; shipped: example_1, example_4, hybrid_truck"),
+        (["truck"], "no such model; shipped: example_1, example_4, truck"),
         (["nowhere.toml"], "nowhere.toml: No such file"),
-        (["hybrid_truck", "--limit", "50"], "more than 50 MSO sets .*raise the limit"),
-        (["hybrid_truck", "--plot", "x.gif"], "--plot = 'x.gif': a picture is .svg, .png, .pdf"),
-        (["hybrid_truck", "--residual", "T9"], "the model names T1, T2"),
-        (["hybrid_truck", "--residual", "1:e9"], "set 1 has e7, e34"),
-        (["hybrid_truck", "--sensors", "U_b,T_x"], '"T_x" is no unknown'),
+        (["truck", "--limit", "50"], "more than 50 MSO sets .*raise the limit"),
+        (["truck", "--plot", "x.gif"], "--plot = 'x.gif': a picture is .svg, .png, .pdf"),
+        (["truck", "--residual", "T9"], "the model names T1, T2"),
+        (["truck", "--residual", "1:e9"], "set 1 has e7, e34"),
+        (["truck", "--sensors", "U_b,T_x"], '"T_x" is no unknown'),
     ],
 )
 def test_mistakes(arguments, said):
@@ -147,7 +147,7 @@ def test_mistakes(arguments, said):
 def test_picture_shows_the_numbers(tmp_path):
     """The SVG has a bar of each colour for each set: as high as the set's counts."""
     path = tmp_path / "truck.svg"
-    run("hybrid_truck", "--plot", path)
+    run("truck", "--plot", path)
     root = ElementTree.parse(path).getroot()
     heights: dict[str, list[float]] = {"ffffff": [], "9a9a9a": [], "000000": []}
     for element in root.iter("{http://www.w3.org/2000/svg}path"):
@@ -156,7 +156,7 @@ def test_picture_shows_the_numbers(tmp_path):
             fill = style.split("fill: #")[1][:6] if "fill: #" in style else "000000"
             ys = [float(y) for y in re.findall(r"[ML] [-\d.]+ ([-\d.]+)", element.get("d"))]
             heights[fill].append(max(ys) - min(ys))
-    found = analyse(load_model(shipped("models/hybrid_truck.toml")))
+    found = analyse(load_model(shipped("models/truck.toml")))
     shown = ("SDI", "SI", "SD")
     expected = {
         "ffffff": np.concatenate([found.msos.sum(1)] * 3),
@@ -176,7 +176,7 @@ def test_picture_shows_the_numbers(tmp_path):
 
 @pytest.mark.long
 def test_picture_of_many_sets(tmp_path):
-    model = load_model(shipped("models/hybrid_truck.toml")).with_sensors(["U_b", "omega_w"])
+    model = load_model(shipped("models/truck.toml")).with_sensors(["U_b", "omega_w"])
     path = draw(tmp_path / "many.png", analyse(model))
     image = imread(path)
     assert image.shape[0] > 1000

@@ -7,8 +7,9 @@ import pytest
 
 from gateway.bus.frames import EXTENDED, FD, empty, put
 from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
+from gateway.engine.checks import communication
 from gateway.jit import Record, f8, i8, kernel, labels, means
-from gateway.monitors import communication, contract
+from gateway.monitors import contract
 from gateway.monitors.contract import (
     TIMER,
     Debounce,

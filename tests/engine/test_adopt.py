@@ -10,6 +10,8 @@ from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
 from gateway.engine.build import BusInstance
+from gateway.engine.checks.bus_health import Health, HealthPlace, HealthState
+from gateway.engine.checks.communication import Check, CheckConst, CheckPlace, CheckState
 from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
 from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState
 from gateway.engine.events import QUALIFIED_FAILED
@@ -25,8 +27,6 @@ from gateway.engine.tables import (
     VectorPlace,
     VectorState,
 )
-from gateway.monitors.bus_health import Health, HealthPlace, HealthState
-from gateway.monitors.communication import Check, CheckConst, CheckPlace, CheckState
 from gateway.monitors.contract import Debounce
 from gateway.signals.tables import SignalRef
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import FD, empty, put
 from gateway.engine.build import CheckInstance, build_engine
+from gateway.engine.checks import communication
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
-from gateway.monitors import communication
 from gateway.signals.database import load_database
 from gateway.signals.tables import LARGEST, SignalRef
 

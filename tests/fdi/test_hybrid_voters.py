@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import scipy.signal
 from filterpy.kalman import KalmanFilter
+from gateway_studies.pedal.cases import IDEAL, SPAN, Case, Run, make
+from gateway_studies.pedal.follow import VOTERS, follow
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.evaluate.voters.cases import IDEAL, SPAN, Case, Run, make
-from gateway.evaluate.voters.follow import VOTERS, follow
 from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
 from gateway.jit import zeros
-from gateway.vecu import strokes
+from gateway.vecu.pedal import strokes
 
 volts = st.floats(-10, 10)
 

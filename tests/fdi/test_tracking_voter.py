@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gateway.fdi.voting.tracking import habits, mismatch, motion, shape
 from gateway.fdi.voting.tracking.vote import vote
 from gateway.jit import COMPILED, kernel, zeros
-from gateway.vecu.strokes import exponential
+from gateway.vecu.pedal.strokes import exponential
 
 SPAN, NOISE, STEP = 5.0, 0.002, 5 / 4096
 STATE = shape.State

@@ -9,10 +9,10 @@ from machine import Wire
 from run import QUIET_S, Run, schedule_for
 from schedule import draw, read, text_of
 
-from gateway.app import Gateway
 from gateway.bus.frames import empty
 from gateway.engine.core import Engine
 from gateway.faults.store import Store
+from gateway.runtime.app import Gateway
 
 SEEDS = [int(os.environ["GATEWAY_SEED"])] if "GATEWAY_SEED" in os.environ else range(1, 5)
 SECONDS = 30.0

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from gateway import progress
+from gateway.common import progress
 from gateway.jit import COMPILED, cache
 from gateway.jit.cache import Code
 

@@ -45,7 +45,13 @@ LOADED = COMMAND.replace(
 @pytest.mark.long
 @pytest.mark.parametrize(
     "scenario",
-    ["crank_missed_tooth", "pedal_emergency", "steering_healthy", "aircraft_both", "hybrid_mass"],
+    [
+        "crank_missed_tooth",
+        "pedal_emergency",
+        "steering_healthy",
+        "linear_aircraft_both",
+        "truck_mass",
+    ],
 )
 def test_the_demos_compile_nothing_and_need_no_cache(scenario):
     ended = run(LOADED, "demo", scenario)
@@ -89,7 +95,7 @@ def edit(file, old, new):
 @pytest.mark.long
 def test_a_comment_compiles_nothing(copy):
     edit(copy / "gateway/cli/bus.py", '"""', '# a comment\n"""')
-    edit(copy / "gateway/monitors/brake_pedal/diagnosis.py", '"""', '# a comment\n"""')
+    edit(copy / "gateway/monitors/pedal/diagnosis.py", '"""', '# a comment\n"""')
     ended = run(MADE_READY, root=copy, GATEWAY_KERNELS="shipped")
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip().endswith("[]")
@@ -98,20 +104,20 @@ def test_a_comment_compiles_nothing(copy):
 @pytest.mark.long
 def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
     edit(
-        copy / "gateway/monitors/linear_observer.py", "s.samples > c.start", "s.samples >= c.start"
+        copy / "gateway/monitors/linear/observer.py", "s.samples > c.start", "s.samples >= c.start"
     )
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
+    assert ended.stdout.strip().endswith("['monitors.linear.observer.step']")
 
 
 @pytest.mark.long
 def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
-    for path in (copy / "gateway/precompiled").glob("*/monitors.linear_observer.*"):
+    for path in (copy / "gateway/precompiled").glob("*/monitors.linear.observer.*"):
         path.write_bytes(path.read_bytes()[:-1] + b"x")
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.strip().endswith("['monitors.linear_observer.step']")
+    assert ended.stdout.strip().endswith("['monitors.linear.observer.step']")
 
 
 @pytest.mark.long

@@ -9,13 +9,13 @@ import pytest
 from bench_config import beat, write_config
 from daemon_rig import World
 
-from gateway.app import Gateway
 from gateway.bus.candump import parse
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.ring import read_recording
-from gateway.config import channels_of, load_config
+from gateway.config.model import channels_of, load_config
 from gateway.faults.store import Store
-from gateway.replay import replay
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import replay
 
 STEPS = [3600.0, -3600.0, -0.5]
 MORE = """

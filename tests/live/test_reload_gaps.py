@@ -5,11 +5,11 @@ from amount import amount
 from bench_config import beat, write_config
 from daemon_rig import World
 
-from gateway.app import Gateway
 from gateway.faults.service import list_entries
 from gateway.live.daemon import Daemon
 from gateway.live.link import Link
 from gateway.live.loop import Live
+from gateway.runtime.app import Gateway
 
 GW_DTC = 0x6F0
 BEFORE = {"chassis": "virtual:a", "body": "virtual:b", "gone": "virtual:d"}

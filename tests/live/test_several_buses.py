@@ -5,15 +5,15 @@ import os
 import numpy as np
 import pytest
 
-from gateway.app import Gateway
 from gateway.bus.base import Bus
 from gateway.bus.frames import empty
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.errors import InputError, InputErrors
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
-from gateway.resources import shipped
+from gateway.runtime.app import Gateway
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 

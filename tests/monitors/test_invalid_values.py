@@ -13,9 +13,9 @@ SCENARIOS = {
     "pedal_healthy": 2.0,
     "pedal_three": 2.0,
     "steering_healthy": 2.0,
-    "aircraft_healthy": 8.0,
-    "belt_faults": 8.0,
-    "hybrid_healthy": 12.0,
+    "linear_aircraft_healthy": 8.0,
+    "linear_belt_faults": 8.0,
+    "truck_healthy": 12.0,
 }
 VALUES = (np.nan, np.inf, -np.inf, 3e38, -1e300, 1e16)
 SEED = 20261122

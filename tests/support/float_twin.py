@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.app import prepare
 from gateway.bus.frames import FD, empty, payload
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.engine.build import MonitorInstance, build_engine
-from gateway.resources import shipped
+from gateway.runtime.app import prepare
 from gateway.signals.database import load_database
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario

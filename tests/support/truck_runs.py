@@ -4,16 +4,16 @@ import functools
 
 import numpy as np
 
-from gateway.app import Gateway
-from gateway.config import load_config
-from gateway.monitors.hybrid_powertrain.params import QUANTITIES
-from gateway.resources import shipped
-from gateway.vecu.truck_drive import drive
-from gateway.vecu.truck_ecu import frames_of
-from gateway.vecu.truck_params import TruckFault, TruckParams
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
+from gateway.monitors.truck.params import QUANTITIES
+from gateway.runtime.app import Gateway
+from gateway.vecu.truck.drive import drive
+from gateway.vecu.truck.ecu import frames_of
+from gateway.vecu.truck.params import TruckFault, TruckParams
 
-TRUCK = TruckParams(type="hybrid_truck")
-CONFIG = load_config(shipped("configs/hybrid.toml"))
+TRUCK = TruckParams(type="truck")
+CONFIG = load_config(shipped("configs/truck.toml"))
 UNISOLATED = "P1A1F-62"
 NAMES = (*(name for name, _, _ in QUANTITIES), "T7")
 

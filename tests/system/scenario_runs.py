@@ -13,7 +13,7 @@ from amount import amount
 from kernel_can import daemon
 
 from gateway.cli.simulate import simulate
-from gateway.resources import shipped
+from gateway.common.resources import shipped
 from gateway.vecu.scenario import load_scenario
 
 #: How often a scenario is played, of which a busy machine let too little through in time.

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gateway_studies.crank.cases import Train
+from gateway_studies.crank.follow import follower
+from gateway_studies.crank.table import judge
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.evaluate.crank.cases import Train
-from gateway.evaluate.crank.follow import follower
-from gateway.evaluate.crank.table import judge
+from gateway.common.resources import shipped
 from gateway.fdi.wheel import Wheel
-from gateway.monitors.crank_sync.faults import ADDED
-from gateway.resources import shipped
-from gateway.vecu.capture import read_capture
-from gateway.vecu.crank import tooth_times
+from gateway.monitors.crank.faults import ADDED
+from gateway.vecu.crank.capture import read_capture
+from gateway.vecu.crank.kinematics import tooth_times
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "crank"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the captures are not on this machine")

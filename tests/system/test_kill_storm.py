@@ -19,9 +19,9 @@ from amount import amount
 from full_disk import small_disk
 from processes import GATEWAY, bus
 
+from gateway.common.resources import shipped
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
-from gateway.resources import shipped
 
 pytestmark = pytest.mark.system
 

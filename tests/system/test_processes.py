@@ -10,8 +10,8 @@ import pytest
 from processes import bus, gateway, process
 from scenario_runs import unhurried
 
+from gateway.common.resources import shipped
 from gateway.faults.dtc import Dtc
-from gateway.resources import shipped
 
 pytestmark = pytest.mark.system
 

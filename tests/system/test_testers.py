@@ -27,8 +27,8 @@ from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
 from udsoncan.services import RoutineControl
 
+from gateway.common.resources import shipped
 from gateway.faults.dtc import Dtc
-from gateway.resources import shipped
 
 pytestmark = pytest.mark.system
 
@@ -203,7 +203,7 @@ def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, clie
 
 
 def test_udsoncan_uses_every_other_service(client):
-    from gateway.outputs.uds.security import hmac_sha256
+    from gateway.servers.uds.security import hmac_sha256
 
     client.config["security_algo"] = lambda level, seed, params: hmac_sha256(
         seed, bytes.fromhex("00112233"), (level + 1) // 2

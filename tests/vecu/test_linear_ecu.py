@@ -3,16 +3,16 @@
 import cantools
 import numpy as np
 import pytest
+from gateway_studies.linear import example
+from gateway_studies.linear.bank import drive
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
+from gateway.common.resources import shipped
 from gateway.errors import InputError
-from gateway.evaluate.pi_bank import example
-from gateway.evaluate.pi_bank.bank import drive
-from gateway.resources import shipped
-from gateway.vecu.linear_ecu import linear_frames
-from gateway.vecu.linear_params import LinearFault, LinearParams
-from gateway.vecu.linear_plant import simulate
+from gateway.vecu.linear.ecu import linear_frames
+from gateway.vecu.linear.params import LinearFault, LinearParams
+from gateway.vecu.linear.plant import simulate
 from gateway.vecu.scenario import load_scenario
 
 RNG = np.random.default_rng
@@ -64,11 +64,11 @@ def test_each_sensor_fault_does_what_it_says():
 
 
 def test_frames_carry_what_was_simulated():
-    scenario = load_scenario(shipped("scenarios/belt_faults.toml"))
+    scenario = load_scenario(shipped("scenarios/linear_belt_faults.toml"))
     (ecu,) = scenario.ecu
     frames, truth = linear_frames(ecu, scenario.fault, 2.0, bus=0, rng=RNG(4))
     y, u = simulate(ecu, (), 2.0, RNG(4))
-    database = cantools.database.load_file(shipped("dbc/plant.dbc"))
+    database = cantools.database.load_file(shipped("dbc/linear.dbc"))
     assert len(frames) == 400
     assert (np.diff(frames["t_ns"]) > 0).all()
     names = ("MotorSpeed", "LoadSpeed", "Current")
@@ -84,7 +84,7 @@ def test_frames_carry_what_was_simulated():
 
 
 def test_a_message_of_other_signals_is_refused():
-    (ecu,) = load_scenario(shipped("scenarios/belt_faults.toml")).ecu
+    (ecu,) = load_scenario(shipped("scenarios/linear_belt_faults.toml")).ecu
     wrong = ecu.model_copy(update={"commands": "Aircraft_Command"})
     with pytest.raises(
         InputError,
@@ -114,7 +114,7 @@ def test_parameters_that_do_not_fit_are_refused(options, says):
 
 
 def test_a_fault_of_a_part_that_is_not_there_is_refused(tmp_path):
-    text = shipped("scenarios/aircraft_faults.toml").read_text()
+    text = shipped("scenarios/linear_aircraft_faults.toml").read_text()
     path = tmp_path / "wrong.toml"
     path.write_text(
         text.replace(

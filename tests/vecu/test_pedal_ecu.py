@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import payload
+from gateway.common.resources import shipped
 from gateway.errors import InputErrors
-from gateway.resources import shipped
 from gateway.signals.crc import ALGORITHMS, crc8, crc8_table
-from gateway.vecu import strokes
-from gateway.vecu.pedal_ecu import pedal_frames
-from gateway.vecu.pedal_params import PedalParams, SensorFault
+from gateway.vecu.pedal import strokes
+from gateway.vecu.pedal.ecu import pedal_frames
+from gateway.vecu.pedal.params import PedalParams, SensorFault
 from gateway.vecu.scenario import load_scenario
 from gateway.vecu.sensor_faults import digitised
 
@@ -124,7 +124,7 @@ type = "pedal"
     [
         ("period_ms = 0\n", r"ecu\[0\]\.period_ms = 0"),
         ('[[fault]]\nkind = "stuck"\nsize = "x"\n', r"fault\[0\]\.size = 'x'"),
-        ('[[ecu]]\ntype = "radio"\n', r"ecu\[1\]\.type = 'radio': there are engine, hybrid_truck"),
+        ('[[ecu]]\ntype = "radio"\n', r"ecu\[1\]\.type = 'radio': there are engine, truck"),
         ("speed = 1\n", r"ecu\[0\]\.speed: unknown key"),
         ('[[fault]]\nkind = "stuck"\nchannel = [3]\n', "no channel 3"),
         ('[[fault]]\nkind = "stuck"\nchannel = [0]\n', "channels count from 1"),

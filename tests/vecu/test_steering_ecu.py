@@ -8,20 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from gateway.config import load_config
+from gateway.common.resources import shipped
+from gateway.config.model import load_config
 from gateway.errors import InputErrors
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import COMPILED
-from gateway.resources import shipped
 from gateway.signals.database import load_database
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
-from gateway.vecu.steering_column import Column, pinion, sampled
-from gateway.vecu.steering_course import driving, sweep, times
-from gateway.vecu.steering_ecu import steering_frames
-from gateway.vecu.steering_faults import KINDS, SteeringFault, bursts, disturb, falsify
-from gateway.vecu.steering_params import SteeringParams
-from gateway.vecu.steering_plant import CONTROL, Plant, drive, undisturbed
+from gateway.vecu.steering.column import Column, pinion, sampled
+from gateway.vecu.steering.course import driving, sweep, times
+from gateway.vecu.steering.ecu import steering_frames
+from gateway.vecu.steering.faults import KINDS, SteeringFault, bursts, disturb, falsify
+from gateway.vecu.steering.params import SteeringParams
+from gateway.vecu.steering.plant import CONTROL, Plant, drive, undisturbed
 
 compiled = pytest.mark.skipif(not COMPILED, reason="a plant at 50 kHz")
 #: Without noise: what comes out is physics.

@@ -36,6 +36,7 @@ from typing import Any
 
 from pydantic import Field
 
+from gateway.common.tomlfile import StrictModel, load
 from gateway.errors import InputError, InputErrors
 from gateway.fdi.structure.model import (
     Equation,
@@ -49,7 +50,6 @@ from gateway.fdi.structure.model import (
     differential,
 )
 from gateway.fdi.structure.relation import CONSTANTS, FUNCTIONS, Expression, Relation
-from gateway.tomlfile import StrictModel, load
 
 
 class _Quantity(StrictModel):

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from gateway_studies.linear import example
+from gateway_studies.linear.bank import noise, observers, records, walk
 
-from gateway.evaluate.pi_bank import example
-from gateway.evaluate.pi_bank.bank import noise, observers, records, walk
 from gateway.fdi.linear.plant import discretised
 from gateway.fdi.pi_bank import bank, isolation, jump, start
 from gateway.fdi.pi_bank.design import Noise, augmented, check, design
 from gateway.fdi.pi_bank.masking import masked, stationary
 from gateway.jit import COMPILED, zeros
-from gateway.vecu.linear_params import LinearFault
-from gateway.vecu.linear_plant import simulate
+from gateway.vecu.linear.params import LinearFault
+from gateway.vecu.linear.plant import simulate
 
 PLANT = example.plant()
 compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whole bank")
@@ -158,13 +158,13 @@ def test_a_jump_is_found_where_and_as_large_as_it_was(age, phase):
 
 
 def healthy(sigma, seconds, seed):
-    from gateway.evaluate.pi_bank.bank import drive
+    from gateway_studies.linear.bank import drive
 
     return simulate(drive(sigma, stable=True), (), seconds, np.random.default_rng(seed))
 
 
 def flown(faults, seconds=40.0, seed=3, start_s=5.0):
-    from gateway.evaluate.pi_bank.bank import drive
+    from gateway_studies.linear.bank import drive
 
     y, u = simulate(drive(0.01, stable=True), faults, seconds, np.random.default_rng(seed))
     return walk(*records(start_s, known=False), y, u), y

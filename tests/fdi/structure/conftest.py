@@ -1,12 +1,12 @@
 import pytest
 
+from gateway.common.resources import shipped
 from gateway.fdi.structure.file import load_model
-from gateway.resources import shipped
 
 
 @pytest.fixture(scope="session")
 def truck():
-    return load_model(shipped("models/hybrid_truck.toml"))
+    return load_model(shipped("models/truck.toml"))
 
 
 @pytest.fixture(scope="session")

@@ -135,7 +135,7 @@ def test_what_24_cannot_give_needs_a_start_value(load):
     both = realise(spring(), frozenset(["e1", "e2", "e3"]), "e3", start={"x": 1.0, "v": 2.0})
     runner = Runner(load_generated(both))
     assert (runner.s[0]["x"], runner.s[0]["v"]) == (1.0, 2.0)
-    model = load("hybrid_truck")
+    model = load("truck")
     bare = replace(
         model, quantities={k: Quantity() if k == "SoC" else q for k, q in model.quantities.items()}
     )

@@ -9,6 +9,7 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.common.resources import shipped
 from gateway.errors import InputError, InputErrors
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.loading import residual_generator
@@ -18,7 +19,6 @@ from gateway.fdi.structure.model import Equation, Loop, Model, Solvable
 from gateway.fdi.structure.relation import Expression, Relation
 from gateway.fdi.structure.sequence import Kind, Step, Structure
 from gateway.jit import zeros
-from gateway.resources import shipped
 
 GOOD = """
 text = "a model"
@@ -169,9 +169,7 @@ def test_explicit_states_by_file(load):
     assert Structure(lumped).sequence(lumped.residuals["unique"].equations, "e2")
 
 
-@pytest.mark.parametrize(
-    "name", ["hybrid_truck", "machine", "series_machine", "example_1", "example_4"]
-)
+@pytest.mark.parametrize("name", ["truck", "machine", "series_machine", "example_1", "example_4"])
 def test_what_is_declared_is_what_algebra_finds(load, name):
     """Each solve that a shipped model declares, with its relation: as many solutions as declared, each of them right."""
     model = load(name)
@@ -190,7 +188,7 @@ def test_what_is_declared_is_what_algebra_finds(load, name):
                 values = {
                     x: 0.5 + 0.1 * k for k, x in enumerate(sorted(rest.free_symbols, key=str))
                 }
-                if name == "hybrid_truck" and e.name == "e3":
+                if name == "truck" and e.name == "e3":
                     values[symbols.of["p_f"]] = 2e5
                 left = rest.subs(values)
                 assert abs(complex(left.evalf())) < 1e-6, (
@@ -308,7 +306,7 @@ def test_generated_code_computes_what_is_written(text, values):
 
 
 def test_shipped_models_are_found():
-    for name in ("hybrid_truck", "example_1"):
+    for name in ("truck", "example_1"):
         assert shipped(f"models/{name}.toml").exists()
 
 

@@ -9,10 +9,10 @@ import pytest
 from bench_config import beat, write_config
 from kernel_can import can_frame, daemon, raw, wait_for
 
-from gateway.app import Gateway
 from gateway.bus.ring import read_recording
-from gateway.config import load_config
-from gateway.replay import replay
+from gateway.config.model import load_config
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import replay
 
 pytestmark = pytest.mark.vcan
 

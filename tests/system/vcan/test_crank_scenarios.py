@@ -6,7 +6,7 @@ from scenario_runs import by_config, run_all, some
 
 pytestmark = pytest.mark.vcan
 
-CONFIGS = by_config("engine")
+CONFIGS = by_config("crank")
 
 
 #: The way of its frames is that of one of them, or of CAN FD.

@@ -21,7 +21,7 @@ from scenario_runs import unhurried
 from gateway.bus.candump import parse
 from gateway.bus.frames import payload
 from gateway.bus.ring import read_recording
-from gateway.resources import shipped
+from gateway.common.resources import shipped
 
 pytestmark = pytest.mark.vcan
 

@@ -1,1 +1,0 @@
-"""``gateway evaluate``: the papers' figures and tables, from our own data."""

@@ -1,0 +1,53 @@
+"""What is installed only for those who ask for it: packages behind the extras of pyproject.toml."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from gateway.errors import InputError
+
+#: Extra -> the package that its features import.
+EXTRAS = {
+    "mf4": "asammdf",
+    "plot": "matplotlib",
+    "structure": "sympy",
+    "zst": "backports.zstd",
+}
+#: Extra -> what people get with it.
+PURPOSES = {
+    "mf4": "MF4 logs",
+    "plot": "pictures (--plot)",
+    "structure": "gateway structure --residual",
+    "zst": "logs in Zstandard",
+}
+
+
+def installed(extra: str) -> bool:
+    """Tell whether the package of an extra is there; does not import it."""
+    try:
+        return find_spec(EXTRAS[extra]) is not None
+    except ModuleNotFoundError:  # nor the package that it is in
+        return False
+
+
+def need(
+    extra: str, feature: str, *, file: str | Path | None = None, key: str | None = None
+) -> None:
+    """Refuse what cannot be done without an extra.
+
+    Args:
+        extra: one of :data:`EXTRAS`.
+        feature: what it is for, as people call it (plural).
+        file: that asked for it.
+        key: option or key that asked for it.
+
+    Raises:
+        InputError: it is not installed; says how to install it.
+    """
+    if not installed(extra):
+        raise InputError(
+            f"{feature} need {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]'",
+            file=file,
+            key=key,
+        )

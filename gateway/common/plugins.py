@@ -1,0 +1,143 @@
+"""Parts of the gateway that other packages bring: by entry points, or by ``"package.module:NAME"``.
+
+The gateway's own parts come through the same door. To list types imports nothing; to ask for one imports it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, distribution, entry_points
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from gateway.errors import InputError
+
+T = TypeVar("T")
+
+#: Our own distribution, whose types no other package can take.
+OURS = "ecu-gateway"
+
+
+def importable(folder: Path) -> None:
+    """Let modules that lie in a folder be imported; installed ones come first."""
+    place = str(folder.resolve())
+    if place not in sys.path:
+        sys.path.append(place)
+
+
+@cache
+def _ours(group: str) -> dict[str, str]:
+    """Return type -> ``package.module:NAME`` of our own distribution."""
+    try:
+        found = distribution(OURS).entry_points.select(group=group)
+    except PackageNotFoundError:
+        return {}
+    return {entry.name: entry.value for entry in found}
+
+
+@cache
+def _every(group: str) -> dict[str, list[str]]:
+    """Return type -> places, of all packages; to look for them takes a while."""
+    found: dict[str, list[str]] = {}
+    for entry in entry_points(group=group):
+        places = found.setdefault(entry.name, [])
+        if entry.value not in places:
+            places.append(entry.value)
+    return found
+
+
+def foreign(group: str) -> list[str]:
+    """Return the types of a group that other packages bring."""
+    return sorted(_every(group).keys() - _ours(group).keys())
+
+
+def _load(place: str) -> object:
+    """Import ``package.module:NAME``.
+
+    Raises:
+        InputError: it is not there, or cannot be imported.
+    """
+    module, _, name = place.partition(":")
+    try:
+        found: object = import_module(module)
+    except Exception as error:  # whatever a plug-in does while it is imported, it is one line
+        told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise InputError(f"{module} cannot be imported: {told}", value=place) from error
+    for part in name.split("."):
+        if not hasattr(found, part):
+            raise InputError(f"{module} has no {name}", value=place)
+        found = getattr(found, part)
+    return found
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """What can be named in a configuration, by type.
+
+    Args:
+        group: of entry points, type -> ``package.module:NAME``.
+        accept: what was imported, its name -> the same, checked.
+        own: our own types, where they are no entry points: type -> ``package.module:NAME``.
+    """
+
+    def __init__(
+        self,
+        group: str,
+        accept: Callable[[object, str], T],
+        *,
+        own: Mapping[str, str] | None = None,
+    ) -> None:
+        self.group, self._accept = group, accept
+        self._given = own
+        self._known: dict[str, T] = {}
+
+    @property
+    def _own(self) -> Mapping[str, str]:
+        return _ours(self.group) if self._given is None else self._given
+
+    @property
+    def _all(self) -> dict[str, list[str]]:
+        return _every(self.group) | {name: [place] for name, place in self._own.items()}
+
+    def __getitem__(self, type_: str) -> T:
+        """Return what a type stands for.
+
+        Raises:
+            KeyError: no package has it.
+            InputError: it cannot be imported, is not what it should be, or two packages have it.
+        """
+        if type_ not in self._known:
+            place = type_ if ":" in type_ else self._place(type_)
+            self._known[type_] = self._accept(_load(place), place)
+        return self._known[type_]
+
+    def _place(self, type_: str) -> str:
+        own = self._own.get(type_)
+        places = [own] if own is not None else self._all[type_]
+        if len(places) > 1:
+            text = f"several installed packages have this type: {', '.join(places)}"
+            raise InputError(text, value=type_)
+        return places[0]
+
+    def __contains__(self, type_: object) -> bool:
+        if not isinstance(type_, str):
+            return False
+        return ":" in type_ or type_ in self._own or type_ in self._all
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def described(self, types: Iterable[str] | None = None) -> dict[str, T | InputError]:
+        """Return types, or all of all installed packages: what they stand for, or what is wrong with it."""
+        found: dict[str, T | InputError] = {}
+        for type_ in self if types is None else types:
+            try:
+                found[type_] = self[type_]
+            except InputError as error:
+                found[type_] = error
+        return found

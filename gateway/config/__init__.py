@@ -1,0 +1,1 @@
+"""The configuration: its keys, its file, and what its names stand for."""

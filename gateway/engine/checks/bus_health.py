@@ -1,0 +1,303 @@
+"""Health of a bus: bus-off, error passive, error rate, interface lost, frames lost in a queue.
+
+It judges the kernel's error frames, and the frames by which the gateway tells the condition of its interfaces (see
+``gateway.bus.conditions``). A frame that is received proves that the controller is on the bus, whatever was said
+before it.
+
+Failure type bytes (SAE J2012): 88 bus off, 08 bus signal or message failure, 81 invalid serial data received, 31 no
+signal, 04 system internal failure (the gateway's own queue).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from gateway.bus.conditions import (
+    ACTIVE,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    LOSS,
+    LOST,
+    LOST_ARBITRATION,
+    NO_ACK,
+    PROTOCOL,
+    RESTARTED,
+    RUNNING,
+    RX_OVERFLOW,
+    RX_PASSIVE,
+    RX_WARNING,
+    TRANSCEIVER,
+    TX_OVERFLOW,
+    TX_PASSIVE,
+    TX_TIMEOUT,
+    TX_WARNING,
+)
+from gateway.engine.checks.clock_health import OWN_FAULTS
+from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
+from gateway.monitors.contract import Debounce, Fault, MonitorParams
+
+OFF, PASSIVE, ERRORS, GONE, OVERFLOW, CLOCK_STEPPED = range(6)
+
+_AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
+
+FAULTS = (
+    Fault(
+        "bus_off",
+        "U0001-88",
+        "controller bus-off",
+        ("transmit errors", "receive errors"),
+        _AT_ONCE,
+        remedy="check wires, termination (60 Ohm between CAN_H and CAN_L) and bit rate of the bus",
+    ),
+    Fault(
+        "bus_passive",
+        "U0001-08",
+        "controller error passive",
+        ("transmit errors", "receive errors"),
+        _AT_ONCE,
+        remedy="check that another node is on the bus, its wires, termination and bit rate",
+    ),
+    Fault(
+        "bus_errors",
+        "U0001-81",
+        "more protocol errors in the window than allowed",
+        ("error classes", "protocol error", "location"),
+        _AT_ONCE,
+        remedy="check wires, termination and bit rate of the bus; the evidence says which errors",
+    ),
+    Fault(
+        "bus_lost",
+        "U0001-31",
+        "interface missing or down",
+        (),
+        _AT_ONCE,
+        remedy="set the interface up (ip link set can0 up), plug the adapter in; gateway doctor shows both",
+    ),
+    Fault(
+        "bus_overflow",
+        "U0001-04",
+        "frames lost in a queue before they were read",
+        ("lost since the start",),
+        _AT_ONCE,
+        remedy="give it a larger buffer (?rcvbuf= in its URI, net.core.rmem_max), or less to do",
+    ),
+)
+
+#: Bases of the DTCs of the first bus, the second, ... (SAE J2012: high speed CAN, then vehicle communication buses A
+#: to E, then the other CAN buses).
+CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
+
+#: Counters of error frames, by class.
+COUNTED = {
+    "tx_timeout": TX_TIMEOUT,
+    "lost_arbitration": LOST_ARBITRATION,
+    "controller": CONTROLLER,
+    "protocol": PROTOCOL,
+    "transceiver": TRANSCEIVER,
+    "no_ack": NO_ACK,
+    "bus_off": BUS_OFF,
+    "bus_error": BUS_ERROR,
+    "restarted": RESTARTED,
+}
+_CLASSES = np.asarray(list(COUNTED.values()), np.int64)
+
+_WRONG = TX_TIMEOUT | PROTOCOL | TRANSCEIVER | NO_ACK | BUS_ERROR
+_ALL = (1 << len(FAULTS)) - 1
+NEVER = int(np.iinfo(np.int64).max)
+
+
+class Params(MonitorParams):
+    """How the health of a bus is judged."""
+
+    watched: bool = Field(True, description="false: error frames are counted, nothing is judged")
+    code: str | None = Field(
+        None,
+        pattern=r"^U[0-3][0-9A-F]{3}$",
+        description="first part of its DTCs; default: U0001, then U0028 (bus A), ...",
+    )
+    errors: int = Field(
+        10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault"
+    )
+    window_ms: float = Field(
+        1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]"
+    )
+
+
+class HealthPlace(Record):
+    """Places in other tables, and settings that the state does not depend on."""
+
+    fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means(
+        "the engine's index of each fault; -1: not judged"
+    )
+    most: i8
+    window_ns: i8 = means(unit="ns")
+
+
+class HealthState(Record):
+    """How it does."""
+
+    failed: i4 = means("verdicts of the last frame, a bit for each fault")
+    passed: i4 = means("likewise")
+    bad: u1 = means("faults that any frame received disproves")
+    count: i8
+    since_ns: i8 = means(unit="ns")
+    deadline_ns: i8 = means(unit="ns")
+    until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means(
+        "when a fault heals by silence", "ns"
+    )
+    lost: i8
+    counts: Annotated[i8s, len(COUNTED)]
+    value: f8
+    limit: f8
+    evidence: Annotated[f8s, 3]
+
+
+class Health(HealthState, HealthPlace):
+    """Health of one bus, or of the gateway itself: it has OWN_FAULTS, after those of buses."""
+
+
+def codes_of(buses: Sequence[Params]) -> list[str]:
+    """Return the first part of the DTCs of each bus: the one it asks for, else the next that nobody has.
+
+    Args:
+        buses: settings, in the order of the buses.
+    """
+    free = iter([code for code in CODES if code not in {params.code for params in buses}])
+    return [params.code or next(free, CODES[-1]) for params in buses]
+
+
+def faults_of(code: str) -> tuple[Fault, ...]:
+    """Return what the health of a bus can report, with the first part of its DTCs."""
+    return tuple(replace(fault, dtc=code + fault.dtc[5:]) for fault in FAULTS)
+
+
+@kernel
+def _wait(h: Any, fault: int, t_ns: int) -> None:
+    """Let a fault heal after a window of silence from now."""
+    h.until[fault] = t_ns + h.window_ns
+    h.deadline_ns = min(h.deadline_ns, h.until[fault])
+
+
+@kernel
+def _note_condition(h: Any, t_ns: int, word: int) -> None:
+    condition, lost = word & 0xFF, (word >> 32) & 0xFFFFFFFF
+    if condition == RUNNING:
+        h.passed = _ALL
+        h.bad = 0
+        h.count = 0
+    elif condition == LOST:
+        h.failed = 1 << GONE
+        h.bad |= 1 << GONE
+        h.value, h.limit = 1.0, 0.0
+    elif condition == LOSS:
+        h.failed = 1 << OVERFLOW
+        h.lost += lost
+        h.value, h.limit = lost, 0.0
+        h.evidence[0] = h.lost
+        _wait(h, OVERFLOW, t_ns)
+
+
+@kernel
+def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
+    """Take an error frame; its verdicts are in ``h.failed`` and ``h.passed``.
+
+    Args:
+        h: record of Health.
+        t_ns: the frame's time.
+        can_id: its identifier with flags.
+        word: the first 8 bytes of its data, little endian.
+
+    Returns:
+        the condition it tells, 0: it is the kernel's.
+    """
+    h.failed = h.passed = 0
+    classes = can_id & 0x1FFFFFFF
+    if classes == 0:
+        _note_condition(h, t_ns, word)
+        return word & 0xFF
+    for k in range(_CLASSES.shape[0]):
+        if classes & _CLASSES[k]:
+            h.counts[k] += 1
+    controller = (word >> 8) & 0xFF
+    transmit, receive = (word >> 48) & 0xFF, (word >> 56) & 0xFF
+    h.evidence[0], h.evidence[1] = transmit, receive
+    h.value = max(transmit, receive)
+    if classes & RESTARTED:
+        h.passed |= 1 << OFF | 1 << PASSIVE
+        h.bad = 0
+    if classes & CONTROLLER:
+        if controller & (RX_PASSIVE | TX_PASSIVE):
+            h.failed |= 1 << PASSIVE
+            h.limit = 127.0
+        elif controller & (ACTIVE | RX_WARNING | TX_WARNING):
+            h.passed |= 1 << PASSIVE  # both are below error passive
+        if controller & ACTIVE:
+            h.passed |= 1 << OFF
+        if controller & (RX_OVERFLOW | TX_OVERFLOW):
+            h.failed |= 1 << OVERFLOW
+            _wait(h, OVERFLOW, t_ns)
+    if classes & BUS_OFF:
+        h.failed |= 1 << OFF
+        h.bad |= 1 << OFF
+        h.limit = 255.0
+    if classes & _WRONG:
+        if h.count == 0 or t_ns - h.since_ns > h.window_ns:
+            h.since_ns = t_ns
+            h.count = 0
+        h.count += 1
+        if h.count >= h.most:
+            h.failed |= 1 << ERRORS
+            h.value, h.limit = h.count, h.most
+            h.evidence[0], h.evidence[1] = classes, (word >> 16) & 0xFF
+            h.evidence[2] = (word >> 24) & 0xFF
+            _wait(h, ERRORS, t_ns)
+    return 0
+
+
+@kernel
+def note_step(h: Any, t_ns: int, step_s: float, steps: int) -> None:
+    """Take a step of the wall clock; its verdict is in ``h.failed``.
+
+    Args:
+        h: the gateway's own record of Health.
+        t_ns: when.
+        step_s: by how much [s].
+        steps: how many there have been.
+    """
+    h.failed, h.passed = 1 << CLOCK_STEPPED, 0
+    h.value, h.limit = abs(step_s), h.most * 1e-6
+    h.evidence[0], h.evidence[1], h.evidence[2] = step_s, steps, 0.0
+    _wait(h, CLOCK_STEPPED, t_ns)
+
+
+@kernel
+def watch_clock(h: Any, t_ns: int) -> None:
+    """Begin to watch the clock: each window without a step is a passed test."""
+    if h.fault[CLOCK_STEPPED] >= 0:
+        _wait(h, CLOCK_STEPPED, t_ns)
+
+
+@kernel
+def on_frame_received(h: Any) -> None:
+    """Take a frame that was received while the bus was said to be off or lost."""
+    h.failed = 0
+    h.passed = h.bad
+    h.bad = 0
+
+
+@kernel
+def on_timer(h: Any, t_ns: int) -> None:
+    """Let what healed by silence up to a time pass; sets the next deadline."""
+    h.failed = h.passed = 0
+    h.deadline_ns = NEVER
+    for k in range(h.until.shape[0]):
+        if h.until[k] <= t_ns:
+            h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
+            h.passed |= 1 << k
+        h.deadline_ns = min(h.deadline_ns, h.until[k])

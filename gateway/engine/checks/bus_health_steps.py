@@ -1,0 +1,74 @@
+"""Health of the buses and of our own clock: what they say of themselves, debounced."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.bus.conditions import LOSS, RUNNING, STEPPED
+from gateway.bus.frames import ID_MASK
+from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
+from gateway.engine.checks.bus_health import note, note_step
+from gateway.engine.checks.communication_steps import restart_supervision
+from gateway.engine.events import CLOCK_STEPPED, NO_BUS
+from gateway.engine.results import announce, report_result, store_evidence
+from gateway.jit import kernel
+from gateway.monitors.contract import NOT_TESTED
+
+
+@kernel
+def report_bus_results(T: Any, t_ns: int, h: Any) -> None:
+    """Debounce the verdicts that the health of a bus has just come to."""
+    for k in range(h.fault.shape[0]):
+        fault, bit = h.fault[k], 1 << k
+        if fault >= 0 and (h.failed | h.passed) & bit:
+            failed = h.failed & bit != 0
+            place = report_result(T, t_ns, fault, failed, h.value if failed else 0.0, h.limit)
+            for e in range(h.evidence.shape[0]):
+                store_evidence(T, fault, place, e, h.evidence[e] if failed else 0.0)
+
+
+@kernel
+def on_step(T: Any, t_ns: int, step_us: int) -> None:
+    """Take a step of the wall clock: from here on what people read is stamped by the clock as it was set.
+
+    Nothing else changes: ``t_ns`` and every timer are of the engine's own time, which had no step.
+    """
+    clock = T.clock[0]
+    clock.offset_ns += step_us * 1000
+    clock.clock_steps += 1
+    announce(T, t_ns, CLOCK_STEPPED, -1, NO_BUS, step_us * 1e-6, 0.0)
+    h = T.health[T.health.shape[0] - 1]
+    if h.fault[STEP_FAULT] >= 0:
+        note_step(h, t_ns, step_us * 1e-6, clock.clock_steps)
+        report_bus_results(T, t_ns, h)
+        clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
+
+
+@kernel
+def skip_settled_windows(T: Any, t_ns: int, h: Any) -> None:
+    """Let the windows without a step go by that can change nothing any more: the pass is qualified already."""
+    fault = h.fault[STEP_FAULT]
+    if fault < 0 or h.until[STEP_FAULT] > t_ns:
+        return
+    d = T.debounces[fault]
+    if d.timed == 1 or d.counter == -d.passed_after or d.last == NOT_TESTED:
+        h.until[STEP_FAULT] += ((t_ns - h.until[STEP_FAULT]) // h.window_ns + 1) * h.window_ns
+        h.deadline_ns = h.until[STEP_FAULT]
+
+
+@kernel
+def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
+    """Judge what a bus says of itself."""
+    clock = T.clock[0]
+    if can_id & ID_MASK == 0 and word & 0xFF == STEPPED:
+        on_step(T, t_ns, word >> 8)
+        return
+    clock.error += 1
+    if bus >= T.health.shape[0] - 1:
+        return
+    h = T.health[bus]
+    condition = note(h, t_ns, can_id, word)
+    if condition in (LOSS, RUNNING):
+        restart_supervision(T, t_ns, bus, condition)
+    report_bus_results(T, t_ns, h)
+    clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)

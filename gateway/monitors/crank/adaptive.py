@@ -1,0 +1,159 @@
+"""The adaptive method: acquisition, hypotheses about every pulse, learned wheel, isolation.
+
+See :mod:`gateway.fdi.pulse_tracking` for the observer. It keeps the paper's form - observer, input
+generator, residual, correction - with the time of the next pulse as its output, so that it holds
+while the speed changes.
+"""
+
+from __future__ import annotations
+
+from gateway.fdi.pulse_tracking import profile
+from gateway.fdi.pulse_tracking.acquisition import restart, seek
+from gateway.fdi.pulse_tracking.hypotheses import (
+    HOPELESS,
+    MOST_MISSED,
+    agreed,
+    begin,
+    best,
+    jump,
+    keep_best,
+    rebase,
+    shift,
+    speaker,
+    take,
+)
+from gateway.jit import kernel
+from gateway.monitors.crank import reversal
+from gateway.monitors.crank.faults import RESIDUALS, Reports
+from gateway.monitors.crank.isolation import confirm, decide, fall_silent, lose, turned, wait
+from gateway.monitors.crank.place import (
+    CONFIRMED,
+    SEARCHING,
+    TENTATIVE,
+    Const,
+    State,
+    doubt,
+    search,
+)
+
+#: Mean cost of a pulse [nat] above which the hypotheses are given up.
+MOST_STRESS = 8.0
+#: An engine does not slow down by this factor from one tooth to the next.
+ABRUPT = 4.0
+
+
+@kernel
+def lost(s: State, c: Const, number: int) -> None:
+    """Pass over pulses whose times were lost on the bus: they were there, unseen."""
+    if s.phase == SEARCHING:
+        restart(s.search)
+    else:
+        jump(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
+        s.index = best(s.tracker).index
+        s.profile.clean = 0
+        s.hole = 2
+    s.unsynced = 0  # what the bus lost is no reason to blame the sensor
+    s.y1 = 0.0
+    s.y2 = 0.0
+    s.reversal.index = -1
+
+
+@kernel
+def recount(s: State, c: Const, number: int) -> None:
+    """Put the index right by pulses that were lost on the bus and counted wrongly."""
+    if number != 0 and s.phase != SEARCHING:
+        shift(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
+        s.index = best(s.tracker).index
+        doubt(s)
+        s.hole = 2
+
+
+@kernel
+def tooth(s: State, c: Const, y: float, out: Reports) -> None:
+    """Take one interval between two pulses.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: interval [us].
+        out: record of Out.
+    """
+    s.teeth += 1
+    if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
+        reversal.tell(s.reversal, out)
+        search(s)
+    if s.phase == SEARCHING:
+        _seek(s, c, y)
+    else:
+        span = s.tracker.pitches[s.index]
+        period = best(s.tracker).period
+        if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
+            reversal.begin(s.reversal, c.pulses, s.index, y)
+            doubt(s)
+        if y > (MOST_MISSED + 1 + span) * ABRUPT * period:
+            fall_silent(s, c, out, y / period)
+        else:
+            _track(s, c, y, out)
+    if s.phase != CONFIRMED:
+        wait(s, c, y, out)
+    s.y2 = s.y1
+    s.y1 = y
+
+
+@kernel
+def _seek(s: State, c: Const, y: float) -> None:
+    """Look for the place on the wheel."""
+    index = seek(s.search, c.logs, c.repeats, y)
+    if index >= 0:
+        se = s.search
+        begin(s.tracker, index, se.period, se.growth, se.variance)
+        s.phase = TENTATIVE
+        s.index = index
+        s.since = 0
+        s.suspects = 0
+        s.profile.clean = 0
+        s.profile.turn_us = 0.0
+
+
+@kernel
+def _track(s: State, c: Const, y: float, out: Reports) -> None:
+    """Follow the wheel by one pulse."""
+    tr = s.tracker
+    before = int(s.index)
+    cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
+    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    if cost > HOPELESS or tr.stress > MOST_STRESS:
+        lose(s, c, out, cost)
+        return
+    if tr.open > 5 * c.pulses // 2:
+        keep_best(tr)
+    h = speaker(tr)
+    s.index = h.index
+    s.since += 1
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    old_behind = profile.smooth(s.profile, behind)
+    old_ahead = profile.smooth(s.profile, s.index)
+    profile.follow(s.profile, c.wheel, h.period, tr.pitches)
+    following = before + 1 if before + 1 < c.pulses else 0
+    if h.fresh == 1 and s.index == following:
+        profile.note(s.profile, before, y)
+    else:
+        s.profile.clean = 0
+    first = best(tr)
+    if first.fresh == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
+        s.index = first.index
+        decide(s, c, out)
+        if s.phase == SEARCHING:
+            return
+    if s.index < before and before - s.index > c.pulses // 2:
+        turned(s, c, out)
+    elif s.index > before and s.index - before > c.pulses // 2:
+        s.revolutions -= 1
+    new_behind = profile.smooth(s.profile, behind)
+    new_ahead = profile.smooth(s.profile, s.index)
+    if new_behind != old_behind or new_ahead != old_ahead:
+        rebase(tr, old_behind - new_behind, old_ahead - new_ahead)
+    if s.phase == TENTATIVE and s.since >= c.pulses and agreed(tr):
+        confirm(s, out)

@@ -1,0 +1,146 @@
+"""Tooth frames (dbc/crank.dbc) into intervals: which pulses a frame brings, and which were lost with others.
+
+A frame that is lost on the bus is known by its counter: its pulses were there, unseen. In CTW_PT4 the
+number of pulses of a lost frame is known only when it was full; CTW_BASE puts it right. CTW_FD27 tells its first
+pulse's number.
+"""
+
+from __future__ import annotations
+
+from gateway.jit import kernel
+from gateway.monitors.crank import adaptive, constant_speed, place
+from gateway.monitors.crank.faults import Reports
+from gateway.monitors.crank.records import CLASSIC_INTERVALS, Const, Inputs, State
+from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
+
+
+@kernel
+def stand(s: State, c: Const) -> None:
+    """The engine stands: synchronisation ends."""
+    if c.adaptive == 1:
+        place.stand(s.fast)
+    else:
+        constant_speed.search(s.paper)
+
+
+@kernel
+def _lost(s: State, c: Const, number: int) -> None:
+    """Pass over pulses whose times were lost on the bus."""
+    s.count = (s.count + number) % 65536
+    if c.adaptive == 1:
+        adaptive.lost(s.fast, c.fast, number)
+    else:
+        constant_speed.lost(s.paper, c.paper, number)
+
+
+@kernel
+def wrapped(number: int) -> int:
+    """Return a difference of two counters modulo 65536 as -32768..32767."""
+    return (number + 32768) % 65536 - 32768
+
+
+@kernel
+def base(s: State, c: Const, u: Inputs) -> None:
+    """Take CTW_BASE: the number of pulses sent, at the CTW_PT4 whose counter ends in ``valid``."""
+    s.base_counter = int(u.base_counter)
+    pulses, teeth = int(u.pulses), int(u.valid)
+    if s.linked == 0:
+        return
+    if teeth != s.counter % 16:
+        s.owed = 1
+        s.owed_pulses = pulses
+        s.owed_teeth = teeth
+        return
+    if s.counted == 1 and c.adaptive == 1:
+        adaptive.recount(s.fast, c.fast, wrapped(pulses - s.count))
+    s.count = pulses
+    s.counted = 1
+    s.owed = 0
+
+
+@kernel
+def _missing(s: State, frames: int, counter: int) -> int:
+    """Return the pulses of lost CTW_PT4 frames: four each, or what CTW_BASE told meanwhile."""
+    number = frames * CLASSIC_INTERVALS
+    if s.owed == 1:
+        later = (counter - 1 - s.owed_teeth) % 16
+        if s.counted == 1 and later < frames:
+            told = s.owed_pulses + later * CLASSIC_INTERVALS - s.count
+            number = max(wrapped(told), 0)
+        s.count = (s.owed_pulses + later * CLASSIC_INTERVALS - number) % 65536
+        s.counted = 1
+        s.owed = 0
+    return int(number)
+
+
+@kernel
+def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
+    """Take one interval [us]."""
+    s.count = (s.count + 1) % 65536
+    if c.adaptive == 1:
+        adaptive.tooth(s.fast, c.fast, y, out)
+    else:
+        constant_speed.tooth(s.paper, c.paper, y, out)
+
+
+@kernel
+def _stray(s: State, number: int, following: int) -> bool:
+    """Tell whether a frame from the past came late; two that follow each other are a sender that restarted.
+
+    Args:
+        s: record of State.
+        number: of the frame in the sender's count.
+        following: number of the frame after it.
+    """
+    restarted = s.stray == number
+    s.stray = -1 if restarted else following
+    return bool(not restarted)
+
+
+@kernel
+def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
+    """Take a CTW_PT4."""
+    counter = int(u.counter)
+    if s.linked == 1:
+        frames = (counter - s.counter - 1) % 256
+        if frames >= 128 and _stray(s, counter, (counter + 1) % 256):
+            return
+        if frames >= 128:
+            stand(s, c)
+        elif frames > 0:
+            number = _missing(s, frames, counter)
+            if number > 0:
+                _lost(s, c, number)
+    s.linked = 1
+    s.counter = counter
+    for k in range(CLASSIC_INTERVALS):
+        code = int(u.intervals[k])
+        if code == PADDING_CODE:
+            continue
+        if code == OVERFLOW_CODE:
+            s.count = (s.count + 1) % 65536
+            stand(s, c)
+            continue
+        s.stalls_ns = u.t_ns + c.stall_ns
+        _tooth(s, c, period_us(code), out)
+
+
+@kernel
+def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
+    """Take a CTW_FD27; it tells its first pulse's number."""
+    pulses = int(u.pulses)
+    if s.linked == 1:
+        number = wrapped(pulses - s.count)
+        if number < 0 and _stray(s, pulses, (pulses + int(u.valid)) % 65536):
+            return
+        if number < 0:
+            stand(s, c)
+        elif number > 0:
+            _lost(s, c, number)
+    s.linked = 1
+    s.count = pulses
+    s.counted = 1
+    scale = float(1 << int(u.shift))
+    for k in range(int(u.valid)):
+        s.stalls_ns = u.t_ns + c.stall_ns
+        _tooth(s, c, u.intervals[k] * scale, out)

@@ -1,0 +1,281 @@
+"""Crankshaft trigger wheel: pulses missed and added, from packed tooth times to test results.
+
+Source: Kim, Suh, Park, Yun, "A Method of Fault Diagnosis for Engine Synchronization Using Analytical
+Redundancy" (2003). Two methods: ``paper`` as printed, for constant speed
+(:mod:`.constant_speed`), and ``adaptive``, which follows the speed (:mod:`.adaptive`). Both keep the
+tooth index right through a fault; angle and speed go out as ``GW_EngineSync``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from gateway.fdi.wheel import WheelText
+from gateway.jit import kernel
+from gateway.monitors.contract import (
+    TIMER,
+    Connection,
+    Emission,
+    Fault,
+    Monitor,
+    MonitorParams,
+    Out,
+    Readout,
+    Signal,
+)
+from gateway.monitors.crank import cam, constant_speed, frames, place
+from gateway.monitors.crank.faults import FAULTS, Evidence
+from gateway.monitors.crank.records import (
+    CLASSIC_INTERVALS,
+    MOST_INTERVALS,
+    Const,
+    Inputs,
+    Outputs,
+    State,
+)
+
+#: The engine's speed and angle go out at most so often without a change of synchronisation [ns].
+SYNC_EVERY_NS = 10_000_000
+
+
+class Params(MonitorParams):
+    """Parameters of the crankshaft monitor."""
+
+    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
+    method: Literal["adaptive", "paper"] = Field(
+        "adaptive", description="adaptive: follows the speed; paper: constant speed, equation (6)"
+    )
+    frame: Literal["classic", "fd"] = Field(
+        "classic", description="classic: CTW_PT4, 4 intervals a frame; fd: CTW_FD27"
+    )
+    stall_ms: float = Field(
+        500.0,
+        gt=0,
+        description="no tooth for so long: the engine stands, synchronisation ends [ms]",
+    )
+    tooth_0_deg: float = Field(
+        0.0, ge=0, lt=360, description="crank angle of tooth 0, the first behind the largest gap"
+    )
+    acceleration: float = Field(
+        3000.0, gt=0, description="adaptive: change of speed that is usual, standard dev. [rpm/s]"
+    )
+    runout: float = Field(
+        0.04, gt=0, lt=1, description="adaptive: variation of the pitch once a turn, amplitude"
+    )
+    reversal_rpm: float = Field(
+        30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]"
+    )
+    cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
+        (),
+        max_length=cam.MOST_EDGES,
+        description="adaptive: [crank angle 0..720 deg, level after it] of each edge of a cam sensor",
+    )
+    cam_tolerance_deg: float = Field(
+        25.0, gt=0, lt=90, description="of a cam edge, as much as valve timing moves it [deg]"
+    )
+    gain: float = Field(0.6, gt=0, lt=2, description="paper: observer gain D, (9)")
+    threshold: float | None = Field(
+        None,
+        gt=0,
+        description="paper: of the residual [pitch]; default half the smallest gap's step",
+    )
+    follow_speed: bool = Field(
+        True,
+        description="paper: learn the pitch time anew after every clean turn; false: as printed",
+    )
+
+
+def _connect(p: Params) -> Mapping[str, Connection]:
+    fd = p.frame == "fd"
+    teeth, count = ("CTW_FD27", MOST_INTERVALS) if fd else ("CTW_PT4", CLASSIC_INTERVALS)
+
+    def signal(message: str, name: str) -> Signal:
+        return Signal(f"{message}.{name}", triggers=True, optional=message != teeth)
+
+    header: dict[str, Connection]
+    if fd:
+        header = {
+            "counter": signal(teeth, "FrameCnt"),
+            "pulses": signal(teeth, "PulseCnt"),
+            "valid": signal(teeth, "NValid"),
+            "shift": signal(teeth, "Shift"),
+            "base_counter": None,
+        }
+    else:
+        header = {
+            "counter": signal(teeth, "FrameCnt"),
+            "pulses": signal("CTW_BASE", "PulseCnt"),
+            "valid": signal("CTW_BASE", "TeethCnt"),
+            "shift": None,
+            "base_counter": signal("CTW_BASE", "FrameCnt"),
+        }
+    of_cam = {"counter": "FrameCnt", "level": "Level", "pulse": "PulseCnt", "delay": "Delay"}
+    intervals = [signal(teeth, f"Pt{k}") for k in range(count)]
+    return {
+        **header,
+        **{f"cam_{k}": signal("CTW_CAM", name) if p.cam else None for k, name in of_cam.items()},
+        "intervals": [*intervals, *[None] * (MOST_INTERVALS - count)],
+    }
+
+
+def _faults(_: Params) -> tuple[Fault, ...]:
+    return FAULTS
+
+
+def _emits(_: Params) -> Emission:
+    signals = {
+        "sync": "SyncState", "angle": "CrankAngle", "speed": "EngineSpeed",
+        "corrections": "Corrections", "index": "ToothIndex", "cycle_known": "CycleKnown",
+    }  # fmt: skip
+    return Emission("GW_EngineSync", signals)
+
+
+def _prepare(p: Params, s: State, c: Const) -> None:
+    c.adaptive = p.method == "adaptive"
+    c.fd = p.frame == "fd"
+    c.stall_ns = int(p.stall_ms * 1e6)
+    c.tooth_0_deg = p.tooth_0_deg
+    place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
+    constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
+    cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
+    s.counter = -1
+    s.base_counter = -1
+    s.stray = -1
+
+
+@kernel
+def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
+    """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
+    s.cam.counter = int(u.cam_counter)
+    f = s.fast
+    if f.phase != place.CONFIRMED or s.counted == 0:
+        return
+    pulses = c.fast.pulses
+    since = frames.wrapped(int(u.cam_pulse) - s.count)
+    if abs(since) > pulses:
+        return
+    at = f.index + since
+    ahead = at // pulses
+    tooth = at % pulses
+    total = 0.0
+    for i in range(tooth):
+        total += c.fast.wheel.nominal[i]
+    total += min(u.cam_delay / place.period(f), c.fast.wheel.nominal[tooth])
+    degrees = total / c.fast.wheel.whole * 360.0
+    cam.edge(s.cam, c.cam, degrees, ahead, int(u.cam_level), out)
+
+
+@kernel
+def _show(s: State, c: Const) -> float:
+    """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
+    if c.adaptive == 1:
+        f = s.fast
+        s.sync = f.phase
+        s.revolutions = f.revolutions
+        s.speed_rpm = f.speed_rpm
+        s.slowest_rpm = f.slowest_rpm
+        s.fastest_rpm = f.fastest_rpm
+        s.teeth = f.teeth
+        s.missed = f.missed
+        s.added = f.added
+        s.corrections = f.corrections
+        s.losses = f.losses
+        s.half = s.cam.half
+        return place.speed(f, c.fast)
+    p = s.paper
+    s.sync = p.phase
+    s.revolutions = p.revolutions
+    s.speed_rpm = p.speed_rpm
+    s.slowest_rpm = p.slowest_rpm
+    s.fastest_rpm = p.fastest_rpm
+    s.teeth = p.teeth
+    s.missed = p.missed
+    s.added = p.added
+    s.corrections = p.missed - p.added
+    return 60e6 / (p.alpha * c.paper.turn) if p.phase > 0 else 0.0
+
+
+@kernel
+def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Outputs]) -> None:
+    """Send angle and speed, when it is time or when synchronisation has changed."""
+    changed = s.sync != s.sent_sync or s.corrections != s.sent_corrections
+    if not changed and t_ns - s.sent_ns < SYNC_EVERY_NS:
+        return
+    s.sent_ns = t_ns
+    s.sent_sync = s.sync
+    s.sent_corrections = s.corrections
+    if c.adaptive == 1:
+        turn = place.angle(s.fast, c.fast) + max(s.cam.half, 0)
+        index = int(s.fast.index)
+    else:
+        turn = constant_speed.angle(s.paper, c.paper)
+        index = int(s.paper.index)
+    out.send = 1
+    out.values.sync = s.sync
+    cycle = 720.0 if s.cam.half >= 0 else 360.0
+    out.values.angle = (turn * 360.0 + c.tooth_0_deg) % cycle
+    out.values.speed = speed_rpm
+    out.values.corrections = (s.corrections + 128) % 256 - 128
+    out.values.index = index
+    out.values.cycle_known = s.cam.half >= 0
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
+    """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
+    turns = s.fast.revolutions
+    if u.trigger == TIMER:
+        frames.stand(s, c)
+    elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:
+        _cam(s, c, u, out)  # NaN, while no edge has come, is not >= 0
+    elif c.fd == 1:
+        frames.fd(s, c, u, out)
+    elif s.linked == 1 and int(u.counter) == s.counter:
+        if u.base_counter >= 0.0 and int(u.base_counter) != s.base_counter:
+            frames.base(s, c, u)
+    else:
+        frames.classic(s, c, u, out)
+    if c.cam.edges > 0:
+        if s.fast.phase == place.CONFIRMED:
+            cam.turned(s.cam, out, s.fast.revolutions - turns)
+        else:
+            cam.forget(s.cam)
+    _send(s, c, u.t_ns, _show(s, c), out)
+    if s.stalls_ns > u.t_ns:
+        out.wake_ns = s.stalls_ns
+
+
+MONITOR = Monitor(
+    type="crank_sync",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    outputs=Outputs,
+    step=step,
+    connect=_connect,
+    prepare=_prepare,
+    faults=_faults,
+    emits=_emits,
+    capabilities=(
+        Readout(
+            (
+                "sync",
+                "revolutions",
+                "speed_rpm",
+                "slowest_rpm",
+                "fastest_rpm",
+                "teeth",
+                "missed",
+                "added",
+                "corrections",
+                "losses",
+            )
+        ),
+    ),
+)

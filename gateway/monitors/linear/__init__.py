@@ -1,0 +1,1 @@
+"""Monitors of linear plants: one observer, and banks of PI observers."""

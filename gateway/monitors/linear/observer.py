@@ -1,0 +1,246 @@
+"""Any linear plant by configuration: one observer, and what it leaves of each sensor.
+
+    e(k) = y(k) - C x(k),   x(k+1) = Phi x(k) + Gamma u(k) + L e(k)
+
+Each innovation, in its own standard deviations, goes through a stopping rule (:mod:`gateway.fdi.stopping`), and so does
+the normalised innovation squared e^T V^-1 e of all of them. It detects; it does not isolate: a fault of one sensor moves
+the observer, and shows in the others (paper 003, section 4.1). For that there is ``pi_bank``.
+"""
+
+from __future__ import annotations
+
+from cmath import exp
+from functools import cached_property
+from math import expm1, sqrt
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from gateway.fdi import stopping
+from gateway.fdi.linear.gains import Gain, from_noise, from_poles
+from gateway.fdi.linear.plant import unobservable
+from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+from gateway.fdi.quantiles import chi2_above, normal_above
+from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
+from gateway.monitors.contract import TIMER, Debounce, Fault, Monitor, Out, Readout, report
+from gateway.monitors.linear import plant as linear_plant
+from gateway.monitors.linear.plant import Inputs, PlantParams
+
+
+class Const(Record):
+    """Constants."""
+
+    sampling: linear_plant.Const
+    n: i8
+    m: i8
+    p: i8
+    phi: Annotated[f8s, MOST_STATES, MOST_STATES]
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
+    gain: Annotated[f8s, MOST_STATES, MOST_OUTPUTS]
+    weight: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
+    spread: Annotated[f8s, MOST_OUTPUTS]
+    rule: stopping.Const
+    total: f8
+    start: i8
+
+
+class State(Record):
+    """State."""
+
+    sampling: linear_plant.State
+    x: Annotated[f8s, MOST_STATES]
+    next: Annotated[f8s, MOST_STATES]
+    e: Annotated[f8s, MOST_OUTPUTS]
+    rules: Annotated[list[stopping.State], MOST_OUTPUTS]
+    nis: f8
+    samples: i8
+    missing: i8
+
+
+class Evidence(Record):
+    """Evidence of each fault."""
+
+    innovation: f8
+    nis: f8 = means("normalised innovation squared")
+
+
+#: Innovation of the whole; then of each sensor.
+WHOLE = 0
+#: Change of the mean that the CUSUM looks for, in standard deviations.
+SHIFT = 1.0
+
+
+class Params(PlantParams):
+    """A linear plant, watched by one observer."""
+
+    poles: tuple[float | tuple[float, float], ...] | None = Field(
+        None,
+        description="n, continuous: -1.2, or [-1.0, 2.0] for one of a pair [1/s]; default: Kalman's, from the noise",
+    )
+    rule: Literal["direct", "cusum"] = Field(
+        "direct", description="what makes an alarm of an innovation"
+    )
+    level: float | None = Field(
+        None,
+        gt=0,
+        description="of the rule, in standard deviations of the innovation; default: from mtfa_s",
+    )
+    start_s: float = Field(5.0, ge=0, description="at the start nothing is judged for so long [s]")
+
+    @model_validator(mode="after")
+    def _observable(self) -> Self:
+        plant = self.plant
+        hidden = unobservable(plant.phi, plant.c, self.states)
+        if hidden:
+            raise ValueError(f"the sensors do not show {hidden}")
+        _ = self.observer
+        return self
+
+    @cached_property
+    def observer(self) -> Gain:
+        """The observer."""
+        plant = self.plant
+        q = np.diag(np.array(self.disturbance) ** 2 * plant.period)
+        r = np.diag(np.array([part.noise for part in self.output]) ** 2)
+        if self.poles is None:
+            return from_noise(plant.phi, plant.c, q, r)
+        given = [
+            complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles
+        ]
+        return from_poles(plant.phi, plant.c, tuple(exp(g * plant.period) for g in given), q, r)
+
+    @property
+    def threshold(self) -> float:
+        """Level of the rule, in standard deviations."""
+        if self.level is not None:
+            return self.level
+        return level_for(self.rule, self.mtfa_s / (self.sample_ms * 1e-3) * len(self.output))
+
+
+def level_for(rule: str, samples: float) -> float:
+    """Return the level of a rule for so many samples between false alarms, for a white symptom of variance 1.
+
+    A direct threshold: P(|e| >= h) = 1 / samples. CUSUM on both sides with drift nu: Siegmund's approximation,
+    (exp(2 nu b) - 1 - 2 nu b) / (2 nu^2) with b = h + 1.166 is twice the samples.
+    """
+    if rule == "direct":
+        return float(normal_above(min(0.5 / samples, 0.4)))
+    from scipy.optimize import brentq  # noqa: PLC0415 - slow to load
+
+    drift = 0.5 * SHIFT
+
+    def short(level: float) -> float:
+        b = 2.0 * drift * (level + 1.166)
+        return (expm1(b) - b) / (2.0 * drift**2) - 2.0 * samples
+
+    return float(brentq(short, 1e-6, 200.0))
+
+
+def _faults(p: Params) -> tuple[Fault, ...]:
+    debounce = Debounce(failed_after=3, passed_after=50)
+    found = [
+        Fault(
+            "innovation",
+            "C1B30-64",
+            "the plant does not do what its model does",
+            labels(Evidence),
+            debounce,
+        )
+    ]
+    for k, part in enumerate(p.output, start=1):
+        text = f"{part.name} is not what the observer expects"
+        found.append(
+            Fault(
+                f"innovation_{part.name}",
+                part.dtc or f"C1B3{k}-64",
+                text,
+                labels(Evidence),
+                debounce,
+            )
+        )
+    return tuple(found)
+
+
+def _prepare(p: Params, s: State, c: Const) -> None:
+    plant, observer = p.plant, p.observer
+    n, m, q = plant.states, plant.inputs, plant.outputs
+    linear_plant.prepare(c.sampling, p)
+    c.n, c.m, c.p = n, m, q
+    c.phi[:n, :n], c.gamma[:n, :m], c.c[:q, :n] = plant.phi, plant.gamma, plant.c
+    c.gain[:n, :q] = observer.gain
+    c.weight[:q, :q] = np.linalg.inv(observer.innovation)
+    c.spread[:q] = np.sqrt(np.diag(observer.innovation))
+    level = p.threshold
+    stopping.prepare(c.rule, p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
+    c.total = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
+    c.start = round(p.start_s / plant.period)
+
+
+@kernel
+def _advance(s: State, c: Const, u: f8s) -> None:
+    """Step the observer to the next sample."""
+    for i in range(c.n):
+        value = 0.0
+        for j in range(c.n):
+            value += c.phi[i, j] * s.x[j]
+        for j in range(c.m):
+            value += c.gamma[i, j] * u[j]
+        for j in range(c.p):
+            value += c.gain[i, j] * s.e[j]
+        s.next[i] = value
+    for i in range(c.n):
+        s.x[i] = s.next[i]
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
+    """Take one sample."""
+    if u.trigger == TIMER:
+        return
+    steps = linear_plant.samples(s.sampling, c.sampling, u)
+    if steps == 0:
+        return
+    if steps - 1 > linear_plant.MOST_MISSING:
+        s.samples = 0
+    else:
+        for j in range(c.p):
+            s.e[j] = 0.0
+        for _ in range(steps - 1):
+            s.missing += 1
+            _advance(s, c, u.u)
+    for j in range(c.p):
+        s.e[j] = u.y[j]
+        for i in range(c.n):
+            s.e[j] -= c.c[j, i] * s.x[i]
+    s.nis = 0.0
+    for j in range(c.p):
+        for i in range(c.p):
+            s.nis += s.e[j] * c.weight[j, i] * s.e[i]
+    s.samples += 1
+    if s.samples > c.start:
+        e = report(out, WHOLE, s.nis >= c.total, s.nis, c.total)
+        e.innovation, e.nis = sqrt(s.nis), s.nis
+        for j in range(c.p):
+            alarm = stopping.update(s.rules[j], c.rule, s.e[j] / c.spread[j])
+            e = report(out, 1 + j, alarm, s.rules[j].level, c.rule.threshold)
+            e.innovation, e.nis = s.e[j], s.nis
+    _advance(s, c, u.u)
+
+
+MONITOR = Monitor(
+    type="linear_observer",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    step=step,
+    connect=linear_plant.connect,
+    triggers=linear_plant.triggers,
+    prepare=_prepare,
+    faults=_faults,
+    capabilities=(Readout(("nis", "missing")),),
+)

@@ -1,0 +1,104 @@
+"""What redundant sensors can have: each channel its faults, and those of all together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.jit import Record, f8, f8s, labels, means
+from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.pedal.params import PRESETS, Params
+
+#: Faults of a channel, by their place; channel i's begin at ``i * PER_CHANNEL``.
+LOW, HIGH, RANGE, STUCK, IMPLAUSIBLE, ERRATIC = range(6)
+PER_CHANNEL = 6
+#: Faults of all channels, by their place behind those of the channels; then, of three, one "drifts" a channel. Of
+#: two nobody could tell which.
+CORRELATION, DRIFT, JUMP, INVALID, DRIFTS = range(5)
+
+
+class ChannelEvidence(Record):
+    """Evidence of a channel's fault."""
+
+    reading: f8
+    position: f8 = means(unit="%")
+    voted: f8 = means(unit="%")
+    innovation: f8 = means(unit="%")
+    gate: f8 = means(unit="%")
+    mismatch: f8 = means(unit="%")
+    rejected: f8 = means(unit="samples")
+    repeated: f8 = means(unit="samples")
+
+
+class CommonEvidence(Record):
+    """Evidence of a fault of all channels together."""
+
+    channel: Annotated[f8s, MOST_CHANNELS] = means(unit="%")
+    voted: f8 = means(unit="%")
+    speed: f8 = means(unit="%/s")
+    mismatch: f8 = means(unit="%")
+    split: f8 = means("without agreement", "share")
+
+
+class Evidence(Record, overlay=True):
+    """Evidence of a fault: one of these."""
+
+    channel: ChannelEvidence
+    common: CommonEvidence
+
+
+_ELECTRIC = Debounce(failed_after=20, passed_after=200)
+_JUDGED = Debounce(failed_after=1, passed_after=200)
+_SLOW = Debounce(failed_after=20, passed_after=200)
+
+#: Name, failure type byte (SAE J2012-DA), description, debounce.
+_CHANNEL = (
+    ("low", "14", "reading below its range: short to ground, or open", _ELECTRIC),
+    ("high", "15", "reading above its range: short to the supply, or open", _ELECTRIC),
+    ("range", "1C", "reading beyond the pedal's travel", _ELECTRIC),
+    ("stuck", "2A", "repeats its reading while the pedal moves", _JUDGED),
+    ("implausible", "64", "does not go with the pedal: rejected again and again", _JUDGED),
+    ("erratic", "2F", "single readings are wrong, too often", _SLOW),
+)
+_DRIFTS = ("drifts", "28", "has moved away from the other two slowly", _JUDGED)
+_COMMON = (
+    ("correlation", "62", "the channels do not agree, and none can be told to be wrong", _JUDGED),
+    ("drift", "28", "the channels move apart slowly; which one drifts, two cannot tell", _SLOW),
+    (
+        "jump",
+        "27",
+        "all channels jump together, faster than the pedal can move",
+        Debounce(failed_after=2, passed_after=200),
+    ),
+    ("invalid", "29", "no channel has a reading that can be believed", _JUDGED),
+)
+
+
+def _dtcs(preset: str) -> dict[str, str]:
+    bases = PRESETS[preset].bases
+    codes = {
+        f"channel_{i + 1}_{name}": f"{bases[i]}-{byte}"
+        for i in range(MOST_CHANNELS)
+        for name, byte, _, _ in (*_CHANNEL, _DRIFTS)
+    }
+    return codes | {name: f"{bases[-1]}-{byte}" for name, byte, _, _ in _COMMON}
+
+
+#: Preset -> name of a fault -> its DTC.
+DTCS = {preset: _dtcs(preset) for preset in PRESETS}
+
+
+def faults(p: Params) -> tuple[Fault, ...]:
+    """Return the faults of redundant sensors, in the order of the places above."""
+    codes, channels = DTCS[p.preset], len(p.channels)
+
+    def of_channel(i: int, row: tuple[str, str, str, Debounce]) -> Fault:
+        name = f"channel_{i + 1}_{row[0]}"
+        text = f"channel {i + 1}: {row[2]}"
+        return Fault(name, codes[name], text, labels(ChannelEvidence), row[3])
+
+    found = [of_channel(i, row) for i in range(channels) for row in _CHANNEL]
+    found += [Fault(n, codes[n], text, labels(CommonEvidence), d) for n, _, text, d in _COMMON]
+    if channels == MOST_CHANNELS:
+        found += [of_channel(i, _DRIFTS) for i in range(channels)]
+    return tuple(found)

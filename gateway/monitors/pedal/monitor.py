@@ -1,0 +1,202 @@
+"""Redundant position sensors: faults of two or three channels, and one value out of them.
+
+Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault-Tolerant of Safety Critical
+System" (2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the
+default is :mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its
+input. One step a message of the last channel; the others' readings are the newest there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.tracking import shape
+from gateway.fdi.voting.tracking import vote as tracking
+from gateway.jit import kernel
+from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, Signal
+from gateway.monitors.pedal import diagnosis
+from gateway.monitors.pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
+from gateway.monitors.pedal.faults import Evidence, faults
+from gateway.monitors.pedal.params import PRESETS, VOTERS, PairParams, Params, TripleParams
+from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
+
+#: Quality of the value, as GW_BrakePedal carries it.
+STARTING, AGREED, ONE_CHANNEL, DEGRADED, ESTIMATED, INVALID = range(6)
+#: Without a sample for so many periods the value is invalid.
+SILENCE = 20
+#: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
+#: of the noise, and the smoothing constant of the predictive one.
+BETA, REPAIRED_BETA, FLOOR, ALPHA = 0.3, 0.5, 4.0, 0.3
+#: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.
+BEND = 1.6e-4
+#: A drift is slower [travels/s].
+CREEP = 0.6
+
+
+def _connect(p: Params) -> Mapping[str, Connection]:
+    stepped = p.channels[-1].message
+    readings = [Signal(c.signal, triggers=c.message == stepped) for c in p.channels]
+    return {"reading": [*readings, *[None] * (MOST_CHANNELS - len(readings))]}
+
+
+def _emits(p: Params) -> Emission:
+    signals = {
+        "value": "Position", "speed": "Speed", "quality": "Quality", "used": "Used",
+        "isolated": "Isolated", "spread": "Mismatch",
+    }  # fmt: skip
+    return Emission(PRESETS[p.preset].message, signals)
+
+
+def _prepare(p: Params, s: State, c: Const) -> None:
+    n = len(p.channels)
+    c.channels, c.voter = n, VOTERS.index(p.voter)
+    for i, channel in enumerate(p.channels):
+        c.rest[i], c.percent[i] = channel.at_rest, channel.percent
+        c.low[i], c.high[i] = channel.low, channel.high
+    c.over = p.overtravel
+    c.period_ns = round(p.period_ms * 1e6)
+    c.lost = shape.LOST
+    noise = max(abs(channel.noise * channel.percent) for channel in p.channels)
+    step = max(abs(channel.resolution * channel.percent) for channel in p.channels)
+    shape.prepare(
+        c.tracking,
+        n,
+        low=0.0,
+        high=100.0,
+        noise=noise,
+        step=step,
+        slew=p.fastest * p.period_ms * 1e-3,
+        bend=BEND * p.period_ms**1.5,
+        mismatch=p.gain_error / 100,
+        tolerance=p.tolerance / 100,
+        creep=CREEP * p.period_ms * 1e-3,
+        rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
+    )
+    simple.prepare(c.simple, n)
+    repaired = p.voter == "kalman_repaired"
+    for part in (c.kalman.hybrid, c.predictive.hybrid):
+        hybrid.prepare(
+            part,
+            n,
+            beta=REPAIRED_BETA if repaired else BETA,
+            lower=not repaired,
+            floor=FLOOR * noise if repaired else 0.0,
+            low=0.0 if repaired else -np.inf,
+            high=100.0 if repaired else np.inf,
+        )
+    kalman_hybrid.prepare(c.kalman)
+    predictive_hybrid.prepare(c.predictive, alpha=ALPHA)
+
+
+@kernel
+def _read(s: State, c: Const, u: Inputs) -> None:
+    """Bring the readings to per cent of the travel, and place them to their ranges."""
+    for i in range(c.channels):
+        reading = u.reading[i]
+        position = (reading - c.rest[i]) * c.percent[i]
+        s.reading[i], s.position[i] = reading, position
+        if reading < c.low[i]:
+            s.place[i] = BELOW
+        elif reading > c.high[i]:
+            s.place[i] = ABOVE
+        elif -c.over <= position <= 100.0 + c.over:
+            s.place[i] = FINE
+        else:
+            s.place[i] = OUTSIDE  # so is NaN
+        s.trusted[i] = position if s.place[i] == FINE else np.nan
+
+
+@kernel
+def _vote(s: State, c: Const, dt: float) -> None:
+    """Run the tracking voter, and the one whose value is asked for."""
+    t = s.tracking
+    tracking.vote(t, c.tracking, s.trusted, dt)
+    s.value, s.used = t.value, t.used
+    s.speed = t.motion.v / (c.period_ns * 1e-9)
+    s.isolated, s.spread = t.isolated, t.spread
+    if c.voter == 1:
+        simple.average(s.simple, c.simple, s.position)
+        s.value, s.used = s.simple.value, s.simple.used
+    elif c.voter == 2:
+        simple.median(s.simple, c.simple, s.position)
+        s.value, s.used = s.simple.value, s.simple.used
+    elif c.voter == 3:
+        predictive_hybrid.vote(s.predictive, c.predictive, s.position)
+        s.value, s.used = s.predictive.value, s.predictive.used
+    elif c.voter > 3:
+        kalman_hybrid.vote(s.kalman, c.kalman, s.position)
+        s.value, s.used = s.kalman.value, s.kalman.used
+
+
+@kernel
+def _quality(s: State) -> int:
+    """Return how good the value is."""
+    t = s.tracking
+    if t.source == shape.NONE:
+        return STARTING if t.started == 0 else INVALID
+    if t.used == 0:
+        return ESTIMATED
+    if t.drift == 1:
+        return DEGRADED
+    return ONE_CHANNEL if t.used & (t.used - 1) == 0 else AGREED
+
+
+@kernel
+def _send(s: State, out: Out[Evidence, Outputs]) -> None:
+    out.send = 1
+    out.values.value = s.value
+    out.values.speed = s.speed
+    out.values.quality = s.quality
+    out.values.used = s.used
+    out.values.isolated = s.isolated
+    out.values.spread = s.spread
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
+    """Take one sample of all channels, or the timer of a silent bus."""
+    if u.trigger == TIMER:
+        s.quality = INVALID
+        s.used = 0
+        _send(s, out)
+        return
+    dt = 1.0
+    if s.samples > 0:
+        dt = max(np.rint((u.t_ns - s.last_ns) / c.period_ns), 1.0)
+    s.last_ns = u.t_ns
+    s.samples += 1
+    _read(s, c, u)
+    _vote(s, c, dt)
+    s.quality = _quality(s)
+    diagnosis.diagnose(s, c, out)
+    _send(s, out)
+    out.wake_ns = u.t_ns + SILENCE * c.period_ns
+
+
+def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
+    return Monitor(
+        type=kind,
+        api=2,
+        params=params,
+        state=State,
+        const=Const,
+        inputs=Inputs,
+        evidence=Evidence,
+        outputs=Outputs,
+        step=step,
+        connect=_connect,
+        prepare=_prepare,
+        faults=faults,
+        emits=_emits,
+        capabilities=(
+            Readout(("value", "quality", "speed", "samples", "used", "isolated", "spread")),
+        ),
+    )
+
+
+PAIR = _monitor("redundant_pair", PairParams)
+TRIPLE = _monitor("redundant_triple", TripleParams)

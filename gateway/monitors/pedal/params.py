@@ -1,0 +1,166 @@
+"""Parameters of redundant position sensors: their channels, what is usual, and presets for pedals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from gateway.common.tomlfile import StrictModel
+from gateway.monitors.contract import MonitorParams
+
+#: Voters by their number in the constants.
+VOTERS = ("tracking", "average", "median", "predictive", "kalman", "kalman_repaired")
+
+
+class Channel(StrictModel):
+    """One sensor; all but the signal in the unit of the signal."""
+
+    signal: str = Field(
+        pattern=r"^([^.]+\.)?[^.]+\.[^.]+$",
+        description='"Message.Signal", or "bus.Message.Signal" of another bus',
+    )
+    at_rest: float = Field(description="reading at 0 % of the travel")
+    at_full: float = Field(description="reading at 100 %; below at_rest where the slope falls")
+    low: float = Field(description="readings below: short to ground, or open")
+    high: float = Field(description="readings above: short to the supply, or open")
+    noise: float = Field(0.0, ge=0, description="standard deviation of a reading, from data sheet")
+    resolution: float = Field(0.0, ge=0, description="least difference of two readings")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.at_rest == self.at_full:
+            raise ValueError("at_rest and at_full are equal: the sensor has no slope")
+        if not self.low < min(self.at_rest, self.at_full):
+            raise ValueError("low must lie below at_rest and at_full")
+        if not self.high > max(self.at_rest, self.at_full):
+            raise ValueError("high must lie above at_rest and at_full")
+        return self
+
+    @property
+    def percent(self) -> float:
+        """Per cent of the travel for one unit of the signal; negative where the slope falls."""
+        return 100.0 / (self.at_full - self.at_rest)
+
+    @property
+    def message(self) -> str:
+        """The message of the signal, with its bus if the signal names one."""
+        return self.signal.rpartition(".")[0]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What a pedal of a kind has.
+
+    Attributes:
+        channels: its sensors.
+        message: that carries the voted value.
+        bases: SAE J2012 base codes of channels 1 to 3, then that of all channels together.
+    """
+
+    channels: tuple[Channel, ...]
+    message: str
+    bases: tuple[str, str, str, str]
+
+
+def _volts(signal: str, rest: float, full: float, low: float, high: float) -> Channel:
+    """Return a channel with 2 mV of noise behind an ADC of 12 bits over 5 V."""
+    return Channel(
+        signal=signal,
+        at_rest=rest,
+        at_full=full,
+        low=low,
+        high=high,
+        noise=0.002,
+        resolution=5 / 4096,
+    )
+
+
+#: Brake: rising and falling slope; P057A is the standard's brake pedal position sensor, the further channels have
+#: none there and get the manufacturer's P15xx. Accelerator: the second slope is half the first; P2120, P2125,
+#: P2130 are the standard's sensors D, E, F and P2138 their correlation.
+PRESETS = {
+    "brake": Preset(
+        (
+            _volts("PED_Brake.Ch1", 0.5, 4.5, 0.25, 4.75),
+            _volts("PED_Brake.Ch2", 4.5, 0.5, 0.25, 4.75),
+        ),
+        "GW_BrakePedal",
+        ("P057A", "P157A", "P157B", "P157C"),
+    ),
+    "brake_3": Preset(
+        (
+            _volts("PED_Brake3.Ch1", 0.5, 4.5, 0.25, 4.75),
+            _volts("PED_Brake3.Ch2", 4.5, 0.5, 0.25, 4.75),
+            _volts("PED_Brake3.Ch3", 0.5, 4.5, 0.25, 4.75),
+        ),
+        "GW_BrakePedal",
+        ("P057A", "P157A", "P157B", "P157C"),
+    ),
+    "accelerator": Preset(
+        (
+            _volts("PED_Accelerator.Ch1", 0.75, 3.85, 0.35, 4.65),
+            _volts("PED_Accelerator.Ch2", 0.375, 1.925, 0.17, 2.35),
+        ),
+        "GW_AcceleratorPedal",
+        ("P2120", "P2125", "P2130", "P2138"),
+    ),
+}
+
+
+class Params(MonitorParams):
+    """Parameters of a redundant pair or triple."""
+
+    preset: Literal["brake", "brake_3", "accelerator"] = Field(
+        "brake", description="channels, DTCs and message of a kind of pedal"
+    )
+    channel: tuple[Channel, ...] = Field(
+        (), description="your own channels instead of the preset's"
+    )
+    voter: Literal["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"] = (
+        Field("tracking", description="what the value is; faults are always found by tracking")
+    )
+    period_ms: float = Field(1.0, gt=0, le=1000, description="between two samples [ms]")
+    fastest: float = Field(20.0, gt=0, description="largest true speed [travels/s]")
+    tolerance: float = Field(
+        2.0,
+        gt=0,
+        le=50,
+        description="slow mismatch of the channels that is usual [% of the travel]",
+    )
+    gain_error: float = Field(
+        1.0, ge=0, le=50, description="difference of the channels' slopes that is usual [%]"
+    )
+    overtravel: float = Field(
+        5.0, ge=0, le=100, description="beyond 0 % and 100 % that is in range [% of the travel]"
+    )
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels, own or preset."""
+        return self.channel or PRESETS[self.preset].channels
+
+
+class PairParams(Params):
+    """Parameters of a redundant pair."""
+
+    @model_validator(mode="after")
+    def _two(self) -> Self:
+        if len(self.channels) != 2:
+            raise ValueError(f"a redundant_pair has 2 channels, here are {len(self.channels)}")
+        return self
+
+
+class TripleParams(Params):
+    """Parameters of a redundant triple."""
+
+    preset: Literal["brake", "brake_3", "accelerator"] = Field(
+        "brake_3", description="channels, DTCs and message of a kind of pedal"
+    )
+
+    @model_validator(mode="after")
+    def _three(self) -> Self:
+        if len(self.channels) != 3:
+            raise ValueError(f"a redundant_triple has 3 channels, here are {len(self.channels)}")
+        return self

@@ -1,0 +1,128 @@
+"""The gear's side: motor, steering wheel and pinion angle must fit (paper 001, (1)), each at the same time.
+
+The steering wheel's sensor has a time of its own: at each of its frames, motor and pinion are taken from their history
+for the moment at which it measured. Its own rate is a second witness of it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway.monitors.steering import clock
+
+#: History of the frames with motor and pinion.
+KEPT = 32
+
+
+class Const(Record):
+    """Constants."""
+
+    motor_ratio: f8
+    wheel_ratio: f8
+    delay_ns: i8
+    age_ns: i8
+    leak: f8
+    jitter: f8
+    angle_ns: f8
+    wheel_ns: f8
+    stale_ns: i8
+
+
+class State(Record):
+    """State.
+
+    ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
+    frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
+    ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
+    last held.
+    """
+
+    at: i8
+    kept: i8
+    t_ns: Annotated[i8s, KEPT]
+    motor: Annotated[f8s, KEPT]
+    pinion: Annotated[f8s, KEPT]
+    parity: f8
+    sure: f8
+    before: f8
+    last: f8
+    wheel: f8
+    last_wheel: f8
+    last_rate: f8
+    wheel_ns: i8
+    started: i8
+    fitted_ns: i8
+    watched: i8
+    angle_clock: clock.Clock
+    wheel_clock: clock.Clock
+
+
+@kernel
+def keep(s: State, t_ns: int, motor: float, pinion: float) -> None:
+    """Take a frame with motor and pinion angle [deg]."""
+    s.t_ns[s.at] = t_ns
+    s.motor[s.at] = motor
+    s.pinion[s.at] = pinion
+    s.at = (s.at + 1) % KEPT
+    s.kept = min(s.kept + 1, KEPT)
+
+
+@kernel
+def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
+    """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
+
+    Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
+    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first.
+    """
+    if s.kept < 2:
+        return False
+    later = (s.at - 1) % KEPT
+    for _ in range(s.kept - 2):
+        before = (later - 1) % KEPT
+        if s.t_ns[before] <= t_ns:
+            break
+        later = before
+    before = (later - 1) % KEPT
+    width = s.t_ns[later] - s.t_ns[before]
+    if width <= 0 or width > c.age_ns:
+        return False
+    if t_ns < s.t_ns[before] or t_ns - s.t_ns[later] > c.age_ns:
+        return False
+    share = (t_ns - s.t_ns[before]) / width
+    motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
+    pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
+    s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
+    # What a frame that was late on the bus makes of a turning wheel.
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio
+    # One that was is not like those before and behind it.
+    one, two, three = s.before, s.last, s.parity
+    s.before, s.last = s.last, s.parity
+    middle = max(min(one, two), min(max(one, two), three))
+    s.sure = middle - min(max(middle, -slack), slack)
+    return True
+
+
+@kernel
+def begin(s: State) -> None:
+    """Follow the steering wheel anew: when it was sampled is known anew."""
+    s.started = s.watched = 0
+    s.wheel = 0.0
+
+
+@kernel
+def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
+    """Compare the steering wheel's step [deg] with its rate [deg/s]."""
+    if s.started == 1:
+        dt = (t_ns - s.wheel_ns) * 1e-9
+        odd = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
+        s.wheel += odd - min(c.leak * dt, 1.0) * s.wheel
+    s.started = 1
+    s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns
+
+
+@kernel
+def now(s: State, c: Const, t_ns: int) -> float:
+    """Return the steering wheel's angle at a time, continued with its rate [deg]."""
+    age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
+    return float(s.last_wheel + s.last_rate * age)

@@ -1,5 +1,0 @@
-"""Active front steering: angle sensors, current sensors, inverter (paper 001)."""
-
-from gateway.monitors.steering_angle.monitor import MONITOR
-
-__all__ = ["MONITOR"]

@@ -1,0 +1,84 @@
+"""The hybrid powertrain's monitor: a step for each complete set of four frames.
+
+Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when its four counters
+are equal; time is the counter's steps, not the frames' arrival. A set that is missing is stepped over; behind a gap of more
+than :data:`LONGEST` sets the dynamic tests begin anew.
+"""
+
+from __future__ import annotations
+
+from gateway.jit import kernel
+from gateway.monitors.contract import CusumCalibration, Evidence, Fault, Monitor, Out, Readout
+from gateway.monitors.truck import blanking, decision, gate, isolation, motion, observer, static
+from gateway.monitors.truck.faults import faults_of
+from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
+from gateway.monitors.truck.messages import Inputs, connect
+from gateway.monitors.truck.params import QUANTITIES, Params
+from gateway.monitors.truck.records import Const, State, peaks, prepare, sums
+
+#: Sets that may be missing in a row.
+LONGEST = 5
+#: Sets between two messages.
+SENT = 10
+
+
+def _faults(p: Params) -> tuple[Fault, ...]:
+    return faults_of(isolation.TESTS[p.system])
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) -> None:
+    """Take a frame; when its set is complete, step all tests."""
+    count = int(u.count_elec)
+    if u.count_mech != count or u.count_pt != count or u.count_veh != count or count == s.counter:
+        return
+    steps = (count - s.counter) & 255 if s.counter >= 0 else 0
+    s.counter = count
+    if s.sets == 0:
+        t2.reset(s.t2, c.t2)
+        t2.start(s.t2, c.t2, u)
+        t6.reset(s.t6, c.t6)
+        t6.start(s.t6, c.t6, u)
+        t7.reset(s.t7, c.t7)
+        t3_icds.reset(s.t3, c.t3)
+        t4_icds.reset(s.t4, c.t4)
+        t3_mcds.reset(s.t3m, c.t3m)
+        t4_mcds.reset(s.t4m, c.t4m)
+        s.t2.SoC, s.t6.SoC = u.charge, u.charge
+        s.blanking.gear = int(u.gear)
+    elif steps > LONGEST:
+        gate.restart(s.gate)
+        blanking.forget(s.blanking, c.blank)
+        s.three.on, s.four.on, s.watched, steps = 0, 0, 0, 0
+    s.sets += 1
+    dt = steps * c.period
+    static.step(s, c, u, dt)
+    motion.step(s, c, u, dt)
+    decision.decide(s, c, out)
+    if s.sets % SENT == 0:
+        decision.tell(s, out)
+
+
+MONITOR = Monitor(
+    type="hybrid_powertrain",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    outputs=decision.Outputs,
+    step=step,
+    connect=connect,
+    prepare=prepare,
+    faults=_faults,
+    emits=decision.emits,
+    capabilities=(
+        CusumCalibration(
+            quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
+            floors={"T7": observer.FLOOR},
+            sums=sums,
+            peaks=peaks,
+        ),
+        Readout(("sets", "valid", "fired", "explained")),
+    ),
+)

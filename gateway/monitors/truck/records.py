@@ -1,0 +1,150 @@
+"""Constants and state of the hybrid powertrain's monitor, and how they begin."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+
+from gateway.common.resources import shipped
+from gateway.fdi import cusum
+from gateway.fdi.structure.file import load_model
+from gateway.fdi.structure.generator.records import fill
+from gateway.jit import Record, f8, f8s, i8
+from gateway.monitors.truck import blanking, dynamic, excitation, gate, isolation, observer
+from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
+from gateway.monitors.truck.params import QUANTITIES, Params
+
+#: Places of the test quantities.
+(
+    T1,
+    T2,
+    T3_FIXED,
+    T3_SIGNED,
+    T3_ABSOLUTE,
+    T4_FIXED,
+    T4_SIGNED,
+    T4_ABSOLUTE,
+    T3_MIXED,
+    T4_MIXED,
+    T5,
+    T6,
+) = range(len(QUANTITIES))
+
+#: Systems by their place.
+SYSTEMS = tuple(isolation.TESTS)
+ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
+
+
+class Const(Record):
+    """Constants."""
+
+    period: f8
+    system: i8
+    tests: i8
+    blank: i8
+    least_volts: f8
+    least_amps: f8
+    excitation: excitation.Const
+    cusum: Annotated[list[cusum.Const], len(QUANTITIES)]
+    isolation: isolation.Const
+    observer: observer.Const
+    t1: t1.Const
+    t2: t2.Const
+    t3: t3_icds.Const
+    t4: t4_icds.Const
+    t3m: t3_mcds.Const
+    t4m: t4_mcds.Const
+    t5: t5.Const
+    t6: t6.Const
+    t7: t7.Const
+
+
+class State(Record):
+    """State.
+
+    ``residual``: of T1, T2, T3, T4, T3 and T4 with mixed causality, T5, T6, T7; ``level``: T_norm of the tests
+    that decide.
+    """
+
+    sets: i8
+    valid: i8
+    fired: i8
+    found: i8
+    explained: i8
+    counter: i8
+    reported: i8
+    watched: i8
+    level: Annotated[f8s, isolation.MOST_TESTS]
+    blanking: blanking.State
+    observer: observer.State
+    residual: Annotated[f8s, 9]
+    norm: Annotated[f8s, len(QUANTITIES)]
+    gate: gate.State
+    three: dynamic.State
+    four: dynamic.State
+    cusum: Annotated[list[cusum.State], len(QUANTITIES)]
+    t1: t1.State
+    t2: t2.State
+    t3: t3_icds.State
+    t4: t4_icds.State
+    t3m: t3_mcds.State
+    t4m: t4_mcds.State
+    t5: t5.State
+    t6: t6.State
+    t7: t7.State
+
+
+def prepare(p: Params, s: State, c: Const) -> None:
+    """Fill constants and state before the first step."""
+    model = load_model(shipped("models/truck.toml"))
+    c.period, c.system = 1e-3 * p.period_ms, SYSTEMS.index(p.system)
+    c.tests = len(isolation.TESTS[p.system])
+    c.blank = min(round(p.blank_ms / p.period_ms), blanking.MOST - 1)
+    c.least_volts, c.least_amps = p.least_volts, p.least_amps
+    e = c.excitation
+    e.after, e.signed, e.absolute = p.after_s, p.signed_charge, p.absolute_charge
+    efficiency = model.quantities["eta_em_0"].value
+    assert efficiency is not None
+    e.efficiency = p.parameters.get("eta_em_0", efficiency)
+    for k, (name, residual, _) in enumerate(QUANTITIES):
+        nu = getattr(p.nu, residual)
+        cusum.prepare(c.cusum[k], nu, nu * getattr(p.thresholds, name), p.limit)
+    isolation.prepare(c.isolation, model, p.system)
+    for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
+        fill(getattr(c, field), model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
+    _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
+    s.counter, s.found = -1, -1
+
+
+def _prepare_observer(p: Params, s: observer.State, c: observer.Const, least: float) -> None:
+    w, prior, drift = p.observer, p.observer.prior, p.observer.drift
+    c.start, c.torque, c.noise = w.start**2, w.torque**2, w.speed**2
+    c.own, c.least, c.threshold = w.own**2, least, p.thresholds.T7
+    slope = prior.slope**2
+    bent = observer.curve(slope, w.slope_way, w.curve_way)
+    for place, before, each in (
+        (observer.MOTOR, prior.machine, drift.machine),
+        (observer.GENERATOR, prior.machine, drift.machine),
+        (observer.ENGINE, prior.engine, drift.engine),
+        (observer.MASS, prior.mass, drift.mass),
+        (observer.BRAKE, prior.brake, drift.brake),
+    ):
+        c.prior[place], c.drift[place] = before**2, each**2
+        c.forget[place] = 0.5 * each**2 / before**2  # so that the prior stays
+    c.prior[observer.SLOPE], c.forget[observer.SLOPE] = slope, 1.0 / w.slope_way
+    c.prior[observer.CURVE], c.forget[observer.CURVE] = bent, 1.0 / w.curve_way
+    c.drift[observer.CURVE] = 2.0 * bent / w.curve_way
+    observer.prepare(s, c)
+
+
+def sums(s: Any) -> dict[str, Any]:
+    """Return what residuals came to; the observer's has no nu."""
+    found = {key: np.append(s.cusum[key], 0.0) for key in ("samples", "total", "squares")}
+    found["samples"][-1] = s.observer.samples
+    return found
+
+
+def peaks(s: Any) -> Any:
+    """Return the largest T_norm of each quantity, and of T7."""
+    return np.append(s.cusum["peak"], s.observer.peak)

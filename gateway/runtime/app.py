@@ -1,0 +1,586 @@
+"""A running gateway: frames and time go in, events and frames come out.
+
+:class:`Gateway` does no waiting and reads no clock. ``gateway run``, ``gateway replay``, ``gateway demo`` and the
+tests all drive this same class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.conditions import are_steps
+from gateway.bus.frames import OWN, URGENT, Frames, empty
+from gateway.common.log import get_logger
+from gateway.common.resources import shipped
+from gateway.config.model import Config
+from gateway.engine.adopt import adopt
+from gateway.engine.events import (
+    CLOCK_STEPPED,
+    CYCLE_BEGAN,
+    CYCLE_ENDED,
+    NO_BUS,
+    QUALIFIED_FAILED,
+    QUALIFIED_PASSED,
+    Events,
+)
+from gateway.errors import InputError, InputErrors
+from gateway.faults.catalogue import FaultDefinition, as_dict
+from gateway.faults.entries import DtcChange
+from gateway.faults.failures import Observed
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
+from gateway.faults.recorder import Recorder
+from gateway.faults.status import Status
+from gateway.monitors.contract import FAILED, PASSED
+from gateway.runtime.assemble import Parts, assemble, identifiers_of, outputs_of
+from gateway.runtime.controls import Controls
+from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.servers.base import NEVER, Output
+from gateway.servers.dtc_frame import message_of
+from gateway.servers.uds.services.x19_read_dtc_information import EXTENDED_DATA
+
+#: Takes one event of the JSON contract.
+Listener = Callable[[dict[str, Any]], None]
+
+#: Frames of a batch that is looked at one by one.
+FEW = 16
+log = get_logger(__name__)
+
+_NOBODY = np.void(b"")
+_RESULTS = {PASSED: "passed", FAILED: "failed"}
+
+
+class Gateway:
+    """Engine, fault memory and outputs of one configuration.
+
+    Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
+    condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
+    stamped by the wall clock.
+
+    Args:
+        config: the configuration.
+        memory_path: SQLite file of the fault memory; None keeps it in this process only.
+        file: where the configuration came from, for errors.
+        parts: of this configuration, when they are there already (see :func:`prepare`).
+        store: an open fault memory to go on with, instead of ``memory_path``.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or fault that is wrong.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        memory_path: Path | None = None,
+        *,
+        file: Path | None = None,
+        parts: Parts | None = None,
+        store: KeptStore | None = None,
+    ) -> None:
+        self.config = config
+        self._parts: Parts = prepare(config, file) if parts is None else parts
+        self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
+        self.store = KeptStore(memory_path) if store is None else store
+        recording = config.memory.recording
+        names = tuple(bus.name for bus in config.bus)
+        self._recorder = None if recording is None else Recorder(recording, names)
+        self.memory = FaultMemory(
+            self.catalogue,
+            self.store,
+            size=config.memory.entries,
+            recordings=1 if recording is None else recording.most_per_fault,
+            statistics=self.engine.fold_statistics,
+        )
+        self.controls = Controls(
+            self.engine,
+            self.memory,
+            self.store,
+            self._recorder,
+            self._parts.slots,
+            self._before_clear,
+            self._after_clear,
+        )
+        self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
+        self._outputs = outputs_of(
+            config, self._parts, self.memory, self.controls, self.identifiers
+        )
+        self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
+        self._due = [output.next_ns for output in self._outputs]
+        self._next_due = min(self._due, default=NEVER)
+        self._heard = self._identifiers_of_outputs()
+        self._emitted = self.engine.emitted
+        self._listeners: list[Listener] = []
+        self._changes: list[DtcChange] = []  # not told yet, nor are these events
+        self._untold: list[dict[str, Any]] = []
+        self._entries: set[str] = set()  # before the clear that is done now
+        self._early: list[Frames] = []  # to be sent before anything else
+        self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
+        self.event_count = 0
+
+    def finish(self, t_ns: int) -> Frames:
+        """Put down all that a successor is to find in the fault memory; returns frames to send.
+
+        A gateway that is then fed still goes on, as where the successor cannot be made.
+
+        Args:
+            t_ns: now.
+        """
+        self._upkeep.pause()
+        sent = self.poll(t_ns)  # answers that were promised
+        if self._recorder is not None:
+            self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
+        if not self._upkeep.beside:  # else the successor has it from this one, and writes it
+            self.memory.commit(self.engine.now_ns)
+        return sent
+
+    def go_on(self) -> None:
+        """Write again, after :meth:`finish`, where no successor could be made."""
+        self._upkeep.resume()
+
+    @property
+    def writing(self) -> bool:
+        """Whether a thread writes the fault memory at present."""
+        return self.memory.under_way()
+
+    def succeed(self, old: Gateway) -> None:
+        """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.
+
+        What both have in common (signals, counters, monitors with the same parameters, requests and answers under way)
+        keeps its state; testers find the default session. The other gateway must not be used any more.
+
+        Args:
+            old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: what
+                it does after that is lost.
+        """
+        self.memory.succeed(old.memory)
+        self._upkeep.succeed(old._upkeep)
+        self._changes, self._untold = old._changes, old._untold
+        indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
+        buses = {
+            k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
+        }
+        adopt(self.engine, old.engine, buses, self._cycles_from(old))
+        self.controls.go_on()
+        for k, output in enumerate(self._outputs):
+            for other in old._outputs:
+                output.succeed(other, buses)
+            self._set_due(k)
+        self._listeners = old._listeners
+        self.event_count = old.event_count
+        self.memory.note_descriptions()
+
+    def _cycles_from(self, old: Gateway) -> dict[int, int]:
+        names = {name: k for k, name in enumerate(self._parts.cycles)}
+        return {k: names[name] for k, name in enumerate(old._parts.cycles) if name in names}
+
+    def listen(self, listener: Listener) -> None:
+        """Add a listener; it is called with each event of the JSON contract, in order."""
+        self._listeners.append(listener)
+
+    def start(self, t_ns: int) -> None:
+        """Start an operation cycle."""
+        self.engine.warm()
+        self.memory.note_descriptions()
+        self.controls.start_cycle(t_ns)
+
+    def stop(self, t_ns: int) -> None:
+        """End the operation cycle and keep everything."""
+        if self._recorder is not None:
+            self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
+        self.memory.end_cycle(self.engine.wall_ns(t_ns))
+        self._settle(t_ns, final=True)
+        if self.memory.unsaved:
+            log.error(
+                "the fault memory was not written at the end; what it had not stored is lost",
+                file=str(self.store.path),
+                reason=self.memory.outage.reason,
+                changes=self.memory.unsaved,
+            )
+
+    @property
+    def stored(self) -> bool:
+        """Whether all that is known is in the fault memory's file."""
+        return not self.memory.unsaved
+
+    def write_beside(
+        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
+    ) -> None:
+        """Have a thread write the fault memory: frames come whether a disk is slow or not.
+
+        Args:
+            executor: of one thread, which is shut down when the gateway closes; None: a new one.
+            patience_s: how long a single change is waited for, before other things are done [s].
+        """
+        self._upkeep.write_beside(executor, patience_s)
+
+    def close(self) -> None:
+        """Close the fault memory."""
+        self._upkeep.close()
+        self.store.close()
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch of frames; returns the frames to send.
+
+        What the returned frames say is stored before they are returned, unless it cannot be (see ``upkeep``).
+        """
+        if self._recorder is not None:
+            self._recorder.on_frames(frames, self.engine.offset_ns)
+        sent: list[Frames] = []
+        for piece, last, wanting in self._pieces(frames):
+            sent.append(self._emit(self._process(piece), asked=bool(wanting)))
+            for k in wanting:
+                output = self._outputs[k]
+                made = output.on_frame(last, self.engine.now_ns)
+                self._set_due(k)
+                sent += [*self._take_early(), self._allowed(output, made)]
+        return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
+
+    def without_own(self, frames: Frames) -> Frames:
+        """Return a recording's frames without those that our monitors had sent: they send them again."""
+        own = frames["flags"] & OWN != 0
+        if not own.any():
+            return frames
+        kept: Frames = frames[~(own & np.isin(frames["can_id"], self._emitted))]
+        return kept
+
+    def _pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
+        """Cut a batch behind each frame that is for an output, which sees the memory as it is then."""
+        # Most batches have nothing for an output; a small one is told by its identifiers alone.
+        ids = self._heard
+        if ids is not None and len(frames) <= FEW and ids.isdisjoint(frames["can_id"].tolist()):
+            yield frames, _NOBODY, []
+            return
+        masks = [(k, output.wanted(frames)) for k, output in enumerate(self._outputs)]
+        known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
+        start = 0
+        if known:
+            for stop in np.flatnonzero(np.logical_or.reduce([mask for _, mask in known])):
+                wanting = [k for k, mask in known if mask[stop]]
+                yield frames[start : stop + 1], frames[stop], wanting
+                start = int(stop) + 1
+        if start < len(frames) or not len(frames):
+            yield frames[start:], _NOBODY, []
+
+    def _identifiers_of_outputs(self) -> frozenset[int] | None:
+        """Return the identifiers that outputs listen to on any bus; None: one listens to all."""
+        found: set[int] = set()
+        for bus in range(len(self.config.bus)):
+            for output in self._outputs:
+                ids = output.identifiers(bus)
+                if ids is None:
+                    return None
+                found.update(ids)
+        return frozenset(found)
+
+    def _process(self, frames: Frames) -> Frames:
+        if self.controls.receive or not len(frames):
+            return self.engine.process(frames, self._on_events)
+        # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
+        sent = self.engine.process(frames[are_steps(frames)], self._on_events)
+        more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
+        return np.concatenate([sent, more])
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass without frames; returns the frames to send."""
+        return self._emit(self.engine.advance(t_ns, self._on_events))
+
+    def poll(self, t_ns: int) -> Frames:
+        """Let time pass for the outputs that answer others, which the monitors' time lags behind.
+
+        Args:
+            t_ns: now, of the clock that stamps frames.
+        """
+        return self._on_time(t_ns, [output.prompt for output in self._outputs])
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`poll` has something to do."""
+        due = [at for at, output in zip(self._due, self._outputs, strict=True) if output.prompt]
+        return min(due, default=NEVER)
+
+    @property
+    def dtc_frame_id(self) -> int:
+        """Identifier of the DTC frame."""
+        return int(message_of(shipped("dbc/gateway.dbc")).frame_id)
+
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        found = self.engine.plan.identifiers(bus)
+        for output in self._outputs:
+            more = output.identifiers(bus)
+            if found is None or more is None:
+                return None
+            found = found + more
+        return found
+
+    def serve_requests(self) -> None:
+        """Do what other processes asked the fault memory for (``gateway faults clear``)."""
+        self._upkeep.look(self.engine.now_ns)
+        cleared = self.memory.serve_requests(self._before_clear)
+        if cleared:
+            self.controls.forget(cleared)
+
+    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
+        """Keep how the buses do where other processes can see it; the fault memory's file has it."""
+        self.memory.note_buses(states)
+
+    def _on_events(self, events: Events) -> None:
+        self.event_count += len(events)
+        for event in events:
+            kind = int(event["kind"])
+            if kind in (CYCLE_BEGAN, CYCLE_ENDED):
+                self._on_cycle(event, began=kind == CYCLE_BEGAN)
+                continue
+            if kind == CLOCK_STEPPED:
+                self._on_step(event)
+                continue
+            changes = self.memory.apply(events_of(event), self._observe)
+            told = self._note_changes(changes)
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
+                self._untold.append(self._monitor_event(event))
+
+    def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
+        """Keep changes to be told when they are stored; returns whether there are any worth it."""
+        told = [change for change in changes if change.concerns_fault]
+        self._changes += told
+        for change in told:
+            self._record(change)
+            bus = self.engine.faults[self._index[change.definition.id]].bus
+            self._untold.append(self._dtc_event(change, bus))
+        return bool(told)
+
+    def _record(self, change: DtcChange) -> None:
+        if (
+            self._recorder is not None
+            and change.new_status & ~change.old_status & Status.TEST_FAILED
+        ):
+            t_ns = change.t_ns - self.engine.offset_ns
+            self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
+
+    def _on_cycle(self, event: np.void, *, began: bool) -> None:
+        name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
+        if began:
+            self.controls.begin(name, t_ns)
+        else:
+            self.controls.end(name, t_ns)
+        self._untold.append(
+            {
+                "event": "cycle",
+                "t_ns": t_ns,
+                "bus": self._bus_name(int(event["bus"])),
+                "cycle": name,
+                "state": "began" if began else "ended",
+                "number": self.memory.cycle_number(name),
+            }
+        )
+
+    def _on_step(self, event: np.void) -> None:
+        self._untold.append(clock_event(int(event["t_ns"]), float(event["value"])))
+
+    def _bus_name(self, bus: int) -> str:
+        """Return the name of a bus; the gateway's own faults are of none."""
+        return "" if bus == NO_BUS else self.config.bus[bus].name
+
+    def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
+        """Return the frames to send: the monitors' own, then what the outputs have to say.
+
+        Args:
+            sent: by the monitors.
+            asked: whether somebody asks for what there is now.
+        """
+        now = self.engine.now_ns
+        if self._recorder is not None and self._recorder.busy:
+            self.memory.add_recordings(self._recorder.on_time(now))
+        if self.memory.room:
+            self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
+        frames = [*self._take_early(), sent if self.controls.send else empty(0)]
+        frames += self._frames_of(self._settle(now, asked=asked))
+        if now >= self._next_due:
+            frames.append(self._on_time(now, [True] * len(self._outputs)))
+        return frames[0] if len(frames) == 1 else np.concatenate(frames)
+
+    def _frames_of(self, changes: Sequence[DtcChange]) -> list[Frames]:
+        """Return what the outputs send of changes."""
+        frames = []
+        for k, output in enumerate(self._outputs if changes else ()):
+            frames.append(self._allowed(output, output.on_changes(changes, self.engine.now_ns)))
+            self._set_due(k)
+        return frames
+
+    def _before_clear(self) -> None:
+        """Write and tell all that waits: what is cleared next must not be told as set after it."""
+        self._early += self._frames_of(self._settle(self.engine.now_ns, final=True))
+        self._entries = {entry.fault for entry in self.memory.entries()}
+
+    def _after_clear(self, cleared: Iterable[str]) -> None:
+        """Tell which entries went."""
+        gone = sorted(self._entries.intersection(cleared))
+        t_ns = self.engine.wall_ns(self.engine.now_ns)
+        self._tell({"event": "clear", "t_ns": t_ns, "faults": gone})
+
+    def _take_early(self) -> list[Frames]:
+        early, self._early = self._early, []
+        return early
+
+    def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
+        """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.
+
+        What is wrong with the memory itself is told before what it could not store.
+        """
+        if not (final or self._changes or self._untold) and self._upkeep.idle:
+            return []  # as for nearly every batch
+        waiting, self._changes = self._changes, []
+        noted = Noted(len(waiting), len(self._untold))
+        may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)
+        own, self._changes = self._changes, waiting[may.changes :]
+        events = may.events
+        if self._upkeep.beside and not final and self._upkeep.stored:
+            self._changes += own  # of the memory's own faults: they are written next
+            own = []
+        elif may == noted:
+            events = len(self._untold)
+        told, self._untold = self._untold[:events], self._untold[events:]
+        stored = self._upkeep.stored
+        for event in told:
+            if event["event"] == "dtc":
+                event["stored"] = stored
+                self._upkeep.not_stored += not stored
+            self._tell(event)
+        return own + waiting[: may.changes]
+
+    def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
+        frames = []
+        for k, (output, asked) in enumerate(zip(self._outputs, which, strict=True)):
+            if asked and t_ns >= self._due[k]:
+                frames.append(self._allowed(output, output.on_time(t_ns)))
+                self._set_due(k)
+        return np.concatenate(frames) if frames else empty(0)
+
+    def _set_due(self, k: int) -> None:
+        self._due[k] = self._outputs[k].next_ns
+        self._next_due = min(self._due)
+
+    def _allowed(self, output: Output, frames: Frames) -> Frames:
+        """Return frames, unless a tester has switched normal communication off."""
+        if not self.controls.send and output.normal:
+            return empty(0)
+        if output.urgent:
+            frames["rank"] = URGENT
+        return frames
+
+    def _observe(self, definition: FaultDefinition) -> Observed:
+        slots = self._parts.slots
+        inputs = self.engine.inputs_of(self._index[definition.id])
+        return Observed(
+            {name: self.engine.value(slots[name]) for name in self._parts.frozen[definition.id]},
+            {f"{ref.message}.{ref.signal}": value for ref, value in inputs.items()},
+        )
+
+    def _tell(self, event: dict[str, Any]) -> None:
+        for listener in self._listeners:
+            listener(event)
+
+    def _monitor_event(self, event: np.void) -> dict[str, Any]:
+        definition = self.catalogue[int(event["fault"])]
+        return {
+            "event": "monitor",
+            "t_ns": int(event["t_ns"]),
+            "bus": self._bus_name(int(event["bus"])),
+            "fault": definition.id,
+            "result": _RESULTS.get(int(event["result"]), "not tested"),
+            "fdc": int(event["fdc"]),
+            "value": float(event["value"]),
+            "threshold": float(event["threshold"]),
+        }
+
+    def _dtc_event(self, change: DtcChange, bus: int) -> dict[str, Any]:
+        return {
+            "event": "dtc",
+            "t_ns": change.t_ns,
+            "bus": self._bus_name(bus),
+            "fault": change.definition.id,
+            "dtc": str(change.dtc),
+            "status": int(change.new_status),
+            "fdc": change.fdc,
+            "occurrence": change.occurrence,
+            "evidence": dict(change.evidence),
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """Return what testers and other programs need to know: faults, identifiers, extended data."""
+        return {
+            "name": self.config.name,
+            "faults": [as_dict(definition) for definition in self.catalogue],
+            "identifiers": self.identifiers.describe(),
+            "extended_data": [
+                {"record": number, "name": kind.name, "length": kind.length}
+                for number, kind in EXTENDED_DATA.items()
+            ],
+        }
+
+    def summary(self, seconds: float) -> dict[str, Any]:
+        """Return the last event of the JSON contract.
+
+        Args:
+            seconds: how long the work took by the caller's clock.
+        """
+        counters = self.engine.counters()
+        for output in self._outputs:
+            for name, count in output.counters().items():
+                counters[name] = counters.get(name, 0) + count
+        counters["memory_not_stored"] = self._upkeep.not_stored
+        counters["memory_write_failures"] = self._upkeep.failures
+        if self._recorder is not None:
+            counters["recordings_refused"] = self._recorder.refused
+        buses = {
+            bus.name: {name: n for name, n in self.engine.error_counters(k).items() if n}
+            for k, bus in enumerate(self.config.bus)
+        }
+        return {
+            "event": "summary",
+            "frames": counters["frames"],
+            "decoded": counters["decoded"],
+            "events": self.event_count,
+            "seconds": seconds,
+            "frames_per_s": counters["frames"] / seconds if seconds > 0 else 0.0,
+            "counters": counters,
+            "buses": buses,
+            "monitors": self.engine.readout(),
+            "dtcs": [str(entry.dtc) for entry in self.memory.entries()],
+        }
+
+
+def prepare(config: Config, file: Path | None = None) -> Parts:
+    """Build what needs no fault memory; may be done in a thread beside a running gateway.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or fault that is wrong.
+    """
+    try:
+        parts = assemble(config)
+    except InputError as error:
+        raise error.within(file) from error
+    except InputErrors as errors:
+        raise InputErrors([error.within(file) for error in errors.errors]) from errors
+    return parts
+
+
+def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:
+    """Log that the wall clock was set, and return the event of the JSON contract that tells it.
+
+    Args:
+        t_ns: when, by the clock as it was set [ns].
+        step_s: by how much, forward positive [s].
+    """
+    log.warning("wall clock was set", step_s=step_s)
+    return {"event": "clock", "t_ns": t_ns, "step_s": step_s}
+
+
+def events_of(event: np.void) -> Events:
+    """Return one event as an array of one."""
+    return np.asarray([event], dtype=event.dtype)

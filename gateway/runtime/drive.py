@@ -1,0 +1,115 @@
+"""A scenario and a gateway in one process, over python-can's virtual bus: demo, CI, tests.
+
+Simulated time: frames carry the scenario's clock, and each step's frames have all arrived before the next
+step begins, so a run is the same every time and goes as fast as the machine allows.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import select
+from collections.abc import Callable
+
+import numpy as np
+
+from gateway.bus.base import Bus
+from gateway.bus.frames import Frames, empty
+from gateway.bus.uri import open_bus
+from gateway.common.resources import shipped
+from gateway.errors import BusError
+from gateway.runtime.app import Gateway
+from gateway.servers.dtc_frame import DtcReport, read_dtc_frame
+from gateway.vecu.expectations import Judge
+from gateway.vecu.player import Player
+
+#: Longest wait for frames that were sent already [s].
+PATIENCE_S = 10.0
+
+_names = itertools.count()
+
+
+def collect(bus: Bus, count: int) -> Frames:
+    """Wait for exactly so many frames of a bus.
+
+    Raises:
+        BusError: they did not come in time.
+    """
+    parts: list[Frames] = []
+    missing = count
+    while missing:
+        if not select.select([bus.fileno()], [], [], PATIENCE_S)[0]:
+            raise BusError(f"{bus.uri}: {missing} of {count} frames did not arrive")
+        batch = empty(missing)
+        got = bus.receive(batch)
+        parts.append(batch[:got])
+        missing -= got
+    return np.concatenate(parts) if parts else empty(0)
+
+
+def drive(
+    gateway: Gateway,
+    player: Player,
+    *,
+    judge: Judge | None = None,
+    on_frames: Callable[[Frames], None] | None = None,
+    on_report: Callable[[DtcReport], None] | None = None,
+    on_step: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> None:
+    """Play a scenario to a gateway and read its DTC frames as a tester would.
+
+    Args:
+        gateway: not started yet.
+        player: of the scenario.
+        judge: takes the reports.
+        on_frames: called with each step's frames as the gateway got them.
+        on_report: called with each DTC frame, decoded.
+        on_step: called at the end of each step with its time [ns].
+        stop: tells to end early; the operation cycle ends then.
+    """
+    database = shipped("dbc/gateway.dbc")
+    uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
+    ecus = [open_bus(uri, index) for index, uri in enumerate(uris)]
+    ours = [open_bus(uri, index) for index, uri in enumerate(uris)]
+    testers = [open_bus(uri, index) for index, uri in enumerate(uris)]
+    for bus in ecus:
+        bus.set_filters([0x1FFFFFFF | 0x80000000])  # virtual ECUs listen to nobody
+    for bus in testers:
+        bus.set_filters([gateway.dtc_frame_id])
+    try:
+        gateway.start(0)
+        until = 0
+        for until, frames in player.batches():
+            if stop():
+                break
+            arrived = []
+            for index, ecu in enumerate(ecus):
+                mine = frames[frames["bus"] == index]
+                ecu.send(mine)
+                arrived.append(collect(ours[index], len(mine)))
+            batch = np.concatenate(arrived)
+            batch = batch[np.argsort(batch["t_ns"], kind="stable")]
+            if on_frames is not None:
+                on_frames(batch)
+            for sent in (gateway.feed(batch), gateway.advance(until)):
+                for index, bus in enumerate(ours):
+                    mine = sent[sent["bus"] == index]
+                    bus.send(mine)
+                    dtc = mine["can_id"] == gateway.dtc_frame_id
+                    for frame in collect(testers[index], int(dtc.sum())):
+                        report = read_dtc_frame(frame, database)
+                        if report is None:
+                            continue
+                        if judge is not None and report.dtc is not None:
+                            judge.report(
+                                report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence
+                            )
+                        if on_report is not None:
+                            on_report(report)
+            if on_step is not None:
+                on_step(until)
+        gateway.stop(until)
+    finally:
+        for bus in (*ecus, *ours, *testers):
+            bus.close()

@@ -1,0 +1,220 @@
+"""DTC frames: message GW_DTC of dbc/gateway.dbc, at each change and cyclically."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from cantools.database.can import Message
+from pydantic import Field
+
+from gateway.bus.frames import Frames, empty, payload, put
+from gateway.common.tomlfile import StrictModel
+from gateway.faults.dtc import Dtc
+from gateway.faults.entries import DtcChange
+from gateway.faults.memory import FaultMemory
+from gateway.servers.base import Output
+from gateway.signals.database import load_database
+
+MESSAGE = "GW_DTC"
+
+
+class DtcFrameParams(StrictModel):
+    """Settings of the DTC frame."""
+
+    bus: str | None = Field(None, description="name of the bus it is sent on")
+    cycle_ms: float = Field(
+        1000.0, ge=10, allow_inf_nan=False, description="time between two cyclic lists [ms]"
+    )
+    status_mask: int = Field(
+        0x0D, ge=1, le=0xFF, description="DTCs with any of these status bits are in the list"
+    )
+    min_interval_ms: float = Field(
+        10.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="least time between two change frames of one DTC [ms]",
+    )
+
+
+@cache
+def message_of(database: Path) -> Message:
+    """Return the message from its database."""
+    return load_database([database]).message(MESSAGE)
+
+
+@dataclass(frozen=True)
+class DtcReport:
+    """What one DTC frame says; ``dtc`` is None in the all-clear form."""
+
+    t_ns: int
+    dtc: Dtc | None
+    status: int
+    fdc: int
+    index: int
+    count: int
+    occurrence: int
+
+
+def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
+    """Decode a DTC frame as a tester does, with cantools; None for any other frame."""
+    message = message_of(database)
+    if int(frame["can_id"]) != message.frame_id or int(frame["length"]) < message.length:
+        return None
+    values = cast(Any, message.decode(payload(frame), decode_choices=False))
+    number = int(values["Dtc"])
+    return DtcReport(
+        int(frame["t_ns"]),
+        Dtc(number) if number else None,
+        int(values["Status"]),
+        int(values["FaultDetectionCounter"]),
+        int(values["Index"]),
+        int(values["Count"]),
+        int(values["Occurrence"]),
+    )
+
+
+class DtcFrameOutput(Output):
+    """Makes the DTC frames; driven by the time it is given.
+
+    Args:
+        params: settings.
+        database: dbc/gateway.dbc.
+        bus: index of the bus.
+        memory: the fault memory.
+        counter_of: fault id -> its fault detection counter now.
+    """
+
+    urgent = True
+
+    def __init__(
+        self,
+        params: DtcFrameParams,
+        database: Path,
+        bus: int,
+        memory: FaultMemory,
+        counter_of: Callable[[str], int],
+    ) -> None:
+        self._params = params
+        self._memory = memory
+        self._message = message_of(database)
+        self._bus = bus
+        self._next_ns: int | None = None
+        self._held: dict[str, DtcChange] = {}
+        self._sent_ns: dict[str, int] = {}
+        self._counter_of = counter_of
+
+    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+        """Tell the changes that were held back, and go on with the cyclic list."""
+        if isinstance(old, DtcFrameOutput):
+            known = self._memory.catalogue.get
+            self._held = {name: held for name, held in old._held.items() if known(name) is not None}
+            self._sent_ns = old._sent_ns
+            if self._params.cycle_ms == old._params.cycle_ms:
+                self._next_ns = old._next_ns
+
+    @property
+    def next_ns(self) -> int:
+        """When a held change or the cyclic list is due."""
+        if self._next_ns is None:
+            return 0
+        interval = round(self._params.min_interval_ms * 1e6)
+        held = [self._sent_ns.get(name, -interval) + interval for name in self._held]
+        return min([self._next_ns, *held])
+
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
+        """Return the frames for changes that are durable.
+
+        A DTC that chatters is sent at most once in ``min_interval_ms``, its latest state always.
+        """
+        memory = self._memory
+        for change in changes:
+            self._held[change.definition.id] = change
+        interval = self._params.min_interval_ms * 1e6
+        due = [
+            change
+            for name, change in self._held.items()
+            if name not in self._sent_ns or t_ns - self._sent_ns[name] >= interval
+        ]
+        if not due:
+            return empty(0)
+        count = memory.count_by_status_mask(self._params.status_mask)
+        frames = empty(len(due))
+        for k, change in enumerate(due):
+            name = change.definition.id
+            del self._held[name]
+            self._sent_ns[name] = t_ns
+            # A change that had to wait may be outdated by a clear or a new operation cycle.
+            entry = memory.entry(name)
+            current = entry.status == change.new_status
+            fdc = change.fdc if current else self._counter_of(name)
+            self._put(
+                frames,
+                k,
+                t_ns,
+                entry.dtc.value,
+                int(entry.status),
+                fdc,
+                0,
+                count,
+                entry.occurrence,
+            )
+        return frames
+
+    def on_time(self, t_ns: int) -> Frames:
+        """Return changes that were held back, and the cyclic list when it is due."""
+        return np.concatenate([self.on_changes([], t_ns), self._list(t_ns)])
+
+    def _list(self, t_ns: int) -> Frames:
+        memory = self._memory
+        if self._next_ns is not None and t_ns < self._next_ns:
+            return empty(0)
+        cycle = round(self._params.cycle_ms * 1e6)
+        late = self._next_ns is None or t_ns - self._next_ns > cycle
+        self._next_ns = t_ns + cycle if late or self._next_ns is None else self._next_ns + cycle
+        entries = memory.by_status_mask(self._params.status_mask)
+        frames = empty(max(len(entries), 1))
+        if not entries:
+            self._put(frames, 0, t_ns, 0, 0, 0, 0, 0, 0)
+        for k, entry in enumerate(entries):
+            self._put(
+                frames,
+                k,
+                t_ns,
+                entry.dtc.value,
+                int(entry.status),
+                self._counter_of(entry.fault),
+                k + 1,
+                len(entries),
+                entry.occurrence,
+            )
+        return frames
+
+    def _put(
+        self,
+        frames: Frames,
+        k: int,
+        t_ns: int,
+        dtc: int,
+        status: int,
+        fdc: int,
+        index: int,
+        count: int,
+        occurrence: int,
+    ) -> None:
+        payload = self._message.encode(
+            {
+                "Dtc": dtc,
+                "Status": status,
+                "FaultDetectionCounter": fdc,
+                "Index": min(index, 255),
+                "Count": min(count, 255),
+                "Occurrence": occurrence,
+            },
+            strict=False,  # all are within their ranges
+        )
+        put(frames, k, t_ns, self._message.frame_id, payload, bus=self._bus)

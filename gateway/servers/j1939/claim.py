@@ -1,0 +1,107 @@
+"""NAME and address claim (SAE J1939-81)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from gateway.common.tomlfile import StrictModel
+from gateway.servers.base import NEVER
+from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
+
+#: Time for others to contend after a claim.
+CONTEND_NS = 250_000_000
+#: Addresses that a device which can take any may take (J1939-81).
+FREE = range(128, 248)
+
+
+class NameParams(StrictModel):
+    """The 64-bit NAME, its fields from the lowest bits up."""
+
+    identity: int = Field(1, ge=0, le=0x1FFFFF, description="identity number")
+    manufacturer: int = Field(0x7FF, ge=0, le=0x7FF, description="manufacturer code")
+    ecu_instance: int = Field(0, ge=0, le=7, description="ECU instance")
+    function_instance: int = Field(0, ge=0, le=31, description="function instance")
+    function: int = Field(
+        129, ge=0, le=255, description="function; 129: off-board diagnostic-service tool"
+    )
+    vehicle_system: int = Field(0, ge=0, le=127, description="vehicle system")
+    vehicle_system_instance: int = Field(0, ge=0, le=15, description="vehicle system instance")
+    industry_group: int = Field(0, ge=0, le=7, description="industry group; 0: global")
+    any_address: bool = Field(False, description="takes another address if its own is taken")
+
+    @property
+    def value(self) -> int:
+        """The NAME as a number: the smaller wins an address."""
+        return (
+            self.identity
+            | self.manufacturer << 21
+            | self.ecu_instance << 32
+            | self.function_instance << 35
+            | self.function << 40
+            | self.vehicle_system << 49
+            | self.vehicle_system_instance << 56
+            | self.industry_group << 60
+            | int(self.any_address) << 63
+        )
+
+
+class Claim:
+    """Claims an address and defends it; without one we may not speak.
+
+    Args:
+        name: our NAME.
+        address: the one we would like.
+    """
+
+    def __init__(self, name: NameParams, address: int) -> None:
+        self._name = name
+        self._data = name.value.to_bytes(8, "little")
+        self._taken: set[int] = set()
+        self.address = address
+        self._due_ns: int | None = None
+        self.claimed = False
+        self.lost = False
+
+    def _claimed_message(self) -> Pdu:
+        return Pdu(ADDRESS_CLAIMED, self.address, GLOBAL, self._data)
+
+    def start(self, t_ns: int) -> list[Pdu]:
+        """Claim the address."""
+        self._due_ns = t_ns + CONTEND_NS
+        self.claimed = False
+        return [self._claimed_message()]
+
+    def on_time(self, t_ns: int) -> list[Pdu]:
+        """Claim at first; have the address once nobody has contended in time."""
+        if self._due_ns is None:
+            return [] if self.lost else self.start(t_ns)
+        if not self.claimed and not self.lost and t_ns >= self._due_ns:
+            self.claimed = True
+        return []
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`on_time` has something to do."""
+        if self.claimed or self.lost:
+            return NEVER
+        return 0 if self._due_ns is None else self._due_ns
+
+    def on_claim(self, pdu: Pdu, t_ns: int) -> list[Pdu]:
+        """Take another's claim: defend the address, or give it up to a smaller NAME."""
+        if len(pdu.data) != 8 or pdu.source == NULL:
+            return []
+        self._taken.add(pdu.source)
+        if pdu.source != self.address or self.lost:
+            return []
+        if self._name.value < int.from_bytes(pdu.data, "little"):
+            return [self._claimed_message()]
+        free = [address for address in FREE if address not in self._taken]
+        if self._name.any_address and free:
+            self.address = free[0]
+            return self.start(t_ns)
+        self.address, self.lost, self.claimed = NULL, True, False
+        return [self._claimed_message()]  # "cannot claim address"
+
+    def on_request(self) -> list[Pdu]:
+        """Answer a request for the address claimed."""
+        return [] if self._due_ns is None else [self._claimed_message()]

@@ -1,0 +1,88 @@
+"""Diagnostic messages (SAE J1939-73): bytes of DM1, DM2, DM5, DM6, DM12, DM24, DM25 and DM28."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.entries import Entry
+from gateway.faults.readiness import Readiness
+from gateway.servers.j1939.params import FreezeFrameSpn
+
+DM1, DM2, DM3, DM5, DM6 = 0xFECA, 0xFECB, 0xFECC, 0xFECE, 0xFECF
+DM11, DM12 = 0xFED3, 0xFED4
+DM24, DM25, DM28 = 0xFDB6, 0xFDB7, 0xFD80
+
+#: Lamps, from the lowest bits of the first byte up.
+_LAMPS = ("protect", "warning", "stop", "malfunction")
+_ON, _NOT_AVAILABLE = 0b01, 0b11
+#: The greatest occurrence count; 127 says that there is none.
+MOST_OCCURRENCES = 126
+#: DTCs that one message of 1785 bytes holds.
+MOST_DTCS = (1785 - 2) // 4
+
+#: An entry with its definition, of a fault that has SPN and FMI.
+Coded = tuple[FaultDefinition, Entry]
+
+
+def dtc_bytes(spn: int, fmi: int, occurrence: int) -> bytes:
+    """Return a DTC: SPN of 19 bits, FMI of 5, conversion method 0, occurrence count of 7 (5.7.1)."""
+    return bytes(
+        [
+            spn & 0xFF,
+            spn >> 8 & 0xFF,
+            (spn >> 16 & 0x7) << 5 | fmi,
+            min(occurrence, MOST_OCCURRENCES),
+        ]
+    )
+
+
+def _coded_dtc(coded: Coded) -> bytes:
+    definition, entry = coded
+    return dtc_bytes(definition.spn or 0, definition.fmi or 0, entry.occurrence)
+
+
+def lamp_bytes(lit: Collection[str], available: Collection[str]) -> bytes:
+    """Return the two bytes of lamps: on, off or not available; how they flash is not available."""
+    status = 0
+    for place, lamp in enumerate(_LAMPS):
+        bits = _NOT_AVAILABLE if lamp not in available else _ON if lamp in lit else 0
+        status |= bits << 2 * place
+    return bytes([status, 0xFF])
+
+
+def dtc_message(lamps: bytes, dtcs: Sequence[Coded]) -> bytes:
+    """Return DM1 and the messages of its shape: lamps, then each DTC; zeros stand for no DTC."""
+    codes = b"".join(_coded_dtc(coded) for coded in dtcs[:MOST_DTCS])
+    return (lamps + (codes or bytes(4))).ljust(8, b"\xff")
+
+
+def readiness_message(active: int, previous: int, compliance: int, ready: Readiness) -> bytes:
+    """Return DM5: numbers of DTCs, compliance, monitors that there are and that have not completed."""
+    continuous, others, incomplete = ready.obd_bytes
+    numbers = bytes([min(active, 250), min(previous, 250), compliance, continuous])
+    return numbers + others.to_bytes(2, "little") + incomplete.to_bytes(2, "little")
+
+
+def spn_support(parameters: Iterable[FreezeFrameSpn]) -> bytes:
+    """Return DM24: each parameter of the freeze frames, with its length; a bit of 0 says "supported"."""
+    made = b""
+    for p in parameters:
+        flags = 0x1F & ~0x01  # in expanded freeze frames, and nowhere else
+        made += bytes([p.spn & 0xFF, p.spn >> 8 & 0xFF, (p.spn >> 16 & 0x7) << 5 | flags, p.length])
+    return made or bytes([0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF])
+
+
+def freeze_frames(
+    frames: Iterable[tuple[Coded, Mapping[str, float | None]]],
+    parameters: Sequence[FreezeFrameSpn],
+) -> bytes:
+    """Return DM25: for each freeze frame its length, the DTC, and the parameters in the order of DM24."""
+    made = b""
+    for coded, content in frames:
+        part = _coded_dtc(coded)
+        part += b"".join(p.encode(content.get(p.signal)) for p in parameters)
+        if len(made) + 1 + len(part) > 1785:
+            break
+        made += bytes([len(part)]) + part
+    return made or bytes([0, 0, 0, 0, 0, 0xFF, 0xFF, 0xFF])

@@ -1,0 +1,59 @@
+"""Settings of the J1939 output."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from gateway.common.tomlfile import StrictModel
+from gateway.servers.j1939.claim import NameParams
+
+Lamp = Literal["malfunction", "stop", "warning", "protect"]
+
+
+class FreezeFrameSpn(StrictModel):
+    """One parameter of the expanded freeze frames (DM25), coded as J1939-71 has it."""
+
+    spn: int = Field(ge=1, le=0x7FFFF, description="suspect parameter number")
+    signal: str = Field(description='"Message.Signal" or "bus.Message.Signal"')
+    length: int = Field(1, ge=1, le=4, description="bytes")
+    scale: float = Field(1.0, gt=0, allow_inf_nan=False, description="signal's unit for one step")
+    offset: float = Field(0.0, allow_inf_nan=False, description="value of a coded 0, signal's unit")
+
+    def encode(self, value: float | None) -> bytes:
+        """Code a value, low byte first; what is unknown is all ones, the rest is clipped to the valid range."""
+        if value is None or not math.isfinite(value):
+            return b"\xff" * self.length
+        most = (0xFA << 8 * (self.length - 1)) | ((1 << 8 * (self.length - 1)) - 1)
+        coded = round(min(max((value - self.offset) / self.scale, 0), most))
+        return coded.to_bytes(self.length, "little")
+
+
+class J1939Params(StrictModel):
+    """The J1939 output."""
+
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    address: int = Field(0xF9, ge=0, le=253, description="source address it claims")
+    name: NameParams = NameParams()
+    cycle_ms: float = Field(
+        1000.0, ge=100, le=60_000, allow_inf_nan=False, description="time between two DM1 [ms]"
+    )
+    when_clear: bool = Field(True, description="send DM1 also while no DTC is active")
+    lamps: tuple[Lamp, ...] = Field(
+        ("malfunction", "stop", "warning", "protect"),
+        description="lamps that there are; the others are shown as not available",
+    )
+    allow_clear: bool = Field(True, description="do DM3 and DM11, rather than refuse them")
+    obd_compliance: int = Field(5, ge=1, le=250, description="OBD compliance in DM5; 5: none")
+    freeze_frame: tuple[FreezeFrameSpn, ...] = Field(
+        (), description="parameters of the expanded freeze frames (DM24, DM25)"
+    )
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        spns = [entry.spn for entry in self.freeze_frame]
+        if len(set(spns)) != len(spns):
+            raise ValueError("freeze_frame: two entries have one spn")
+        return self

@@ -1,0 +1,131 @@
+"""Security access (ISO 14229-1, 0x27): seeds, keys, attempts, delay."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import importlib
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from gateway.errors import InputError
+from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway.servers.uds.params import SecurityLevel
+
+#: Takes seed, secret and level; returns the key.
+KeyFunction = Callable[[bytes, bytes, int], bytes]
+
+
+def hmac_sha256(seed: bytes, secret: bytes, level: int) -> bytes:
+    """Return the first bytes, as many as the seed has, of HMAC-SHA256 over seed and level."""
+    return hmac.new(secret, seed + bytes([level]), hashlib.sha256).digest()[: len(seed)]
+
+
+def key_function(name: str) -> KeyFunction:
+    """Return a key function by its name.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    if name == "hmac_sha256":
+        return hmac_sha256
+    module, _, function = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(
+            'a key function is "hmac_sha256" or "package.module:function"'
+            f" that can be imported: {error}",
+            value=name,
+        ) from error
+    if not callable(found):
+        raise InputError("this is no function", value=name)
+    return found  # type: ignore[no-any-return]
+
+
+@dataclass
+class _Level:
+    params: SecurityLevel
+    key: KeyFunction
+    wrong: int = 0
+    locked_until_ns: int = 0
+
+
+class Security:
+    """State of security access.
+
+    Args:
+        levels: those of the configuration.
+        random: gives a seed of so many bytes.
+
+    Raises:
+        InputErrors: a key function that cannot be found.
+    """
+
+    def __init__(
+        self,
+        levels: Sequence[SecurityLevel],
+        random: Callable[[int], bytes] = secrets.token_bytes,
+    ) -> None:
+        self._levels = {}
+        for k, params in enumerate(levels):
+            try:
+                self._levels[params.level] = _Level(params, key_function(params.key))
+            except InputError as error:
+                raise InputError(
+                    error.message, key=f"output.uds.security[{k}].key", value=error.value
+                ) from error
+        self._random = random
+        self._seed: tuple[int, bytes] | None = None
+        self.unlocked = 0
+
+    @property
+    def levels(self) -> list[int]:
+        """Levels that there are."""
+        return sorted(self._levels)
+
+    def lock(self) -> None:
+        """Lock everything, as at a change of session; attempts stay counted."""
+        self.unlocked = 0
+        self._seed = None
+
+    def seed(self, level: int, t_ns: int) -> bytes:
+        """Return a seed; all zero if the level is unlocked already.
+
+        Raises:
+            NegativeError: the delay after wrong keys is not over.
+        """
+        state = self._levels[level]
+        if self.unlocked == level:
+            return bytes(state.params.seed_length)
+        refuse_unless(t_ns >= state.locked_until_ns, Nrc.REQUIRED_TIME_DELAY_NOT_EXPIRED)
+        seed = self._random(state.params.seed_length)
+        while not any(seed):  # would say "unlocked"
+            seed = self._random(state.params.seed_length)
+        self._seed = level, seed
+        return seed
+
+    def try_key(self, level: int, key: bytes, t_ns: int) -> None:
+        """Unlock a level.
+
+        Raises:
+            NegativeError: no seed was asked for, the key is wrong, or was wrong too often.
+        """
+        state = self._levels[level]
+        if self._seed is None or self._seed[0] != level:
+            raise NegativeError(Nrc.REQUEST_SEQUENCE_ERROR)
+        seed = self._seed[1]
+        self._seed = None
+        right = state.key(seed, bytes.fromhex(state.params.secret), level)
+        if hmac.compare_digest(right, key):
+            state.wrong = 0
+            self.unlocked = level
+            return
+        state.wrong += 1
+        if state.wrong >= state.params.attempts:
+            # One attempt after each further delay, as the counter only goes down by one (Annex I).
+            state.wrong -= 1
+            state.locked_until_ns = t_ns + round(state.params.delay_s * 1e9)
+            raise NegativeError(Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS)
+        raise NegativeError(Nrc.INVALID_KEY)

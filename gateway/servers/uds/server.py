@@ -1,0 +1,135 @@
+"""The UDS server: a request's way through the checks of ISO 14229-1 (7.5, 8.7) to its service's handler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gateway.faults.entries import DtcChange
+from gateway.servers.base import NEVER
+from gateway.servers.uds.context import DEFAULT, Context, Later, Service
+from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, refuse_unless
+from gateway.servers.uds.services import SERVICES
+from gateway.servers.uds.services.x86_response_on_event import responses_to
+
+#: The longest response that ISO-TP carries in its usual form.
+LONGEST = 4095
+
+
+def _negative(sid: int, nrc: Nrc) -> bytes:
+    return bytes([0x7F, sid, nrc])
+
+
+class UdsServer:
+    """Answers requests; knows sessions and their end, and answers that come later or by themselves.
+
+    Args:
+        context: what it serves.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._later: tuple[int, Later] | None = None
+        self._last_request_ns = 0
+
+    def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
+        """Return the responses to a request: none, one, or 0x78 with the final one to come.
+
+        Args:
+            request: with its service identifier, not empty.
+            functional: whether it was meant for every server.
+            t_ns: now.
+        """
+        # What is still to come of the last request comes before the answer to this one.
+        return self.pass_time(t_ns) + self._answer(request, functional, t_ns)
+
+    def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
+        c = self._context
+        c.now_ns = self._last_request_ns = t_ns
+        sid = request[0]
+        service = SERVICES.get(sid)
+        try:
+            if service is None or not service.offered(c):
+                raise NegativeError(Nrc.SERVICE_NOT_SUPPORTED)
+            found = self._serve(service, request)
+        except NegativeError as error:
+            if functional and error.nrc in SILENT_WHEN_FUNCTIONAL:
+                return []
+            return [_negative(sid, error.nrc)]
+        if isinstance(found, Later):
+            self._later = sid, found
+            return [_negative(sid, Nrc.RESPONSE_PENDING)]
+        if service.sub_functions is not None and request[1] & 0x80:
+            return []
+        return [self._positive(sid, found)]
+
+    def _serve(self, service: Service, request: bytes) -> bytes | Later:
+        """Check a request in the standard's order, and let its service handle it."""
+        c = self._context
+        access = None if service.access is None else service.access(c.params)
+        refuse_unless(
+            c.session in service.sessions and (access is None or access.in_session(c.session)),
+            Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
+        )
+        if service.sub_functions is not None:
+            refuse_unless(len(request) >= 2, Nrc.INCORRECT_LENGTH)
+            known = service.sub_functions(c)
+            number = request[1] & 0x7F
+            refuse_unless(number in known, Nrc.SUB_FUNCTION_NOT_SUPPORTED)
+            refuse_unless(c.session in known[number], Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION)
+        refuse_unless(len(request) >= service.shortest, Nrc.INCORRECT_LENGTH)
+        refuse_unless(
+            service.longest is None or len(request) <= service.longest, Nrc.INCORRECT_LENGTH
+        )
+        refuse_unless(
+            access is None or access.security in (0, c.security.unlocked),
+            Nrc.SECURITY_ACCESS_DENIED,
+        )
+        return service.handle(c, request)
+
+    def _positive(self, sid: int, content: bytes) -> bytes:
+        if 1 + len(content) > LONGEST:
+            return _negative(sid, Nrc.RESPONSE_TOO_LONG)
+        return bytes([sid + 0x40]) + content
+
+    def pass_time(self, t_ns: int) -> list[bytes]:
+        """Let time pass; returns the answer that was still to come."""
+        c = self._context
+        c.now_ns = max(c.now_ns, t_ns)
+        made: list[bytes] = []
+        if self._later is not None:
+            sid, later = self._later
+            self._later = None
+            try:
+                made.append(self._positive(sid, later.work()))
+            except NegativeError as error:
+                made.append(_negative(sid, error.nrc))
+            self._last_request_ns = c.now_ns  # S3 starts with the final answer
+        if c.session != DEFAULT and c.now_ns >= self._session_ends_ns:
+            c.enter(DEFAULT)
+        return made
+
+    @property
+    def _session_ends_ns(self) -> int:
+        return self._last_request_ns + self._context.params.s3_ms * 1_000_000
+
+    @property
+    def next_ns(self) -> int:
+        """When it has something to do next."""
+        if self._later is not None:
+            return 0
+        return NEVER if self._context.session == DEFAULT else self._session_ends_ns
+
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
+        """Take changes of status bytes; returns the responses that were asked for on them (0x86)."""
+        self._context.now_ns = max(self._context.now_ns, t_ns)
+        made = []
+        for request in responses_to(self._context, changes):
+            service = SERVICES[request[0]]
+            try:
+                found = self._serve(service, request)
+            except NegativeError as error:
+                made.append(_negative(request[0], error.nrc))
+                continue
+            if isinstance(found, bytes):
+                made.append(self._positive(request[0], found))
+        return made

@@ -1,0 +1,279 @@
+"""0x19 ReadDTCInformation (ISO 14229-1, 11.3): everything that the fault memory knows.
+
+DTCs are in the format of SAE J2012-DA with failure type byte (format identifier 0x00, in WWH-OBD 0x04); their order
+is that of their codes.
+Extended data records:
+
+| record | bytes | what |
+|---|---|---|
+| 01 | 1 | occurrences, up to 255 |
+| 02 | 1 | aging cycles counted |
+| 03 | 1 | greatest fault detection counter since the clear, signed |
+| 04 | 1 | failed operation cycles in a row |
+| 05 | 1 | near misses, up to 255 |
+| 10 | 8 | first failure, ns of the frames' clock, signed |
+| 11 | 8 | latest failure, likewise |
+| 20 | 16 + 8 n | evidence of the latest failure: value, threshold, and the n values that the monitor names, float64 |
+| 21 | 8 n | inputs of the monitor at the latest failure, float64 |
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+from gateway.faults.entries import Entry
+from gateway.servers.uds.context import ANY_SESSION, Context, Service
+from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+
+#: DTCFormatIdentifier: SAE J2012-DA with failure type byte.
+FORMAT = 0x00
+#: The same in WWH-OBD.
+WWH_FORMAT = 0x04
+ALL_RECORDS = 0xFF
+#: Functional groups of WWH-OBD (ISO 27145-3): emission system, all of them.
+EMISSION_GROUP, ALL_GROUPS = 0x33, 0xFF
+#: Bits of the severity byte that are filled: severity and class.
+SEVERITY_MASK = 0xFF
+
+#: Handler of one sub-function: takes what follows the sub-function, returns what follows its echo.
+Report = Callable[[Context, bytes], bytes]
+
+
+def _status(c: Context, entry: Entry) -> int:
+    return int(entry.status) & c.params.status_mask
+
+
+def _matching(c: Context, mask: int) -> list[Entry]:
+    """Return the DTCs with any of the bits set that are both asked for and shown."""
+    return [entry for entry in c.memory.supported() if _status(c, entry) & mask]
+
+
+def _with_status(c: Context, entries: Iterable[Entry]) -> bytes:
+    return b"".join(bytes(entry.dtc) + bytes([_status(c, entry)]) for entry in entries)
+
+
+def _available(c: Context) -> bytes:
+    return bytes([c.params.status_mask])
+
+
+def _number(c: Context, entries: list[Entry]) -> bytes:
+    return _available(c) + bytes([FORMAT]) + len(entries).to_bytes(2, "big")
+
+
+def _entry(c: Context, dtc: bytes) -> Entry:
+    for entry in c.memory.supported():
+        if bytes(entry.dtc) == dtc:
+            return entry
+    raise NegativeError(Nrc.REQUEST_OUT_OF_RANGE)
+
+
+def _severity(c: Context, entry: Entry) -> int:
+    return c.memory.definition(entry.fault).severity
+
+
+def _number_by_status(c: Context, rest: bytes) -> bytes:
+    """01 reportNumberOfDTCByStatusMask."""
+    return _number(c, _matching(c, rest[0]))
+
+
+def _by_status(c: Context, rest: bytes) -> bytes:
+    """02 reportDTCByStatusMask."""
+    return _available(c) + _with_status(c, _matching(c, rest[0]))
+
+
+def _snapshot_identification(c: Context, _rest: bytes) -> bytes:
+    """03 reportDTCSnapshotIdentification."""
+    return b"".join(
+        bytes(entry.dtc) + bytes([frame.number])
+        for entry in c.memory.supported()
+        for frame in entry.freeze_frames
+    )
+
+
+def _snapshot_by_dtc(c: Context, rest: bytes) -> bytes:
+    """04 reportDTCSnapshotRecordByDTCNumber."""
+    entry, record = _entry(c, rest[:3]), rest[3]
+    most = c.memory.definition(entry.fault).freeze_frames
+    refuse_unless(1 <= record <= most or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
+    made = _with_status(c, [entry])
+    for frame in entry.freeze_frames:
+        content = c.identifiers.freeze_frame(frame.content)
+        if content and record in (frame.number, ALL_RECORDS):
+            made += bytes([frame.number, len(content)])
+            made += b"".join(did.to_bytes(2, "big") + data for did, data in content)
+    return made
+
+
+def _clipped(value: int) -> bytes:
+    return bytes([min(max(value, 0), 255)])
+
+
+def _time(t_ns: int | None) -> bytes:
+    return struct.pack(">q", 0 if t_ns is None else t_ns)
+
+
+def _numbers(values: Iterable[float | None]) -> bytes:
+    return b"".join(struct.pack(">d", math.nan if value is None else value) for value in values)
+
+
+class ExtendedData(NamedTuple):
+    """One extended data record: name, bytes (None: as many as there are values), how it is made."""
+
+    name: str
+    length: int | None
+    encode: Callable[[Entry], bytes]
+
+
+#: Extended data records by number.
+EXTENDED_DATA: Mapping[int, ExtendedData] = {
+    0x01: ExtendedData("occurrence", 1, lambda entry: _clipped(entry.occurrence)),
+    0x02: ExtendedData("aged_cycles", 1, lambda entry: _clipped(entry.aged_cycles)),
+    0x03: ExtendedData("peak_fdc", 1, lambda entry: struct.pack(">b", entry.peak_fdc)),
+    0x04: ExtendedData("failed_cycles", 1, lambda entry: _clipped(entry.failed_cycles)),
+    0x05: ExtendedData("near_misses", 1, lambda entry: _clipped(entry.near_misses)),
+    0x10: ExtendedData("first_ns", 8, lambda entry: _time(entry.first_ns)),
+    0x11: ExtendedData("last_ns", 8, lambda entry: _time(entry.last_ns)),
+    0x20: ExtendedData("evidence", None, lambda entry: _numbers(entry.evidence.values())),
+    0x21: ExtendedData("inputs", None, lambda entry: _numbers(entry.inputs.values())),
+}
+
+
+def _extended_data(c: Context, rest: bytes) -> bytes:
+    """06 reportDTCExtDataRecordByDTCNumber."""
+    c.memory.fold_statistics()
+    c.memory.commit()
+    entry, record = _entry(c, rest[:3]), rest[3]
+    refuse_unless(record in EXTENDED_DATA or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
+    made = _with_status(c, [entry])
+    if not entry.occurrence:
+        return made
+    for number, kind in EXTENDED_DATA.items():
+        data = kind.encode(entry)
+        if data and record in (number, ALL_RECORDS):
+            made += bytes([number]) + data
+    return made
+
+
+def _by_severity(c: Context, severity: int, status: int) -> list[Entry]:
+    return [entry for entry in _matching(c, status) if _severity(c, entry) & severity]
+
+
+def _number_by_severity(c: Context, rest: bytes) -> bytes:
+    """07 reportNumberOfDTCBySeverityMaskRecord."""
+    return _number(c, _by_severity(c, rest[0], rest[1]))
+
+
+def _with_severity(c: Context, entry: Entry) -> bytes:
+    unit = c.memory.definition(entry.fault).functional_unit
+    return bytes([_severity(c, entry), unit]) + _with_status(c, [entry])
+
+
+def _by_severity_mask(c: Context, rest: bytes) -> bytes:
+    """08 reportDTCBySeverityMaskRecord."""
+    found = _by_severity(c, rest[0], rest[1])
+    return _available(c) + b"".join(_with_severity(c, entry) for entry in found)
+
+
+def _severity_of_dtc(c: Context, rest: bytes) -> bytes:
+    """09 reportSeverityInformationOfDTC."""
+    return _available(c) + _with_severity(c, _entry(c, rest))
+
+
+def _supported(c: Context, _rest: bytes) -> bytes:
+    """0A reportSupportedDTC."""
+    return _available(c) + _with_status(c, c.memory.supported())
+
+
+def _ordered(what: str, place: int) -> Report:
+    """0B to 0E: the first or most recent DTC to fail, or to be confirmed, since the last clear."""
+
+    def report(c: Context, _rest: bytes) -> bytes:
+        return _available(c) + _with_status(c, c.memory.in_order(what)[place:][:1])
+
+    return report
+
+
+def _fault_detection_counters(c: Context, _rest: bytes) -> bytes:
+    """14 reportDTCFaultDetectionCounter: those on their way, neither passed nor failed."""
+    made = b""
+    for entry in c.memory.supported():
+        counter = c.control.fault_detection_counter(entry.fault)
+        if 0 < counter < 127:
+            made += bytes(entry.dtc) + bytes([counter])
+    return made
+
+
+def _permanent(c: Context) -> list[Entry]:
+    faults = {permanent.fault for permanent in c.memory.permanent()}
+    return sorted((c.memory.entry(fault) for fault in faults), key=lambda entry: entry.dtc)
+
+
+def _permanent_status(c: Context, _rest: bytes) -> bytes:
+    """15 reportDTCWithPermanentStatus."""
+    return _available(c) + _with_status(c, _permanent(c))
+
+
+def _in_group(c: Context, group: int, entries: Iterable[Entry]) -> list[Entry]:
+    refuse_unless(group in (EMISSION_GROUP, ALL_GROUPS), Nrc.REQUEST_OUT_OF_RANGE)
+    return [
+        entry
+        for entry in entries
+        if group == ALL_GROUPS or c.memory.definition(entry.fault).emission_related
+    ]
+
+
+def _wwh_by_mask(c: Context, rest: bytes) -> bytes:
+    """42 reportWWHOBDDTCByMaskRecord: group, status mask, severity mask."""
+    group, status, severity = rest
+    found = _in_group(c, group, _by_severity(c, severity, status))
+    made = bytes([group]) + _available(c) + bytes([SEVERITY_MASK, WWH_FORMAT])
+    for entry in found:
+        made += bytes([_severity(c, entry)]) + _with_status(c, [entry])
+    return made
+
+
+def _wwh_permanent(c: Context, rest: bytes) -> bytes:
+    """55 reportWWHOBDDTCWithPermanentStatus: group."""
+    found = _in_group(c, rest[0], _permanent(c))
+    return rest + _available(c) + bytes([WWH_FORMAT]) + _with_status(c, found)
+
+
+#: Sub-functions: how many bytes follow each, and what it reports.
+REPORTS: dict[int, tuple[int, Report]] = {
+    0x01: (1, _number_by_status),
+    0x02: (1, _by_status),
+    0x03: (0, _snapshot_identification),
+    0x04: (4, _snapshot_by_dtc),
+    0x06: (4, _extended_data),
+    0x07: (2, _number_by_severity),
+    0x08: (2, _by_severity_mask),
+    0x09: (3, _severity_of_dtc),
+    0x0A: (0, _supported),
+    0x0B: (0, _ordered("first_failed", 0)),
+    0x0C: (0, _ordered("first_confirmed", 0)),
+    0x0D: (0, _ordered("last_failed", -1)),
+    0x0E: (0, _ordered("last_confirmed", -1)),
+    0x14: (0, _fault_detection_counters),
+    0x15: (0, _permanent_status),
+    0x42: (3, _wwh_by_mask),
+    0x55: (1, _wwh_permanent),
+}
+
+
+def _handle(c: Context, request: bytes) -> bytes:
+    number = request[1] & 0x7F
+    length, report = REPORTS[number]
+    refuse_unless(len(request) == 2 + length, Nrc.INCORRECT_LENGTH)
+    return bytes([number]) + report(c, request[2:])
+
+
+SERVICE = Service(
+    0x19,
+    "ReadDTCInformation",
+    _handle,
+    lambda _: dict.fromkeys(REPORTS, ANY_SESSION),
+    shortest=2,
+)

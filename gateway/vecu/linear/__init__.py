@@ -1,0 +1,5 @@
+"""Virtual ECU of any linear plant."""
+
+from gateway.vecu.linear.ecu import ECU
+
+__all__ = ["ECU"]

@@ -1,0 +1,112 @@
+"""``gateway evaluate crank``."""
+
+from __future__ import annotations
+
+from math import isnan
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from gateway.cli.present import print_json, wide_console
+from gateway_studies.crank.table import (
+    KINDS,
+    Alarms,
+    Score,
+    alarm_jobs,
+    as_dict,
+    false_alarms,
+    fault_jobs,
+    monte_carlo,
+)
+
+
+def _share(value: float) -> str:
+    return "-" if isnan(value) else f"{100 * value:.2f}"
+
+
+def _scores(scores: list[Score]) -> list[Table]:
+    tables = []
+    for group in dict.fromkeys(score.group for score in scores):
+        table = Table(title=f"Faults: {group}")
+        for name in ("wheel", "fault", "runs"):
+            table.add_column(name, justify="left" if name == "fault" else "right")
+        for name in ("detected", "named", "labelled", "delay", "at once"):
+            table.add_column(f"adaptive\n{name}", justify="right", style="bold")
+        table.add_column("paper\nnamed", justify="right")
+        for method in ("paper", "ratio", "threshold"):
+            table.add_column(f"{method}\nlabelled", justify="right")
+            table.add_column("wrong/\nno sync", justify="right")
+        mine = [score for score in scores if score.group == group]
+        for key in dict.fromkeys((score.wheel, score.kind, score.count) for score in mine):
+            by = {s.method: s for s in mine if (s.wheel, s.kind, s.count) == key}
+            ours = by["adaptive"]
+            row = [key[0], f"{key[2]} {key[1]}", str(ours.runs)]
+            row += [_share(v) for v in (ours.detected, ours.named, ours.labelled)]
+            row += [f"{ours.delay:.2f}", _share(ours.at_once), _share(by["paper"].named)]
+            for method in ("paper", "ratio", "threshold"):
+                peer = by[method]
+                row += [_share(peer.labelled), f"{peer.wrong:.2f}/{peer.unsynced:.2f}"]
+            table.add_row(*row, end_section=(key[1], key[2]) == KINDS[-1])
+        tables.append(table)
+    return tables
+
+
+def _alarm_table(rows: list[Alarms]) -> Table:
+    table = Table(
+        title="Healthy engine: false alarms per million pulses (wrong labels in brackets)"
+    )
+    methods = list(dict.fromkeys(row.method for row in rows))
+    for name in ("case", "wheel", "jitter", "pulses", *methods):
+        table.add_column(name, justify="left" if name == "case" else "right")
+    for key in dict.fromkeys((row.case, row.wheel, row.jitter) for row in rows):
+        mine = {row.method: row for row in rows if (row.case, row.wheel, row.jitter) == key}
+        shown = [f"{mine[m].per_million:.1f} ({mine[m].wrong})" for m in methods]
+        pulses = str(mine[methods[0]].pulses)
+        table.add_row(key[0], key[1], f"{100 * key[2]:.0f} %", pulses, *shown)
+    return table
+
+
+def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -> int:
+    """Evaluate the crankshaft methods; returns the exit code."""
+    faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy))
+        scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
+        alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
+    files: list[Path] = []
+    if plot is not None:
+        from gateway_studies.crank.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, seed)
+    if json:
+        print_json(
+            {
+                "seed": seed,
+                "faults": [as_dict(score) for score in scores],
+                "healthy": [as_dict(row) for row in alarms],
+                "files": [str(file) for file in files],
+            }
+        )
+        return 0
+    console = wide_console()
+    for table in _scores(scores):
+        console.print(table)
+    if alarms:
+        console.print(_alarm_table(alarms))
+    if scores or alarms:
+        _explain(console, seed)
+    for file in files:
+        console.print(f"drawn: {file}")
+    return 0
+
+
+def _explain(console: Console, seed: int) -> None:
+    console.print(
+        f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as rusEFI and FOME find the gap;"
+        " threshold: as Speeduino does, filter 50 %.\n"
+        "detected, named (direction and count), labelled (every tooth right from 4 pulses after the"
+        " fault for 3 turns), at once: % of runs; delay: pulses from\nthe fault's last pulse to the"
+        " report; wrong, no sync: turns after the fault with a wrong tooth, with none."
+    )

@@ -1,0 +1,149 @@
+"""Communication checks through the engine: each can fail, and guards the mailbox."""
+
+import cantools
+import crccheck
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from gateway.bus.frames import empty, put
+from gateway.common.resources import shipped
+from gateway.engine.build import CheckInstance, build_engine
+from gateway.engine.checks.communication import COUNTER, CRC, FAULTS, LENGTH, TIMEOUT, VALUE, Params
+from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
+from gateway.errors import InputError
+from gateway.signals.database import load_database
+from gateway.signals.tables import SignalRef
+
+MS = 1_000_000
+ORACLE = cantools.database.load_file(shipped("dbc/crank.dbc")).get_message_by_name("CTW_PT4")
+
+
+def frame(t_ms, count, pt0=100, corrupt=False, length=8):
+    data = bytearray(
+        ORACLE.encode({"Crc": 0, "FrameCnt": count % 256, "Pt0": pt0, "Pt1": 1, "Pt2": 2, "Pt3": 3})
+    )
+    data[0] = crccheck.crc.Crc8SaeJ1850.calc(bytes(data[1:]) + b"\x00\x07")
+    if corrupt:
+        data[5] ^= 0x10
+    return (round(t_ms * MS), bytes(data[:length]))
+
+
+def run(rows, **check):
+    database = load_database([shipped("dbc/crank.dbc")])
+    params = Params(
+        message="CTW_PT4",
+        **{
+            "timeout_ms": 100.0,
+            "counter": {"signal": "FrameCnt"},
+            "crc": {"signal": "Crc", "data_id": 0x700},
+            **check,
+        },
+    )
+    ref = SignalRef(0, "CTW_PT4", "Pt0")
+    engine = build_engine([(0, database)], [], [CheckInstance(params, 0, "c")], extra=[ref])
+    frames = empty(len(rows))
+    for k, (t_ns, data) in enumerate(rows):
+        put(frames, k, t_ns, 0x700, data)
+    seen = []
+
+    def sink(events):
+        seen.extend(
+            (engine.faults[int(e["fault"])].id[2:], int(e["t_ns"]) // MS)
+            for e in events
+            if e["kind"] == QUALIFIED_FAILED
+        )
+        seen.extend(
+            (engine.faults[int(e["fault"])].id[2:] + " passed", int(e["t_ns"]) // MS)
+            for e in events
+            if e["kind"] == QUALIFIED_PASSED
+        )
+
+    engine.process(frames, sink)
+    return engine, seen, engine.signal(ref)
+
+
+def test_good_frames_pass_every_check():
+    _, seen, value = run([frame(k * 10, k) for k in range(300)])
+    assert {name for name, _ in seen} == {
+        "timeout passed",
+        "counter passed",
+        "crc passed",
+        "length passed",
+    }
+    assert value == 100
+
+
+def test_corrupt_frames_fail_the_crc_and_never_reach_the_mailbox():
+    rows = [frame(0, 0, 50)] + [frame(10 * k, k, 60 + k, corrupt=True) for k in range(1, 4)]
+    engine, seen, value = run(rows)
+    assert ("crc", 20) in seen
+    assert value == 50
+    assert engine.counters()["crc_failed"] == 3
+    assert not any(name == "counter" for name, _ in seen)
+
+
+@pytest.mark.parametrize("bit", range(64))
+def test_every_bit_is_guarded_by_the_crc(bit):
+    t_ns, data = frame(0, 0)
+    broken = bytearray(data)
+    broken[bit // 8] ^= 1 << (bit % 8)
+    engine, _, value = run([(t_ns, bytes(broken))])
+    assert engine.counters()["crc_failed"] == 1
+    assert np.isnan(value)
+
+
+def test_lost_frames_fail_the_counter_but_their_followers_are_used():
+    engine, seen, value = run([frame(10 * k, 3 * k, 10 + k) for k in range(5)])
+    assert ("counter", 30) in seen
+    assert value == 14
+    assert engine.counters()["repeated"] == 0
+
+
+def test_repeated_frames_fail_the_counter_and_are_not_used():
+    engine, seen, value = run([frame(10 * k, 7, 10 + k) for k in range(5)])
+    assert ("counter", 30) in seen
+    assert value == 10
+    assert engine.counters()["repeated"] == 4
+
+
+def test_counters_of_corrupt_frames_are_not_lost_frames():
+    rows = [frame(10 * k, k, corrupt=k % 2 == 1) for k in range(40)]
+    _, seen, _ = run(rows)
+    assert not any(name == "counter" for name, _ in seen)
+
+
+def test_the_counter_wraps():
+    _, seen, _ = run([frame(10 * k, 250 + k) for k in range(100)])
+    assert not any(name == "counter" for name, _ in seen)
+
+
+def test_short_frames_fail_the_length():
+    engine, seen, value = run([frame(0, 0)] + [frame(10 * k, k, 9, length=7) for k in (1, 2, 3)])
+    assert ("length", 20) in seen
+    assert value == 100
+    assert engine.counters()["too_short"] == 3
+
+
+def test_silence_fails_at_the_very_deadline():
+    _, seen, _ = run([frame(0, 0), frame(10, 1), frame(500, 2)])
+    assert ("timeout", 110) in seen
+
+
+def test_a_crc_off_its_byte_is_refused():
+    with pytest.raises(InputError, match="8 bits on a byte boundary"):
+        run([], crc={"signal": "Pt0"})
+    with pytest.raises(InputError, match="did you mean FrameCnt"):
+        run([], counter={"signal": "FrameCount"})
+
+
+def test_messages_have_dtcs_of_their_own():
+    """U01xx lost communication, U04xx invalid data received; the failure type stays that of the check."""
+    params = Params(message="SAS", timeout_ms=100.0, lost="U0126", invalid="U0428")
+    codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH, VALUE)]
+    assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81", "U0428-29"]
+    assert [Params(message="SAS").fault_of(k).dtc for k in range(len(FAULTS))] == [
+        f.dtc for f in FAULTS
+    ]
+    with pytest.raises(ValidationError, match="lost"):
+        Params(message="SAS", lost="P0126")
