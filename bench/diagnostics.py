@@ -28,7 +28,7 @@ import numpy as np
 from gateway.bus.frames import empty, put
 from gateway.bus.uri import open_bus
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.monitors.registry import MONITORS
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario

@@ -24,8 +24,9 @@ from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import empty, to_message
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.config.load import load_config
+from gateway.engine.build import build_engine
+from gateway.engine.instances import MonitorInstance
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway

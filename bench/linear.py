@@ -14,7 +14,8 @@ from gateway_studies.linear import example
 from gateway_studies.linear.bank import drive, observers
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config, monitor_of
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.fdi.pi_bank import bank, products
 from gateway.fdi.pi_bank.design import augmented
 from gateway.jit import call_entry, kernel, zeros

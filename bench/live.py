@@ -32,7 +32,7 @@ from gateway.bus.can_structs import RawReceiver
 from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway

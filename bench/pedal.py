@@ -15,7 +15,7 @@ from gateway_studies.pedal.cases import NOISY, Case, Run, make
 from gateway_studies.pedal.follow import VOTERS, follow
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.vecu.pedal.ecu import pedal_frames
 from gateway.vecu.pedal.params import PedalParams

@@ -14,7 +14,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from gateway_studies.steering.estimators import nominal
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park

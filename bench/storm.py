@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from live import BASE, BUFFER, MESSAGES, StructBus, datagrams, spoilt, write_config
 
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway

@@ -20,7 +20,7 @@ from gateway_studies.truck.follow import DURATION, follow, inputs
 from gateway_studies.truck.table import TRUCK
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.monitors.truck.params import Params
 from gateway.runtime.app import Gateway
 from gateway.vecu.truck.drive import drive

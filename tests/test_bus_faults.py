@@ -7,7 +7,7 @@ from bench_config import beat, write_config
 from gateway.bus import conditions as c
 from gateway.bus.conditions import condition_frame
 from gateway.bus.frames import ERROR, empty, put
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import InputErrors
 from gateway.runtime.app import Gateway
 

@@ -11,7 +11,7 @@ from rig import MS, Rig, write_config
 
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import read_log
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import GatewayError
 from gateway.faults import service
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import open_writer, read_log
 from gateway.common.resources import shipped
-from gateway.config.model import load_config, schema
+from gateway.config.load import load_config
+from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.faults import service
 from gateway.runtime.app import Gateway

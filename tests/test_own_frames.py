@@ -4,7 +4,7 @@ import numpy as np
 
 from gateway.bus.frames import ANSWER, CYCLIC, OWN, URGENT, empty, put
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
 from gateway.vecu.player import Player

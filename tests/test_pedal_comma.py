@@ -75,7 +75,7 @@ def test_its_faults_are_found(tmp_path, change, dtc):
 
 
 def test_the_voted_message_is_found_without_naming_its_database(tmp_path):
-    from gateway.config.model import load_config
+    from gateway.config.load import load_config
     from gateway.runtime.app import Gateway
 
     frames, _ = log_of(tmp_path / "drive.log", seconds=1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway, prepare
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario

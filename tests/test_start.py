@@ -10,11 +10,6 @@ from pathlib import Path
 
 import pytest
 import structlog
-from gateway_studies.crank.command import crank
-from gateway_studies.linear.command import pi_bank
-from gateway_studies.pedal.command import voters
-from gateway_studies.steering.command import steering
-from gateway_studies.truck.command import hybrid
 
 import gateway
 from gateway.bus.logs import open_writer, read_log
@@ -40,7 +35,7 @@ STUDIES = ("gateway_studies", "gateway.vecu", "gateway.fdi.structure", "gateway.
 #: What gateway.toml has no use for.
 OTHERS = tuple(
     f"gateway.monitors.{name}"
-    for name in ("brake_pedal", "steering_angle", "pi_bank", "linear_observer", "hybrid_powertrain")
+    for name in ("pedal", "steering", "linear", "truck")
 )
 
 _COMMAND = """
@@ -95,7 +90,7 @@ def test_help_imports_no_work():
     assert "gateway.cli" in modules
     assert not loaded(
         modules,
-        ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config.model", *PYTHON_CAN),
+        ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config", *PYTHON_CAN),
     )
 
 
@@ -113,7 +108,7 @@ def test_help_of_a_group_imports_no_work(group):
     said, modules = command(group, "--help")
     assert "Commands" in said
     assert not loaded(
-        modules, ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config.model")
+        modules, ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config")
     )
 
 
@@ -259,38 +254,11 @@ def _candump(folder):
     return path
 
 
-@pytest.mark.parametrize(
-    ("begins_with", "study"),
-    [
-        ("crank.fault_jobs", lambda plot: crank(runs=1, pulses=0, seed=1, json=True, plot=plot)),
-        ("hybrid.firing", lambda plot: hybrid(seeds=1, seed=1, json=True, plot=plot)),
-        ("pi_bank._paper", lambda plot: pi_bank(cases=0, hours=0.0, seed=1, json=True, plot=plot)),
-        (
-            "steering.accuracy_jobs",
-            lambda plot: steering(runs=0, healthy=1, seed=1, rules=False, json=True, plot=plot),
-        ),
-        ("voters.plan", lambda plot: voters(runs=1, seed=1, json=True, plot=plot)),
-    ],
-)
-def test_a_study_says_that_it_cannot_draw_before_it_works(
-    begins_with, study, lacking, monkeypatch, tmp_path
-):
-    def works(*_args, **_kwargs):
-        raise InterruptedError("it works")
-
-    monkeypatch.setattr(f"gateway.cli.evaluate.{begins_with}", works)
-    with pytest.raises(InterruptedError):
-        study(tmp_path)
-    lacking("matplotlib")
-    with pytest.raises(InputError, match=r"--plot: .*pip install 'ecu-gateway\[studies\]'"):
-        study(tmp_path)
-
-
 def test_the_structural_analysis_names_its_extras(lacking, tmp_path, capsys):
     ask = {"json": True, "limit": 1000, "sensors": None}
     lacking("matplotlib")
     lacking("sympy")
-    with pytest.raises(InputError, match=r"--plot: .*\[studies\]"):
+    with pytest.raises(InputError, match=r"--plot: .*\[plot\]"):
         structure(Path("example_1"), plot=tmp_path / "a.svg", residual=None, **ask)
     with pytest.raises(InputError, match=r"--residual: .*\[structure\]"):
         structure(Path("example_1"), plot=None, residual="T1", **ask)
@@ -330,7 +298,7 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {name for name in names if name.endswith(".figures")} | {"gateway.cli.drawing"}
+    pictures = {"gateway.cli.drawing", "gateway.cli.structure_figures"}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
         for name in ("code", "initial", "loading", "realisation", "solving", "symbols")

@@ -7,7 +7,7 @@ from rig import MS, Rig, Tester, write_config
 
 from gateway.bus.frames import EXTENDED
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.faults.store import Store, StoreError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive
 from gateway.vecu.player import Player

@@ -13,7 +13,9 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.bus.ring import read_recording
 from gateway.bus.timeline import LogTime
-from gateway.config.model import Config, channels_of, monitor_of
+from gateway.config.channels import channels_of
+from gateway.config.model import Config
+from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams
 from gateway.runtime.app import Gateway

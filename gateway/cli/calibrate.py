@@ -15,7 +15,7 @@ from gateway.calibration import cusum, stopping
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
 from gateway.cli.present import print_json, wide_console
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.fdi.stopping import assured
 from gateway.monitors.contract import Calibration, CusumCalibration
 

@@ -6,7 +6,10 @@ from pathlib import Path
 
 from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
-from gateway.config.model import Config, load_config, monitor_of, schema
+from gateway.config.load import load_config
+from gateway.config.model import Config
+from gateway.config.monitor_types import monitor_of
+from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
 

@@ -13,7 +13,7 @@ from gateway import __version__
 from gateway.cli.present import find_config, print_json
 from gateway.common.extras import EXTRAS, PURPOSES, installed
 from gateway.common.plugins import foreign
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import InputError
 from gateway.faults.service import daemon_state
 from gateway.jit import COMPILED, cache, cache_directory, shipped

@@ -6,7 +6,7 @@ from json import dumps
 from pathlib import Path
 
 from gateway.cli.present import find_config, strict
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 
 

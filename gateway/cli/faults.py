@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.faults import service
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN

@@ -13,7 +13,9 @@ from gateway.bus.frames import Frames
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.trace import Trace, only, single
-from gateway.config.model import Config, channels_of, load_config
+from gateway.config.channels import channels_of
+from gateway.config.load import load_config
+from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import contents

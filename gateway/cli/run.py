@@ -14,7 +14,7 @@ from typing import Self
 
 from gateway.bus.logs import open_writer
 from gateway.cli.present import EventPrinter, find_config, say, say_unless_stored
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
 

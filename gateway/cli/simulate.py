@@ -25,7 +25,8 @@ from gateway.cli.present import (
 )
 from gateway.cli.run import Ending
 from gateway.common.resources import shipped
-from gateway.config.model import Config, load_config
+from gateway.config.load import load_config
+from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive

@@ -9,7 +9,7 @@ from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver
 from gateway.cli.present import print_json, say
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import InputError
 from gateway.jit import cache_directory
 from gateway.monitors.registry import MONITORS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,9 @@ from gateway.engine import loop
 from gateway.engine.checks.bus_health import COUNTED
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
+from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
 from gateway.jit import bound
-from gateway.monitors.contract import Fault
 from gateway.signals.tables import DecodePlan, SignalRef
 
 _CELL, _CELLS = np.dtype("<u8"), FRAME.itemsize // 8
@@ -26,17 +25,8 @@ _NO_CELLS = np.zeros((0, _CELLS), np.uint64)
 Sink = Callable[[Events], None]
 
 
-@dataclass(frozen=True)
-class FaultSlot:
-    """One fault of the engine: its id, definition, and the bus it was found on."""
-
-    id: str
-    fault: Fault
-    bus: int
-
-
 class Engine:
-    """The compiled tables with the loop over them; made by :func:`gateway.engine.build_engine`.
+    """The compiled tables with the loop over them; made by :func:`gateway.engine.build.build_engine`.
 
     Not thread-safe: one thread feeds it.
     """

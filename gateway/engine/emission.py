@@ -69,7 +69,7 @@ class Emitted:
     bus: int
 
 
-def prepare(
+def fill(
     emitted: Sequence[Emitted], local: Sequence[bool]
 ) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return the tables Emit and SIGNAL of the messages to be sent.

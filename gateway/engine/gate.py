@@ -129,7 +129,7 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     return False
 
 
-def prepare_gates(
+def fill_gates(
     gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan
 ) -> tuple[Any, Any]:
     """Fill the gates of all faults; returns the tables of conditions and of roots."""
@@ -151,7 +151,7 @@ def prepare_gates(
     return made, np.asarray(roots or [0], np.int32)
 
 
-def prepare_watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> Any:
+def fill_watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> Any:
     """Fill what begins and ends the operation cycles, in order of the messages; returns the table."""
     asked = [
         (int(plan.slot_message[plan.slot(*condition.signal)]), begins, index, condition)

@@ -8,7 +8,8 @@ from typing import Any
 
 from gateway.bus.ring import Ring
 from gateway.common.log import get_logger
-from gateway.config.model import Config, load_config
+from gateway.config.load import load_config
+from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
 from gateway.faults.kept import KeptStore
 from gateway.live.link import Link

@@ -18,6 +18,7 @@ from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
+from gateway.config.resolve import resolve
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
     CLOCK_STEPPED,
@@ -562,7 +563,7 @@ def prepare(config: Config, file: Path | None = None) -> Parts:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
     try:
-        parts = assemble(config)
+        parts = assemble(resolve(config))
     except InputError as error:
         raise error.within(file) from error
     except InputErrors as errors:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -223,17 +223,58 @@ def compile_plan(
     """
     by_bus = dict(databases)
     if wanted is None:
-        wanted = [
-            SignalRef(bus, message.name, signal.name)
-            for bus, database in databases
-            for message in database
-            for signal in message.signals
-            if signal.length <= 64
-        ]
+        wanted = _all_signals(databases)
         messages = [(bus, message.name) for bus, database in databases for message in database]
+    asked = _asked(by_bus, wanted, messages)
+    chosen = sorted(
+        ((bus, by_bus[bus].message(name)) for bus, name in asked),
+        key=lambda pair: (pair[0], pair[1].is_extended_frame, pair[1].frame_id, pair[1].name),
+    )
+    rows = _Rows(np.zeros(len(chosen), MESSAGE))
+    for row, (bus, message) in enumerate(chosen):
+        rows.add(row, bus, message, asked[bus, message.name])
+    by_pgn = [_by_pgn(message, bus in pgn) for bus, message in chosen]
+    keys, places = _hash(chosen, by_pgn)
+    signals = np.asarray(rows.signals, SIGNAL) if rows.signals else np.zeros(0, SIGNAL)
+    return DecodePlan(
+        keys,
+        places,
+        rows.messages if COMPILED else rows.messages.view(np.recarray),
+        signals if COMPILED else signals.view(np.recarray),
+        np.asarray(rows.mux_ids or [0], np.int64),
+        tuple(rows.slots),
+        tuple(rows.units),
+        np.asarray(rows.slot_message, np.int32),
+        tuple((bus, message.name) for bus, message in chosen),
+        tuple(by_pgn),
+        rows.positions,
+    )
+
+
+def _all_signals(databases: Sequence[tuple[int, Database]]) -> list[SignalRef]:
+    """Return all signals that can be decoded."""
+    return [
+        SignalRef(bus, message.name, signal.name)
+        for bus, database in databases
+        for message in database
+        for signal in message.signals
+        if signal.length <= 64
+    ]
+
+
+def _asked(
+    databases: Mapping[int, Database],
+    wanted: Collection[SignalRef],
+    messages: Collection[tuple[int, str]],
+) -> dict[tuple[int, str], set[str]]:
+    """Return what is wanted of each message: (bus, name) -> names of signals.
+
+    Raises:
+        InputError: a name that no database has, a signal longer than 64 bits.
+    """
     asked: dict[tuple[int, str], set[str]] = {key: set() for key in messages}
     for ref in wanted:
-        signal = by_bus[ref.bus].signal(ref.message, ref.signal)
+        signal = databases[ref.bus].signal(ref.message, ref.signal)
         if signal.length > 64:
             raise InputError(
                 "a signal of more than 64 bits cannot be decoded",
@@ -241,65 +282,66 @@ def compile_plan(
                 value=signal.length,
             )
         asked.setdefault((ref.bus, ref.message), set()).add(ref.signal)
-    chosen = sorted(
-        ((bus, by_bus[bus].message(name)) for bus, name in asked),
-        key=lambda pair: (pair[0], pair[1].is_extended_frame, pair[1].frame_id, pair[1].name),
-    )
+    return asked
 
-    signal_rows: list[Any] = []
-    mux_ids: list[int] = []
-    slots: list[SignalRef] = []
-    units: list[str] = []
-    slot_message: list[int] = []
-    positions: dict[SignalRef, int] = {}
-    table = np.zeros(len(chosen), MESSAGE)
-    for row, (bus, message) in enumerate(chosen):
-        names = asked[bus, message.name]
+
+@dataclass
+class _Rows:
+    """The plan's rows while they are made.
+
+    Attributes:
+        messages: of MESSAGE, shape (messages,).
+        signals: of SIGNAL; those of one message lie together.
+        mux_ids: multiplexer ids that the signals' rows point to.
+        slots: the signal of each mailbox slot, with its unit and the row of its message.
+        positions: signal -> its place among those of its message.
+    """
+
+    messages: NDArray[np.void]
+    signals: list[Any] = field(default_factory=list)
+    mux_ids: list[int] = field(default_factory=list)
+    slots: list[SignalRef] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
+    slot_message: list[int] = field(default_factory=list)
+    positions: dict[SignalRef, int] = field(default_factory=dict)
+
+    def add(self, row: int, bus: int, message: Message, names: set[str]) -> None:
+        """Fill the row of a message, and those of the signals that it needs for the named ones."""
         needed = _needed(message, names)
         place = {signal.name: j for j, signal in enumerate(needed)}
-        table[row]["first"], table[row]["count"] = len(signal_rows), len(needed)
+        entry = self.messages[row]
+        entry["first"], entry["count"] = len(self.signals), len(needed)
         # A message that is too short for its own signals can never be decoded (nor by cantools).
         broken = any(_sticks_out(message, signal) for signal in message.signals)
-        table[row]["length"] = NEVER_LONG_ENOUGH if broken else message.length
-        table[row]["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        table[row]["bus"] = bus
-        table[row]["floats"] = any(signal.is_float for signal in needed)
+        entry["length"] = NEVER_LONG_ENOUGH if broken else message.length
+        entry["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        entry["bus"] = bus
+        entry["floats"] = any(signal.is_float for signal in needed)
         for j, signal in enumerate(needed):
-            entry = np.zeros(1, SIGNAL)[0]
-            _fill(entry, signal)
-            if signal.multiplexer_signal is not None:
-                ids = signal.multiplexer_ids or []
-                entry["parent"] = place[signal.multiplexer_signal]
-                entry["first_id"], entry["ids"] = len(mux_ids), len(ids)
-                mux_ids += ids
-            if signal.is_multiplexer:
-                known = sorted(_known_values(message.signal_tree, signal.name))
-                entry["first_known"], entry["known"] = len(mux_ids), len(known)
-                mux_ids += known
             ref = SignalRef(bus, message.name, signal.name)
-            positions[ref] = j
+            self.positions[ref] = j
+            made = self._signal(message, signal, place)
             if signal.name in names:
-                entry["slot"] = len(slots)
-                slots.append(ref)
-                units.append(signal.unit or "")
-                slot_message.append(row)
-            signal_rows.append(entry)
-    by_pgn = [_by_pgn(message, bus in pgn) for bus, message in chosen]
-    keys, rows = _hash(chosen, by_pgn)
-    signals = np.asarray(signal_rows, SIGNAL) if signal_rows else np.zeros(0, SIGNAL)
-    return DecodePlan(
-        keys,
-        rows,
-        table if COMPILED else table.view(np.recarray),
-        signals if COMPILED else signals.view(np.recarray),
-        np.asarray(mux_ids or [0], np.int64),
-        tuple(slots),
-        tuple(units),
-        np.asarray(slot_message, np.int32),
-        tuple((bus, message.name) for bus, message in chosen),
-        tuple(by_pgn),
-        positions,
-    )
+                made["slot"] = len(self.slots)
+                self.slots.append(ref)
+                self.units.append(signal.unit or "")
+                self.slot_message.append(row)
+            self.signals.append(made)
+
+    def _signal(self, message: Message, signal: Signal, place: Mapping[str, int]) -> Any:
+        """Return the row of a signal, its multiplexing resolved to places of the message's other signals."""
+        entry = np.zeros(1, SIGNAL)[0]
+        _fill(entry, signal)
+        if signal.multiplexer_signal is not None:
+            ids = signal.multiplexer_ids or []
+            entry["parent"] = place[signal.multiplexer_signal]
+            entry["first_id"], entry["ids"] = len(self.mux_ids), len(ids)
+            self.mux_ids += ids
+        if signal.is_multiplexer:
+            known = sorted(_known_values(message.signal_tree, signal.name))
+            entry["first_known"], entry["known"] = len(self.mux_ids), len(known)
+            self.mux_ids += known
+        return entry
 
 
 def encode_rows(message: Message, names: Sequence[str]) -> list[Any]:

@@ -13,7 +13,8 @@ from gateway.calibration.file import write
 from gateway.calibration.logs import digest
 from gateway.cli import app
 from gateway.common.resources import shipped
-from gateway.config.model import load_config, monitor_of
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError
 from gateway.jit import COMPILED
 from gateway.monitors.truck.params import QUANTITIES

@@ -15,7 +15,8 @@ from gateway.calibration.file import write
 from gateway.calibration.logs import digest
 from gateway.calibration.stopping import alarms, calibrate, levels, propose, tables
 from gateway.common.resources import shipped
-from gateway.config.model import load_config, monitor_of
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
 from gateway.jit import COMPILED

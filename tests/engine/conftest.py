@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import EXTENDED, FD, empty, put
-from gateway.engine.build import CheckInstance, MonitorInstance, build_engine
+from gateway.engine.build import build_engine
 from gateway.engine.checks import communication
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.instances import MonitorInstance
 from gateway.jit import Record, f8, i8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.contract import (

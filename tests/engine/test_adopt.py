@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
-from gateway.engine.build import BusInstance
-from gateway.engine.checks.bus_health import Health, HealthPlace, HealthState
+from gateway.engine.checks.bus_health import BusInstance, Health, HealthPlace, HealthState
 from gateway.engine.checks.communication import Check, CheckConst, CheckPlace, CheckState
 from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
 from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState

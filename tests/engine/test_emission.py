@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.frames import CYCLIC, empty, payload, put
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.engine.build import build_engine
+from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError, InputErrors
 from gateway.jit import Record, f8, i8, kernel
 from gateway.monitors import contract

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.frames import FD, empty, put
-from gateway.engine.build import CheckInstance, build_engine
+from gateway.engine.build import build_engine
 from gateway.engine.checks import communication
+from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.signals.database import load_database
 from gateway.signals.tables import LARGEST, SignalRef

@@ -17,7 +17,7 @@ CODE = Code("gateway_1", "i", ("sqrt",), b"\x00code\n\xff" * 50, {"kernel": "a:b
 #: A process that compiles a kernel of a file, says what it said, and prints 5.
 PROGRAM = """
 import sys
-from gateway import progress
+from gateway.common import progress
 import mine
 said = []
 progress.say = said.append

@@ -77,7 +77,7 @@ def copy(tmp_path):
 
 
 MADE_READY = """
-from gateway import progress
+from gateway.common import progress
 names = set()
 progress.listen(lambda name, done, total: names.add(name))
 from gateway.cli.warmup import warmup
@@ -153,7 +153,7 @@ finally:
 
 
 def test_every_entry_that_is_shipped_is_there_for_both_architectures():
-    index = shipped._index()
+    index = shipped._index("gateway")
     assert len(index["entries"]) > 20
     for found in index["entries"].values():
         assert shipped.bitcode(found) is not None

@@ -12,7 +12,8 @@ from daemon_rig import World
 from gateway.bus.candump import parse
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.ring import read_recording
-from gateway.config.model import channels_of, load_config
+from gateway.config.channels import channels_of
+from gateway.config.load import load_config
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay

@@ -8,7 +8,7 @@ import pytest
 from gateway.bus.base import Bus
 from gateway.bus.frames import empty
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import InputError, InputErrors
 from gateway.live.clock import Clock
 from gateway.live.link import Link

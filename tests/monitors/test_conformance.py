@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import empty, put
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED
+from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError
 from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors import contract

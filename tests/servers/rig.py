@@ -6,7 +6,7 @@ import isotp
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, FD, empty, payload, put
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 
 MS = 1_000_000

@@ -6,8 +6,9 @@ import numpy as np
 
 from gateway.bus.frames import FD, empty, payload
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.config.load import load_config
+from gateway.engine.build import build_engine
+from gateway.engine.instances import MonitorInstance
 from gateway.runtime.app import prepare
 from gateway.signals.database import load_database
 from gateway.vecu.player import Player
@@ -47,7 +48,7 @@ def twin(name, seconds, folder):
     scenario = load_scenario(shipped(f"scenarios/{name}.toml"))
     config = load_config(scenario.config)
     parts = prepare(config, scenario.config)
-    by_bus = dict(parts.databases)
+    by_bus = dict(enumerate(parts.databases))
     plan = parts.engine.plan
     messages = {}
     for bus, message in plan.message_names:

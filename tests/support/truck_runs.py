@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.monitors.truck.params import QUANTITIES
 from gateway.runtime.app import Gateway
 from gateway.vecu.truck.drive import drive

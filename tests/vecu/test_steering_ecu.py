@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.errors import InputErrors
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import COMPILED

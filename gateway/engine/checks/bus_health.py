@@ -11,7 +11,7 @@ signal, 04 system internal failure (the gateway's own queue).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -39,6 +39,7 @@ from gateway.bus.conditions import (
     TX_WARNING,
 )
 from gateway.engine.checks.clock_health import OWN_FAULTS
+from gateway.engine.instances import FaultSlot
 from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 
@@ -301,3 +302,25 @@ def on_timer(h: Any, t_ns: int) -> None:
             h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
             h.passed |= 1 << k
         h.deadline_ns = min(h.deadline_ns, h.until[k])
+
+
+@dataclass(frozen=True)
+class BusInstance:
+    """A bus, and how its health is judged."""
+
+    name: str
+    params: Params = field(default_factory=Params)
+
+
+def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int) -> list[FaultSlot]:
+    """Fill the health of one bus; returns the faults it can report, in order."""
+    p = bus.params
+    row["most"], row["window_ns"] = p.errors, round(p.window_ms * 1e6)
+    row["deadline_ns"] = NEVER
+    row["until"] = NEVER
+    row["fault"] = -1
+    if not p.watched:
+        return []
+    faults = faults_of(code)
+    row["fault"][: len(faults)] = first_fault + np.arange(len(faults))
+    return [FaultSlot(f"{bus.name}.{fault.name}", fault, index) for fault in faults]

@@ -7,12 +7,19 @@ because two clocks that must agree, the wall clock and the monotonic one, do not
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from pydantic import Field
 
+from gateway.engine.events import NO_BUS
+from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 
 #: First part of the ids of the gateway's own faults.
 OWN = "gateway"
+
+NEVER = int(np.iinfo(np.int64).max)
 
 OWN_FAULTS = (
     Fault(
@@ -43,3 +50,18 @@ class ClockParams(MonitorParams):
         allow_inf_nan=False,
         description="each time of this length without a step is a passed test [s]",
     )
+
+
+def fill(row: Any, params: ClockParams | None, first_fault: int) -> list[FaultSlot]:
+    """Fill the health of the gateway itself; returns the faults it can report, in order."""
+    row["deadline_ns"] = NEVER
+    row["until"] = NEVER
+    row["fault"] = -1
+    if params is None or not params.watched:
+        return []
+    row["most"], row["window_ns"] = (
+        round(params.tolerance_ms * 1e3),
+        round(params.heals_after_s * 1e9),
+    )
+    row["fault"][-len(OWN_FAULTS) :] = first_fault + np.arange(len(OWN_FAULTS))
+    return [FaultSlot(f"{OWN}.{fault.name}", fault, NO_BUS) for fault in OWN_FAULTS]

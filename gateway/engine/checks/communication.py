@@ -11,18 +11,23 @@ calculation incorrect, 81 invalid serial data received, 29 signal invalid.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from gateway.common.tomlfile import StrictModel
+from gateway.engine.instances import FaultSlot
+from gateway.errors import InputError
 from gateway.jit import Record, i4, i4s, i8, kernel, means, u1
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
-from gateway.signals.crc import crc8
+from gateway.signals.crc import ALGORITHMS, crc8
+from gateway.signals.database import Database
+from gateway.signals.tables import DecodePlan, SignalRef
 
 TIMEOUT, COUNTER, CRC, LENGTH, VALUE = range(5)
+NEVER = int(np.iinfo(np.int64).max)
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -192,3 +197,70 @@ def counter_step(check: Any, received: int) -> int:
     if check.seen == 0:
         return 1
     return int((received - check.last_counter) % check.modulo)
+
+
+@dataclass(frozen=True)
+class CheckInstance:
+    """The configured communication checks of one message of a bus."""
+
+    params: Params
+    bus: int = 0
+    name: str = ""
+
+
+def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
+    """Return the signals that a check needs decoded."""
+    p = check.params
+    try:
+        database.message(p.message)
+        if p.counter is None:
+            return []
+        database.signal(p.message, p.counter.signal)
+    except InputError as error:
+        raise InputError(error.message, key=f'check of "{p.message}"', value=error.value) from error
+    return [SignalRef(check.bus, p.message, p.counter.signal)]
+
+
+def fill(
+    row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int
+) -> list[FaultSlot]:
+    """Fill one row of checks; returns the faults it can report, in order."""
+    p = check.params
+    message = database.message(p.message)
+    asked = (
+        p.timeout_ms is not None,
+        p.counter is not None,
+        p.crc is not None,
+        p.length,
+        p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
+    )
+    slots: list[FaultSlot] = []
+    for kind, wanted in enumerate(asked):
+        row["fault"][kind] = first_fault + len(slots) if wanted else -1
+        if wanted:
+            fault = p.fault_of(kind)
+            slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
+    row["bus"] = check.bus
+    row["length"] = message.length
+    row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
+    row["deadline_ns"] = NEVER
+    if p.counter is not None:
+        signal = database.signal(p.message, p.counter.signal)
+        row["counter"] = plan.position(check.bus, p.message, p.counter.signal)
+        row["modulo"] = 1 << signal.length
+        row["max_step"] = p.counter.max_step
+    if p.crc is not None:
+        signal = database.signal(p.message, p.crc.signal)
+        big = signal.byte_order == "big_endian"
+        if signal.length != 8 or signal.start % 8 != (7 if big else 0):
+            raise InputError(
+                "a CRC signal has 8 bits on a byte boundary",
+                key=f"{p.message}.{p.crc.signal}",
+                value=f"start {signal.start}, length {signal.length}",
+            )
+        algorithm = ALGORITHMS[p.crc.algorithm]
+        row["crc_byte"] = signal.start // 8
+        row["data_id"] = -1 if p.crc.data_id is None else p.crc.data_id
+        row["crc_table"] = list(ALGORITHMS).index(p.crc.algorithm)
+        row["crc_init"], row["crc_xor"] = algorithm.init, algorithm.xorout
+    return slots

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
-from gateway.engine.build import BusInstance
 from gateway.engine.checks import bus_health
+from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.engine.gate import Gate
 

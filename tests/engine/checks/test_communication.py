@@ -8,8 +8,17 @@ from pydantic import ValidationError
 
 from gateway.bus.frames import empty, put
 from gateway.common.resources import shipped
-from gateway.engine.build import CheckInstance, build_engine
-from gateway.engine.checks.communication import COUNTER, CRC, FAULTS, LENGTH, TIMEOUT, VALUE, Params
+from gateway.engine.build import build_engine
+from gateway.engine.checks.communication import (
+    COUNTER,
+    CRC,
+    FAULTS,
+    LENGTH,
+    TIMEOUT,
+    VALUE,
+    CheckInstance,
+    Params,
+)
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.errors import InputError
 from gateway.signals.database import load_database

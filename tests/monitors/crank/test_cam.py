@@ -8,7 +8,8 @@ from gateway_studies.crank.cases import healthy
 
 from gateway.bus.frames import payload
 from gateway.common.resources import shipped
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.engine.build import build_engine
+from gateway.engine.instances import MonitorInstance
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.contract import FAILED
 from gateway.monitors.crank import MONITOR

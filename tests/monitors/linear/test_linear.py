@@ -8,7 +8,8 @@ from gateway_studies.linear import example
 from gateway_studies.linear.bank import FEEDBACK, drive, noise
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config, monitor_of
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.jit import COMPILED, zeros
 from gateway.monitors.contract import FAILED
@@ -27,13 +28,13 @@ compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whol
 
 
 def entry(config, name=None):
-    document = tomllib.loads(shipped(f"configs/{config}.toml").read_text())
+    document = tomllib.loads(shipped(f"configs/linear_{config}.toml").read_text())
     (found,) = [m for m in document["monitor"] if name in (None, m["name"])]
     return {k: v for k, v in found.items() if k not in ("name", "type")}
 
 
 def written(tmp_path, config, *changes):
-    text = shipped(f"configs/{config}.toml").read_text()
+    text = shipped(f"configs/linear_{config}.toml").read_text()
     text = text.replace("../dbc/", str(shipped("dbc")) + "/")
     for old, new in changes:
         assert old in text

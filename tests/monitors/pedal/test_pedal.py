@@ -10,8 +10,9 @@ from pydantic import ValidationError
 
 from gateway.bus.frames import empty, payload, put
 from gateway.common.resources import shipped
-from gateway.engine.build import MonitorInstance, build_engine
+from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
+from gateway.engine.instances import MonitorInstance
 from gateway.jit import COMPILED
 from gateway.monitors.pedal import PAIR, TRIPLE
 from gateway.monitors.pedal.monitor import AGREED, DEGRADED, INVALID, ONE_CHANNEL, SILENCE

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.common.resources import shipped
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.jit import COMPILED, zeros
 from gateway.monitors.steering import clock
 from gateway.runtime.app import Gateway

@@ -10,7 +10,7 @@ from bench_config import beat, write_config
 from kernel_can import can_frame, daemon, raw, wait_for
 
 from gateway.bus.ring import read_recording
-from gateway.config.model import load_config
+from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
 

@@ -1,0 +1,90 @@
+"""What one table of a configuration says of another: names that are taken, and names that nothing has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+
+from gateway.config.model import Config
+from gateway.config.monitor_types import monitor_of
+from gateway.errors import InputError, InputErrors
+from gateway.faults.settings import POWER
+from gateway.servers.identifiers import check_unique
+
+
+def cross_check(config: Config) -> Iterator[InputError]:
+    """Yield all that is wrong."""
+    return chain(
+        _names(config),
+        _monitors(config),
+        _checks(config),
+        _outputs(config),
+        check_unique(config.did),
+        _cycles(config),
+    )
+
+
+def _names(config: Config) -> Iterator[InputError]:
+    named = {"bus": [bus.name for bus in config.bus], "monitor": [m.name for m in config.monitor]}
+    for kind, found in named.items():
+        for k, name in enumerate(found):
+            if name in found[:k]:
+                yield InputError("this name is taken", key=f"{kind}[{k}].name", value=name)
+
+
+def _monitors(config: Config) -> Iterator[InputError]:
+    for k, entry in enumerate(config.monitor):
+        try:
+            monitor_of(entry, f"monitor[{k}]")
+        except InputErrors as errors:
+            yield from errors.errors
+        except InputError as error:
+            yield error
+        try:
+            config.bus_index(entry.bus)
+        except InputError as error:
+            yield InputError(error.message, key=f"monitor[{k}].bus", value=error.value)
+
+
+def _checks(config: Config) -> Iterator[InputError]:
+    for k, bus in enumerate(config.bus):
+        watched = [check.message for check in bus.check]
+        for j, message in enumerate(watched):
+            if message in watched[:j]:
+                yield InputError(
+                    "this message has its checks already",
+                    key=f"bus[{k}].check[{j}].message",
+                    value=message,
+                )
+
+
+def _outputs(config: Config) -> Iterator[InputError]:
+    for name in ("dtc_frame", "uds", "obd", "j1939"):
+        output = getattr(config.output, name)
+        if output is None:
+            continue
+        try:
+            config.bus_index(output.bus)
+        except InputError as error:
+            yield InputError(error.message, key=f"output.{name}.bus", value=error.value)
+    named = {bus.name for bus in config.bus}
+    servers = [entry for entry in (config.output.uds, config.output.obd) if entry is not None]
+    if all(entry.bus in named or (entry.bus is None and len(named) == 1) for entry in servers):
+        try:
+            config.diagnostic_address_is_shared()
+        except InputError as error:
+            yield error
+
+
+def _cycles(config: Config) -> Iterator[InputError]:
+    if POWER in config.cycle:
+        yield InputError("this cycle is always there: the gateway's run", key=f"cycle.{POWER}")
+    cycles = {POWER, *config.cycle}
+    known = ", ".join(sorted(cycles))
+    for fault, settings in config.fault.items():
+        for key in ("cycle", "aging_cycle"):
+            cycle = getattr(settings, key)
+            if cycle is not None and cycle not in cycles:
+                yield InputError(
+                    f"the cycles are {known}", key=f'fault."{fault}".{key}', value=cycle
+                )

@@ -1,0 +1,135 @@
+"""A configuration's file: TOML, strict, with its catalogues, overridden by environment variables.
+
+``GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite`` overrides ``[memory] path``: prefix
+``GATEWAY_``, two underscores between levels. Lists (buses, monitors) are set in the file only.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from gateway.common.plugins import importable
+from gateway.common.tomlfile import StrictModel, input_errors, load, read_toml
+from gateway.config.cross_check import cross_check
+from gateway.config.model import Config
+from gateway.errors import InputError, InputErrors
+from gateway.faults.settings import FaultOverride
+from gateway.servers.identifiers import DidParams
+
+
+class CatalogueFile(StrictModel):
+    """A catalogue of faults in a file of its own."""
+
+    fault: dict[str, FaultOverride] = Field(default_factory=dict)
+    did: tuple[DidParams, ...] = ()
+
+
+#: What a variable of the environment begins with that overrides the file, and what stands between its levels.
+_PREFIX, _BETWEEN = "GATEWAY_", "__"
+
+
+def _with_catalogues(config: Config, folder: Path) -> Config:
+    """Return the configuration with what its catalogue files say.
+
+    Raises:
+        InputErrors: a file that is wrong; a fault that two places set.
+    """
+    faults, dids = dict(config.fault), list(config.did)
+    wrong = []
+    for name in config.catalogue:
+        file = folder / name
+        try:
+            found = load(file, CatalogueFile)
+        except InputErrors as errors:
+            wrong += errors.errors
+            continue
+        except InputError as error:
+            wrong.append(error)
+            continue
+        wrong += [
+            InputError("this fault is set elsewhere already", file=file, key=f'fault."{fault}"')
+            for fault in found.fault
+            if fault in faults
+        ]
+        faults |= found.fault
+        dids += found.did
+    if wrong:
+        raise InputErrors(wrong)
+    return config.model_copy(update={"fault": faults, "did": tuple(dids)})
+
+
+def _environment_says_something() -> bool:
+    """Tell whether a variable of the environment overrides a key of the configuration."""
+    names = (name.upper() for name in os.environ)
+    keys = {
+        name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)
+    }
+    return any(name.upper() in keys for name in Config.model_fields)
+
+
+@cache
+def _with_environment() -> type[Config]:
+    """Return the configuration's model with the environment before the file."""
+    from pydantic_settings import (  # noqa: PLC0415 - slow to load
+        BaseSettings,
+        PydanticBaseSettingsSource,
+        SettingsConfigDict,
+    )
+
+    class Settings(Config, BaseSettings):
+        model_config = SettingsConfigDict(env_prefix=_PREFIX, env_nested_delimiter=_BETWEEN)
+
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return env_settings, init_settings
+
+    return Settings
+
+
+def _overridden(data: dict[str, Any], path: Path) -> Config:
+    """Return a configuration with what the environment overrides."""
+    from pydantic_settings import SettingsError  # noqa: PLC0415 - slow to load
+
+    try:
+        return _with_environment()(**data)
+    except SettingsError as error:  # a variable that is no JSON where a table belongs
+        text = f"the environment: {error}: {error.__cause__ or 'not readable'}"
+        raise InputError(text, file=path) from error
+
+
+def load_config(path: Path) -> Config:
+    """Read a configuration; relative database paths become relative to its folder.
+
+    Raises:
+        InputError: the file cannot be read, or is not TOML.
+        InputErrors: every key that is wrong.
+    """
+    data: dict[str, Any] = read_toml(path)
+    try:
+        config = _overridden(data, path) if _environment_says_something() else Config(**data)
+    except ValidationError as error:
+        raise input_errors(error, path, data=data, model=Config) from error
+    folder = path.parent
+    config = _with_catalogues(config, folder)
+    if any(":" in entry.type for entry in config.monitor):
+        importable(folder)
+    wrong = [error.within(path) for error in cross_check(config)]
+    if wrong:
+        raise InputErrors(wrong)
+    buses = tuple(
+        bus.model_copy(update={"database": tuple(folder / file for file in bus.database)})
+        for bus in config.bus
+    )
+    return config.model_copy(update={"bus": buses})

@@ -1,0 +1,62 @@
+"""The signals that names in a configuration stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from gateway.config.model import Config
+from gateway.engine.gate import Condition
+from gateway.errors import InputError
+from gateway.faults.settings import ConditionSettings
+from gateway.signals.database import Database
+from gateway.signals.tables import SignalRef
+
+
+class Names:
+    """Finds the signals that names in a configuration stand for."""
+
+    def __init__(self, config: Config, databases: Mapping[int, Database]) -> None:
+        self._config = config
+        self._databases = databases
+        self._identifiers = {did.name: did for did in config.did}
+        self.found: dict[str, SignalRef] = {}
+
+    def find(self, name: str, key: str) -> SignalRef:
+        """Return a signal by ``bus.Message.Signal``, or ``Message.Signal`` of the first bus that has it.
+
+        Raises:
+            InputError: there is none; names the key.
+        """
+        if name not in self.found:
+            try:
+                self.found[name] = self._resolve(name)
+            except InputError as error:
+                raise InputError(error.message, key=key, value=name) from error
+        return self.found[name]
+
+    def _resolve(self, name: str) -> SignalRef:
+        did = self._identifiers.get(name)
+        if did is not None:
+            if did.signal is None:
+                raise InputError("this identifier is no signal, and never changes", value=name)
+            name = did.signal
+        parts = name.split(".")
+        if len(parts) not in (2, 3):
+            raise InputError('a signal is named "Message.Signal" or "bus.Message.Signal"')
+        message, signal = parts[-2:]
+        if len(parts) == 3:
+            buses = [self._config.bus_index(parts[0])]
+        else:
+            having = [k for k in self._databases if self._has(k, message)]
+            buses = having or list(self._databases)
+        self._databases[buses[0]].signal(message, signal)
+        return SignalRef(buses[0], message, signal)
+
+    def _has(self, bus: int, message: str) -> bool:
+        return any(known.name == message for known in self._databases[bus])
+
+    def condition(self, settings: ConditionSettings, key: str) -> Condition:
+        """Return a condition of the configuration for the engine."""
+        low = float("-inf") if settings.min is None else settings.min
+        high = float("inf") if settings.max is None else settings.max
+        return Condition(self.find(settings.signal, f"{key}.signal"), low, high, settings.rise)

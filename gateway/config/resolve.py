@@ -1,0 +1,218 @@
+"""A configuration with everything that it names: looked up once, here, and passed down from here.
+
+What is built of it (``gateway.runtime.assemble``) asks for no name again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+from cantools.database.can import Message
+
+from gateway.common.resources import shipped
+from gateway.config.model import Config, MonitorConfig
+from gateway.config.monitor_types import monitor_of
+from gateway.config.names import Names
+from gateway.engine.checks.bus_health import BusInstance
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.gate import CycleWatch, Gate
+from gateway.engine.instances import MonitorInstance
+from gateway.errors import InputError, InputErrors
+from gateway.faults.settings import POWER, FaultOverride
+from gateway.monitors.conformance import checked_emission
+from gateway.monitors.contract import Monitor, MonitorParams
+from gateway.servers.uds.security import Security
+from gateway.signals.database import Database, load_database
+from gateway.signals.tables import SignalRef
+
+#: Databases of messages that the gateway itself sends.
+OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """What a configuration's names stand for.
+
+    Attributes:
+        config: the configuration.
+        databases: of each bus, in the order of the buses.
+        monitors: types and parameters, buses, and the messages they send.
+        checks: of messages.
+        buses: whose health is judged.
+        gates: fault id -> when its test results count.
+        cycles: operation cycles by name, in the engine's order.
+        freeze_frames: fault id -> names of the signals that its freeze frame asks for.
+        shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
+        signals: each name outside of the engine that stands for a signal -> that signal.
+        security: of the UDS server; its key functions have been found.
+    """
+
+    config: Config
+    databases: tuple[Database, ...]
+    monitors: tuple[MonitorInstance, ...]
+    checks: tuple[CheckInstance, ...]
+    buses: tuple[BusInstance, ...]
+    gates: Mapping[str, Gate]
+    cycles: Mapping[str, CycleWatch]
+    freeze_frames: Mapping[str, tuple[str, ...]]
+    shown: tuple[str, ...]
+    signals: Mapping[str, SignalRef]
+    security: Security
+
+
+def resolve(config: Config) -> Resolved:
+    """Look up everything that a configuration names.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or key function that is wrong.
+    """
+    databases = load_databases(config)
+    names = Names(config, dict(enumerate(databases)))
+    uds = config.output.uds
+    return Resolved(
+        config=config,
+        databases=databases,
+        monitors=tuple(_monitor(config, entry, databases) for entry in config.monitor),
+        checks=tuple(
+            CheckInstance(check, index, f"{bus.name}.{check.message}")
+            for index, bus in enumerate(config.bus)
+            for check in bus.check
+        ),
+        buses=tuple(BusInstance(bus.name, bus.health) for bus in config.bus),
+        freeze_frames=_freeze_frames(config, names),
+        shown=_shown(config, names),
+        gates=_gates(config, names),
+        cycles={
+            name: CycleWatch(
+                names.condition(cycle.begins, f"cycle.{name}.begins"),
+                names.condition(cycle.ends, f"cycle.{name}.ends"),
+            )
+            for name, cycle in config.cycle.items()
+        },
+        signals=names.found,
+        security=Security(() if uds is None else uds.security),
+    )
+
+
+def load_databases(config: Config) -> tuple[Database, ...]:
+    """Load the databases of every bus.
+
+    Raises:
+        InputErrors: every database that cannot be loaded.
+    """
+    loaded: list[Database] = []
+    wrong: list[InputError] = []
+    for bus in config.bus:
+        try:
+            loaded.append(load_database(bus.database))
+        except InputError as error:
+            wrong.append(error)
+        except InputErrors as errors:
+            wrong += errors.errors
+    if wrong:
+        raise InputErrors(wrong)
+    return tuple(loaded)
+
+
+def _monitor(
+    config: Config, entry: MonitorConfig, databases: tuple[Database, ...]
+) -> MonitorInstance:
+    monitor, params = monitor_of(entry)
+    bus = config.bus_index(entry.bus)
+    sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
+    return MonitorInstance(entry.name, monitor, params, bus, entry.priority, entry.signals, sent)
+
+
+def _emission(
+    entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database
+) -> Message:
+    """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
+
+    Raises:
+        InputError: the monitor has nothing to send, or its message is nowhere.
+    """
+    key = f'monitor "{entry.name}".send'
+    emission = checked_emission(monitor, params)
+    if emission is None:
+        raise InputError(f"a {monitor.type} monitor has no message to send", key=key, value="true")
+    name = entry.send if isinstance(entry.send, str) else emission.message
+    # One after the other: where the bus's own database has the message, no other is read.
+    own = (load_database([shipped(file)]) for file in OWN_DATABASES)
+    for known in chain([database], own):
+        if any(message.name == name for message in known):
+            found = known.message(name)
+            missing = set(emission.names) - {signal.name for signal in found.signals}
+            if missing:
+                lacking = ", ".join(sorted(missing))
+                raise InputError(f"this message has no {lacking}", key=key, value=name)
+            return found
+    raise InputError("no database has this message", key=key, value=name)
+
+
+def _freeze_frames(config: Config, names: Names) -> dict[str, tuple[str, ...]]:
+    """Return the signals that the faults' freeze frames ask for."""
+    asked = {
+        fault: settings.freeze_frame
+        for fault, settings in config.fault.items()
+        if settings.freeze_frame
+    }
+    for fault, wanted in asked.items():
+        for k, name in enumerate(wanted):
+            names.find(name, f'fault."{fault}".freeze_frame[{k}]')
+    return asked
+
+
+def _shown(config: Config, names: Names) -> tuple[str, ...]:
+    """Return what OBD and J1939 show of freeze frames; finds what identifiers read, too."""
+    for k, did in enumerate(config.did):
+        if did.signal is not None:
+            names.find(did.signal, f"did[{k}].signal")
+    shown = {}
+    if config.output.obd is not None:
+        for k, pid in enumerate(config.output.obd.pid):
+            shown[pid.signal] = f"output.obd.pid[{k}].signal"
+    if config.output.j1939 is not None:
+        for k, entry in enumerate(config.output.j1939.freeze_frame):
+            shown[entry.signal] = f"output.j1939.freeze_frame[{k}].signal"
+    for signal, key in shown.items():
+        names.find(signal, key)
+    return tuple(shown)
+
+
+def _gates(config: Config, names: Names) -> dict[str, Gate]:
+    """Return when the test results of each fault count."""
+    gates = _caused_by_buses(config)
+    for fault, settings in config.fault.items():
+        roots = settings.caused_by or gates.get(fault, Gate()).roots
+        gates[fault] = replace(_gate(names, fault, settings, tuple(config.cycle)), roots=roots)
+    return gates
+
+
+def _gate(names: Names, fault: str, settings: FaultOverride, cycles: tuple[str, ...]) -> Gate:
+    at = settings.freeze_frame_at
+    return Gate(
+        tuple(
+            names.condition(condition, f'fault."{fault}".enable[{k}]')
+            for k, condition in enumerate(settings.enable)
+        ),
+        settings.caused_by,
+        settings.when_disabled == "reset",
+        at if isinstance(at, int) else 0,
+        -1 if settings.cycle == POWER else cycles.index(settings.cycle),
+    )
+
+
+def _caused_by_buses(config: Config) -> dict[str, Gate]:
+    """Return the gates of the timeouts: a bus that is off or lost is the fault, not each silent message."""
+    return {
+        f"{bus.name}.{check.message}.timeout": Gate(
+            roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost")
+        )
+        for bus in config.bus
+        if bus.health.watched
+        for check in bus.check
+        if check.timeout_ms is not None
+    }

@@ -1,0 +1,34 @@
+"""What the engine's loop takes for granted of its tables to each other."""
+
+from __future__ import annotations
+
+from gateway.engine.tables import Tables
+from gateway.monitors.contract import RESULTS
+
+
+def assert_consistent(t: Tables) -> None:
+    """Assert what the loop takes for granted of the tables to each other: it checks no index."""
+    messages, slots, faults = len(t.messages), len(t.mailbox), len(t.debounces)
+    assert len(t.vectors) == messages
+    assert (t.vectors["first"] + t.vectors["count"] <= len(t.triggers)).all()
+    assert (t.vectors["check"] < len(t.checks)).all()
+    assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
+    assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
+    assert ((t.slots >= 0) & (t.slots < slots)).all()
+    assert ((t.sources >= 0) & (t.sources < messages)).all()
+    for h in t.handlers:
+        assert h["first_slot"] + h["slots"] <= len(t.slots)
+        assert h["first_source"] + h["sources"] <= len(t.sources)
+        assert h["inputs"] + 2 + h["slots"] <= len(t.pool)
+        assert 0 <= h["fault"] <= h["fault"] + h["faults"] <= faults
+        assert h["emit"] < len(t.emits)
+    for row in (*t.checks, *t.health):
+        assert (row["fault"] < faults).all()
+    for d in t.debounces:
+        assert d["first_condition"] + d["conditions"] <= len(t.conditions)
+        assert d["first_root"] + d["roots"] <= len(t.roots)
+    assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
+    assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
+    assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
+    assert t.values.shape == t.present.shape
+    assert t.out.itemsize == RESULTS.itemsize

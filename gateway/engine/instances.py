@@ -1,0 +1,38 @@
+"""What the engine is built of, named by the user: configured monitors, and the faults that result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cantools.database.can import Message
+
+from gateway.monitors.contract import Fault, Monitor, MonitorParams
+
+
+@dataclass(frozen=True)
+class MonitorInstance:
+    """A configured monitor: its name, type, parameters, bus, and place in the order of priority.
+
+    ``signals`` maps a default ``"Message.Signal"`` to the user's own, or to ``"bus.Message.Signal"`` of another bus;
+    ``priority`` 0 steps first.
+    ``emission`` is the message its results are sent in; None: they are not sent.
+    """
+
+    name: str
+    monitor: Monitor[Any]
+    params: MonitorParams
+    bus: int = 0
+    priority: int = 0
+    signals: Mapping[str, str] = field(default_factory=dict)
+    emission: Message | None = None
+
+
+@dataclass(frozen=True)
+class FaultSlot:
+    """One fault of the engine: its id, definition, and the bus it was found on."""
+
+    id: str
+    fault: Fault
+    bus: int
