@@ -33,10 +33,7 @@ PYTHON_CAN = ("can.bus", "can.io", "can.message")
 QUIET = ("structlog", "asyncio", "pydantic_settings", "rich")
 STUDIES = ("gateway_studies", "gateway.vecu", "gateway.fdi.structure", "gateway.calibration")
 #: What gateway.toml has no use for.
-OTHERS = tuple(
-    f"gateway.monitors.{name}"
-    for name in ("pedal", "steering", "linear", "truck")
-)
+OTHERS = tuple(f"gateway.monitors.{name}" for name in ("pedal", "steering", "linear", "truck"))
 
 _COMMAND = """
 import sys
@@ -318,7 +315,7 @@ def test_the_package_offers_the_extras_that_are_named_to_people():
 
 
 def test_variables_that_are_no_keys_of_the_configuration_load_nothing():
-    code = "import sys; from gateway.config import load_config; from pathlib import Path\n"
+    code = "import sys; from gateway.config.load import load_config; from pathlib import Path\n"
     code += (
         "c = load_config(Path('gateway.toml')); print(c.name, 'pydantic_settings' in sys.modules)"
     )

@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from gateway.bus.frames import Frames
+from gateway.bus.log_contents import contents
 from gateway.bus.ring import read_recording
 from gateway.bus.timeline import LogTime
 from gateway.config.channels import channels_of
@@ -19,7 +20,6 @@ from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import contents
 
 Progress = Callable[[int], None]
 Kind = TypeVar("Kind", Calibration, CusumCalibration)

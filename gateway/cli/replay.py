@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.bus.frames import Frames
+from gateway.bus.log_contents import contents
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.trace import Trace, only, single
@@ -18,7 +19,6 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import contents
 from gateway.runtime.replay import replay as feed
 
 

@@ -12,7 +12,9 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
-from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Events
+import numpy as np
+
+from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.errors import InputError
 from gateway.faults import freeze_frames
 from gateway.faults import status as transition
@@ -191,40 +193,37 @@ class FaultMemory(Readable):
 
     # Verdicts
 
-    def apply(self, events: Events, snapshot: Snapshot) -> list[DtcChange]:
-        """Take events in order; those that are neither verdicts nor reach for a freeze frame are passed over.
+    def apply(self, event: np.void, snapshot: Snapshot) -> list[DtcChange]:
+        """Take an event; one that is neither a verdict nor reaches for a freeze frame changes nothing.
 
-        So are those of a fault outside its operation cycle (AUTOSAR DEM: results of a cycle that is not started do
-        not count).
+        Nor does one of a fault outside its operation cycle (AUTOSAR DEM: results of a cycle that is not started do not
+        count).
 
         Args:
-            events: shape (n,) of EVENT.
-            snapshot: called for each failure, at once.
+            event: of EVENT.
+            snapshot: called for a failure, at once.
 
         Returns:
             the status bytes that changed. They are durable after :meth:`commit`.
         """
-        changes = []
-        for event in events:
-            kind = int(event["kind"])
-            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
-                continue
-            definition = self.catalogue[int(event["fault"])]
-            if not self._counts(definition):
-                continue
-            record = self._records[definition.id]
-            old = STATUS[record.status]
-            if kind == FDC_REACHED:
-                content = finite(snapshot(definition).frame)
-                self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
-            elif kind == QUALIFIED_FAILED:
-                self._fail(definition, record, failure_of(definition, event, snapshot))
-            else:
-                record.status = int(transition.on_passed(old))
-                self._prestored.pop(definition.id, None)
-                self._refused.pop(definition.id, None)
-            changes += self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
-        return changes
+        kind = int(event["kind"])
+        if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
+            return []
+        definition = self.catalogue[int(event["fault"])]
+        if not self._counts(definition):
+            return []
+        record = self._records[definition.id]
+        old = STATUS[record.status]
+        if kind == FDC_REACHED:
+            content = finite(snapshot(definition).frame)
+            self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
+        elif kind == QUALIFIED_FAILED:
+            self._fail(definition, record, failure_of(definition, event, snapshot))
+        else:
+            record.status = int(transition.on_passed(old))
+            self._prestored.pop(definition.id, None)
+            self._refused.pop(definition.id, None)
+        return self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
 
     def _changed(
         self, definition: FaultDefinition, record: Record, old: Status, fdc: int, t_ns: int

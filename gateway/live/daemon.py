@@ -17,7 +17,8 @@ from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
-from gateway.runtime.app import Gateway, prepare
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 
 log = get_logger(__name__)
 

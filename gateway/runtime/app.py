@@ -18,7 +18,6 @@ from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
-from gateway.config.resolve import resolve
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
     CLOCK_STEPPED,
@@ -29,7 +28,6 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     Events,
 )
-from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
@@ -37,9 +35,16 @@ from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
-from gateway.monitors.contract import FAILED, PASSED
-from gateway.runtime.assemble import Parts, assemble, identifiers_of, outputs_of
+from gateway.runtime.assemble import Parts, identifiers_of, outputs_of, prepare
 from gateway.runtime.controls import Controls
+from gateway.runtime.told import (
+    clear_event,
+    clock_event,
+    cycle_event,
+    dtc_event,
+    monitor_event,
+    summary_event,
+)
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
 from gateway.servers.base import NEVER, Output
 from gateway.servers.dtc_frame import message_of
@@ -53,7 +58,6 @@ FEW = 16
 log = get_logger(__name__)
 
 _NOBODY = np.void(b"")
-_RESULTS = {PASSED: "passed", FAILED: "failed"}
 
 
 class Gateway:
@@ -340,10 +344,12 @@ class Gateway:
             if kind == CLOCK_STEPPED:
                 self._on_step(event)
                 continue
-            changes = self.memory.apply(events_of(event), self._observe)
+            changes = self.memory.apply(event, self._observe)
             told = self._note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._untold.append(self._monitor_event(event))
+                self._untold.append(
+                    monitor_event(event, self.catalogue, self._bus_name(int(event["bus"])))
+                )
 
     def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
         """Keep changes to be told when they are stored; returns whether there are any worth it."""
@@ -352,7 +358,7 @@ class Gateway:
         for change in told:
             self._record(change)
             bus = self.engine.faults[self._index[change.definition.id]].bus
-            self._untold.append(self._dtc_event(change, bus))
+            self._untold.append(dtc_event(change, self._bus_name(bus)))
         return bool(told)
 
     def _record(self, change: DtcChange) -> None:
@@ -369,16 +375,8 @@ class Gateway:
             self.controls.begin(name, t_ns)
         else:
             self.controls.end(name, t_ns)
-        self._untold.append(
-            {
-                "event": "cycle",
-                "t_ns": t_ns,
-                "bus": self._bus_name(int(event["bus"])),
-                "cycle": name,
-                "state": "began" if began else "ended",
-                "number": self.memory.cycle_number(name),
-            }
-        )
+        bus, number = self._bus_name(int(event["bus"])), self.memory.cycle_number(name)
+        self._untold.append(cycle_event(t_ns, bus, name, began=began, number=number))
 
     def _on_step(self, event: np.void) -> None:
         self._untold.append(clock_event(int(event["t_ns"]), float(event["value"])))
@@ -422,7 +420,7 @@ class Gateway:
         """Tell which entries went."""
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self.engine.wall_ns(self.engine.now_ns)
-        self._tell({"event": "clear", "t_ns": t_ns, "faults": gone})
+        self._tell(clear_event(t_ns, gone))
 
     def _take_early(self) -> list[Frames]:
         early, self._early = self._early, []
@@ -486,32 +484,6 @@ class Gateway:
         for listener in self._listeners:
             listener(event)
 
-    def _monitor_event(self, event: np.void) -> dict[str, Any]:
-        definition = self.catalogue[int(event["fault"])]
-        return {
-            "event": "monitor",
-            "t_ns": int(event["t_ns"]),
-            "bus": self._bus_name(int(event["bus"])),
-            "fault": definition.id,
-            "result": _RESULTS.get(int(event["result"]), "not tested"),
-            "fdc": int(event["fdc"]),
-            "value": float(event["value"]),
-            "threshold": float(event["threshold"]),
-        }
-
-    def _dtc_event(self, change: DtcChange, bus: int) -> dict[str, Any]:
-        return {
-            "event": "dtc",
-            "t_ns": change.t_ns,
-            "bus": self._bus_name(bus),
-            "fault": change.definition.id,
-            "dtc": str(change.dtc),
-            "status": int(change.new_status),
-            "fdc": change.fdc,
-            "occurrence": change.occurrence,
-            "evidence": dict(change.evidence),
-        }
-
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""
         return {
@@ -538,50 +510,15 @@ class Gateway:
         counters["memory_write_failures"] = self._upkeep.failures
         if self._recorder is not None:
             counters["recordings_refused"] = self._recorder.refused
-        buses = {
+        errors = {
             bus.name: {name: n for name, n in self.engine.error_counters(k).items() if n}
             for k, bus in enumerate(self.config.bus)
         }
-        return {
-            "event": "summary",
-            "frames": counters["frames"],
-            "decoded": counters["decoded"],
-            "events": self.event_count,
-            "seconds": seconds,
-            "frames_per_s": counters["frames"] / seconds if seconds > 0 else 0.0,
-            "counters": counters,
-            "buses": buses,
-            "monitors": self.engine.readout(),
-            "dtcs": [str(entry.dtc) for entry in self.memory.entries()],
-        }
-
-
-def prepare(config: Config, file: Path | None = None) -> Parts:
-    """Build what needs no fault memory; may be done in a thread beside a running gateway.
-
-    Raises:
-        InputError, InputErrors: a database, message, signal or fault that is wrong.
-    """
-    try:
-        parts = assemble(resolve(config))
-    except InputError as error:
-        raise error.within(file) from error
-    except InputErrors as errors:
-        raise InputErrors([error.within(file) for error in errors.errors]) from errors
-    return parts
-
-
-def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:
-    """Log that the wall clock was set, and return the event of the JSON contract that tells it.
-
-    Args:
-        t_ns: when, by the clock as it was set [ns].
-        step_s: by how much, forward positive [s].
-    """
-    log.warning("wall clock was set", step_s=step_s)
-    return {"event": "clock", "t_ns": t_ns, "step_s": step_s}
-
-
-def events_of(event: np.void) -> Events:
-    """Return one event as an array of one."""
-    return np.asarray([event], dtype=event.dtype)
+        return summary_event(
+            seconds,
+            self.event_count,
+            counters,
+            buses=errors,
+            monitors=self.engine.readout(),
+            dtcs=[str(entry.dtc) for entry in self.memory.entries()],
+        )

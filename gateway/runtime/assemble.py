@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from gateway.common.resources import shipped
 from gateway.config.model import Config
-from gateway.config.resolve import Resolved
+from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health
 from gateway.engine.core import Engine
@@ -52,6 +53,21 @@ class Parts:
     slots: dict[str, int]
     cycles: tuple[str, ...]
     security: Security
+
+
+def prepare(config: Config, file: Path | None = None) -> Parts:
+    """Build what needs no fault memory; may be done in a thread beside a running gateway.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or fault that is wrong.
+    """
+    try:
+        parts = assemble(resolve(config))
+    except InputError as error:
+        raise error.within(file) from error
+    except InputErrors as errors:
+        raise InputErrors([error.within(file) for error in errors.errors]) from errors
+    return parts
 
 
 def assemble(resolved: Resolved) -> Parts:

@@ -50,7 +50,7 @@ def event(fault, failed, t_ns=0, value=1.5, evidence=(7.0, 3.0)):
     made["value"] = value
     made["threshold"] = 1.0
     made["evidence"][0, : len(evidence)] = evidence
-    return made
+    return made[0]
 
 
 def nothing(_definition):
@@ -66,8 +66,8 @@ def frame(content, inputs=None):
 class AtOnce(FaultMemory):
     """A memory that writes each change at once, so that it is to be read right away."""
 
-    def apply(self, events, snapshot):
-        changes = super().apply(events, snapshot)
+    def apply(self, event, snapshot):
+        changes = super().apply(event, snapshot)
         self.commit()
         return changes
 

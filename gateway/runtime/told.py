@@ -1,0 +1,112 @@
+"""The JSON contract: what the gateway tells people and programs, one dictionary an event."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gateway.common.log import get_logger
+from gateway.faults.catalogue import Catalogue
+from gateway.faults.entries import DtcChange
+from gateway.monitors.contract import FAILED, PASSED
+
+_RESULTS = {PASSED: "passed", FAILED: "failed"}
+_log = get_logger(__name__)
+
+
+def monitor_event(event: np.void, catalogue: Catalogue, bus: str) -> dict[str, Any]:
+    """Tell a verdict that changed no DTC, or a value that is watched.
+
+    Args:
+        event: of EVENT.
+        catalogue: the faults.
+        bus: name of the bus, "": the gateway itself.
+    """
+    return {
+        "event": "monitor",
+        "t_ns": int(event["t_ns"]),
+        "bus": bus,
+        "fault": catalogue[int(event["fault"])].id,
+        "result": _RESULTS.get(int(event["result"]), "not tested"),
+        "fdc": int(event["fdc"]),
+        "value": float(event["value"]),
+        "threshold": float(event["threshold"]),
+    }
+
+
+def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:
+    """Tell a status byte that changed."""
+    return {
+        "event": "dtc",
+        "t_ns": change.t_ns,
+        "bus": bus,
+        "fault": change.definition.id,
+        "dtc": str(change.dtc),
+        "status": int(change.new_status),
+        "fdc": change.fdc,
+        "occurrence": change.occurrence,
+        "evidence": dict(change.evidence),
+    }
+
+
+def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> dict[str, Any]:
+    """Tell that an operation cycle began or ended."""
+    return {
+        "event": "cycle",
+        "t_ns": t_ns,
+        "bus": bus,
+        "cycle": name,
+        "state": "began" if began else "ended",
+        "number": number,
+    }
+
+
+def clear_event(t_ns: int, faults: Sequence[str]) -> dict[str, Any]:
+    """Tell which entries were cleared."""
+    return {"event": "clear", "t_ns": t_ns, "faults": list(faults)}
+
+
+def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:
+    """Log that the wall clock was set, and return the event of the JSON contract that tells it.
+
+    Args:
+        t_ns: when, by the clock as it was set [ns].
+        step_s: by how much, forward positive [s].
+    """
+    _log.warning("wall clock was set", step_s=step_s)
+    return {"event": "clock", "t_ns": t_ns, "step_s": step_s}
+
+
+def summary_event(
+    seconds: float,
+    events: int,
+    counters: dict[str, int],
+    *,
+    buses: dict[str, dict[str, int]],
+    monitors: Any,
+    dtcs: list[str],
+) -> dict[str, Any]:
+    """Tell at the end what was done.
+
+    Args:
+        seconds: how long it took.
+        events: of the engine.
+        counters: by name.
+        buses: name -> what the controller said of errors, how often.
+        monitors: what each says of itself.
+        dtcs: in the fault memory.
+    """
+    return {
+        "event": "summary",
+        "frames": counters["frames"],
+        "decoded": counters["decoded"],
+        "events": events,
+        "seconds": seconds,
+        "frames_per_s": counters["frames"] / seconds if seconds > 0 else 0.0,
+        "counters": counters,
+        "buses": buses,
+        "monitors": monitors,
+        "dtcs": dtcs,
+    }
