@@ -42,6 +42,7 @@ class Resolved:
         monitors: types and parameters, buses, and the messages they send.
         checks: of messages.
         buses: whose health is judged.
+        debounces: fault id -> settings of its debounce that are not its monitor's.
         gates: fault id -> when its test results count.
         cycles: operation cycles by name, in the engine's order.
         freeze_frames: fault id -> names of the signals that its freeze frame asks for.
@@ -55,6 +56,7 @@ class Resolved:
     monitors: tuple[MonitorInstance, ...]
     checks: tuple[CheckInstance, ...]
     buses: tuple[BusInstance, ...]
+    debounces: Mapping[str, Mapping[str, Any]]
     gates: Mapping[str, Gate]
     cycles: Mapping[str, CycleWatch]
     freeze_frames: Mapping[str, tuple[str, ...]]
@@ -84,6 +86,7 @@ def resolve(config: Config) -> Resolved:
         buses=tuple(BusInstance(bus.name, bus.health) for bus in config.bus),
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
+        debounces={fault: settings.debounce.asked for fault, settings in config.fault.items()},
         gates=_gates(config, names),
         cycles={
             name: CycleWatch(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,13 +34,10 @@ from gateway.engine.tables import (
 from gateway.engine.wiring import Wired, wire
 from gateway.errors import InputError
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS, Debounce, Fault
+from gateway.monitors.contract import RESULTS
 from gateway.signals.crc import ALGORITHMS, crc8_table
 from gateway.signals.database import Database
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
-
-#: Fault id, fault -> its debounce.
-DebounceOf = Callable[[str, Fault], Debounce]
 
 
 def build_engine(
@@ -48,7 +45,7 @@ def build_engine(
     monitors: Sequence[MonitorInstance],
     checks: Sequence[CheckInstance],
     *,
-    debounce: DebounceOf | None = None,
+    debounces: Mapping[str, Mapping[str, Any]] | None = None,
     gates: Mapping[str, Gate] | None = None,
     cycles: Sequence[CycleWatch] = (),
     extra: Collection[SignalRef] = (),
@@ -64,7 +61,7 @@ def build_engine(
         databases: (bus index, database) pairs.
         monitors: configured monitors.
         checks: communication checks.
-        debounce: fault id, fault -> its debounce; default: the fault's own.
+        debounces: fault id -> settings of its debounce that are not the fault's own.
         gates: by fault id, when its test results count; default: always.
         cycles: operation cycles that signals begin and end; events name them by their index.
         extra: further signals to decode (freeze frames, identifiers).
@@ -96,7 +93,7 @@ def build_engine(
     check_rows = _checks(checks, plan, by_bus, vectors, faults)
     health = _health(buses, clock, faults)
     faults += reported
-    verdicts = _verdicts(faults, debounce, gates, plan)
+    verdicts = _verdicts(faults, debounces or {}, gates, plan)
     tables = _tables(
         plan,
         made,
@@ -270,7 +267,7 @@ class _Verdicts:
 
 def _verdicts(
     faults: Sequence[FaultSlot],
-    debounce: DebounceOf | None,
+    settings: Mapping[str, Mapping[str, Any]],
     gates: Mapping[str, Gate],
     plan: DecodePlan,
 ) -> _Verdicts:
@@ -282,7 +279,7 @@ def _verdicts(
     debounces = table(len(faults), DebounceRow)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
     for row, slot, gate in zip(debounces, faults, own_gates, strict=True):
-        asked = slot.fault.debounce if debounce is None else debounce(slot.id, slot.fault)
+        asked = slot.fault.debounce.changed(settings.get(slot.id, {}))
         configure(row, asked, trigger_fdc=gate.trigger_fdc)
         row["bus"] = slot.bus
     ids = {slot.id: k for k, slot in enumerate(faults)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from gateway.errors import InputError, InputErrors
@@ -78,50 +78,44 @@ class FaultDefinition:
         return Rules(self.confirm_cycles, self.healing_cycles, self.aging_cycles, self.indicator)
 
 
-def debounce_of(fault: Fault, override: FaultOverride | None) -> Debounce:
-    """Return a fault's debounce: its monitor's, with what the configuration sets."""
-    if override is None:
-        return fault.debounce
-    asked = override.debounce.model_dump(exclude_none=True)
-    base = asdict(fault.debounce)
-    if asked and "failed_ms" not in asked:  # counter settings end a debounce by time
-        base["failed_ms"] = base["passed_ms"] = None
-    return Debounce(**{**base, **asked})
+#: Settings that a definition has as they are.
+_TAKEN = {field.name for field in fields(FaultDefinition)} & FaultOverride.model_fields.keys() - {
+    "dtc", "description", "remedy", "debounce", "severity", "permanent", "aging_cycle",
+}  # fmt: skip
 
 
-def define(fault_id: str, fault: Fault, override: FaultOverride | None = None) -> FaultDefinition:
-    """Return a fault's definition: its monitor's, with what the configuration sets."""
+def define(
+    fault_id: str,
+    fault: Fault,
+    override: FaultOverride | None = None,
+    *,
+    caused_by: tuple[str, ...] | None = None,
+) -> FaultDefinition:
+    """Return a fault's definition: its monitor's, with what the configuration sets.
+
+    Args:
+        fault_id: ``<monitor>.<fault>``.
+        fault: as its monitor describes it.
+        override: as the configuration sets it.
+        caused_by: instead of what it sets.
+    """
     settings = override or FaultOverride()
-    permanent = settings.permanent
     dtc = Dtc.parse(settings.dtc or fault.dtc)
+    taken = {name: getattr(settings, name) for name in _TAKEN}
+    if caused_by is not None:
+        taken["caused_by"] = caused_by
+    lit = settings.indicator and settings.emission_related
     return FaultDefinition(
         id=fault_id,
         dtc=dtc,
         description=settings.description or fault.description,
         remedy=settings.remedy or fault.remedy or remedy_of(dtc.value),
         evidence=fault.evidence,
-        debounce=debounce_of(fault, override),
-        confirm_cycles=settings.confirm_cycles,
-        indicator=settings.indicator,
-        freeze_frame=settings.freeze_frame,
-        freeze_frames=settings.freeze_frames,
-        freeze_frame_at=settings.freeze_frame_at,
-        spn=settings.spn,
-        fmi=settings.fmi,
+        debounce=fault.debounce.changed(settings.debounce.asked),
         severity=SEVERITIES[settings.severity] | CLASSES[settings.dtc_class],
-        functional_unit=settings.functional_unit,
-        priority=settings.priority,
-        emission_related=settings.emission_related,
-        readiness=settings.readiness,
-        lamp=settings.lamp,
-        permanent=settings.indicator and settings.emission_related
-        if permanent is None
-        else permanent,
-        cycle=settings.cycle,
-        healing_cycles=settings.healing_cycles,
+        permanent=lit if settings.permanent is None else settings.permanent,
         aging_cycle=settings.aging_cycle or settings.cycle,
-        aging_cycles=settings.aging_cycles,
-        caused_by=settings.caused_by,
+        **taken,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -64,9 +64,14 @@ class DebounceOverride(StrictModel):
         None, gt=0, le=3.6e6, allow_inf_nan=False, description="time that qualifies a pass [ms]"
     )
 
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What is set."""
+        return self.model_dump(exclude_none=True)
+
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        asked = self.model_dump(exclude_none=True)
+        asked = self.asked
         times = {"failed_ms", "passed_ms"} & asked.keys()
         if len(times) == 1:
             raise ValueError("a debounce by time needs both failed_ms and passed_ms")

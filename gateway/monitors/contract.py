@@ -12,7 +12,7 @@ reads a clock; ``u.t_ns`` is the event's own time. It need not report each time:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Generic, Protocol, TypeAlias, TypeVar, cast
@@ -191,6 +191,12 @@ class Debounce:
     def timed(self) -> bool:
         """Whether it is time based."""
         return self.failed_ms is not None and self.passed_ms is not None
+
+    def changed(self, settings: Mapping[str, Any]) -> Debounce:
+        """Return it with other settings; those of a counter end a debounce by time."""
+        by_counter = bool(settings) and "failed_ms" not in settings
+        timeless = {"failed_ms": None, "passed_ms": None} if by_counter else {}
+        return replace(self, **{**timeless, **settings})
 
 
 @dataclass(frozen=True)

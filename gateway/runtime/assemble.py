@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.common.resources import shipped
@@ -15,7 +15,7 @@ from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot
 from gateway.errors import InputError, InputErrors
-from gateway.faults.catalogue import Catalogue, debounce_of, define
+from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
 from gateway.servers.base import Output
@@ -79,11 +79,15 @@ def assemble(resolved: Resolved) -> Parts:
     engine = _engine(resolved)
     _refuse_unknown(resolved.config, engine)
     catalogue = Catalogue(
-        replace(
-            define(slot.id, slot.fault, _settings(resolved.config, slot)),
-            caused_by=resolved.gates.get(slot.id, Gate()).roots,
-        )
-        for slot in engine.faults
+        [
+            define(
+                slot.id,
+                slot.fault,
+                _settings(resolved.config, slot),
+                caused_by=resolved.gates.get(slot.id, Gate()).roots,
+            )
+            for slot in engine.faults
+        ]
     )
     asked, shown = resolved.freeze_frames, resolved.shown
     return Parts(
@@ -108,7 +112,7 @@ def _engine(resolved: Resolved) -> Engine:
         tuple(enumerate(resolved.databases)),
         resolved.monitors,
         resolved.checks,
-        debounce=lambda name, fault: debounce_of(fault, config.fault.get(name)),
+        debounces=resolved.debounces,
         gates=resolved.gates,
         cycles=tuple(resolved.cycles.values()),
         extra=set(resolved.signals.values()),

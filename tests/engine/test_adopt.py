@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from amount import examples
+from everywhere import everywhere
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -38,7 +39,7 @@ def make(build, *monitors, check=CHECK, debounce=None, **options):
         *(monitors or (MONITOR,)),
         checks=[check],
         buses=[BusInstance("a")],
-        debounce=None if debounce is None else lambda name, fault: debounce,
+        debounces=everywhere(debounce),
         **options,
     )
 
@@ -175,7 +176,7 @@ def built(build, configuration):
     ]
     return build(
         *monitors, checks=[{"message": "Alpha", **configuration["check"]}], buses=[BusInstance("a")],
-        debounce=lambda name, fault: debounce,
+        debounces=everywhere(debounce),
     )  # fmt: skip
 
 

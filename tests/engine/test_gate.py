@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from everywhere import everywhere
 
 from gateway.engine.events import (
     CYCLE_BEGAN,
@@ -28,7 +29,7 @@ def kinds(collector, fault=HIGH):
 def gated(build, *, debounce=None, **gate):
     return build(
         ("m", 0, {}),
-        debounce=lambda name, fault: debounce or fault.debounce,
+        debounces=everywhere(debounce),
         gates={"m.high": Gate(**gate)},
     )
 
@@ -73,7 +74,10 @@ def test_a_root_cause_comes_before_its_symptom(build, tools):
     engine = build(
         ("sensor", 0, {"limit": 10.0, "tag": 1.0}),
         ("physics", 1, {"limit": 10.0, "tag": 2.0}),
-        debounce=lambda name, fault: Debounce(5, 5) if name == "sensor.high" else Debounce(2, 2),
+        debounces={
+            "sensor.high": {"failed_after": 5, "passed_after": 5},
+            "physics.high": {"failed_after": 2, "passed_after": 2},
+        },
         gates={"physics.high": Gate(roots=("sensor.high",))},
     )
     names = {slot.id: k for k, slot in enumerate(engine.faults)}
