@@ -25,8 +25,8 @@ from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import POWER, CycleSettings, FaultOverride
 from gateway.monitors.contract import Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
+from gateway.servers.diagnostic_address import share_address
 from gateway.servers.dtc_frame import DtcFrameParams
-from gateway.servers.endpoints import share_address
 from gateway.servers.identifiers import DidParams, check_unique
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.obd.params import ObdParams
