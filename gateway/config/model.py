@@ -15,8 +15,8 @@ from gateway.engine.checks.clock_health import ClockParams
 from gateway.errors import InputError
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import CycleSettings, FaultOverride
+from gateway.servers.diagnostic_address import share_address
 from gateway.servers.dtc_frame import DtcFrameParams
-from gateway.servers.endpoints import share_address
 from gateway.servers.identifiers import DidParams
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.obd.params import ObdParams

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from gateway.common.times import NEVER
 from gateway.engine.events import (
     FDC_REACHED,
     QUALIFIED_FAILED,
@@ -20,9 +21,6 @@ from gateway.engine.events import (
 )
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway.monitors.contract import EVIDENCE, FAILED, NOT_TESTED, PASSED, Debounce
-
-#: A deadline that never comes.
-NEVER = int(np.iinfo(np.int64).max)
 
 
 class DebouncePlace(Record):

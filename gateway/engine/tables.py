@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.debounce import NEVER
+from gateway.common.times import NEVER
 from gateway.jit import COMPILED, Record, f8, f8s, i4, i8, means, u1
 from gateway.monitors.contract import EVIDENCE
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
+from gateway.common.times import NEVER
 from gateway.runtime.told import clock_event
-from gateway.servers.base import NEVER
 
 
 class Nobody:

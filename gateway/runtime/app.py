@@ -17,6 +17,7 @@ from gateway.bus.conditions import are_steps
 from gateway.bus.frames import OWN, URGENT, Frames, empty
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
+from gateway.common.times import NEVER
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
@@ -46,9 +47,9 @@ from gateway.runtime.told import (
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
-from gateway.servers.base import NEVER, Output
+from gateway.servers.bus_server import BusServer
 from gateway.servers.dtc_frame import message_of
-from gateway.servers.uds.services.x19_read_dtc_information import EXTENDED_DATA
+from gateway.servers.uds.extended_data import EXTENDED_DATA
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -464,7 +465,7 @@ class Gateway:
         self._due[k] = self._outputs[k].next_ns
         self._next_due = min(self._due)
 
-    def _allowed(self, output: Output, frames: Frames) -> Frames:
+    def _allowed(self, output: BusServer, frames: Frames) -> Frames:
         """Return frames, unless a tester has switched normal communication off."""
         if not self.controls.send and output.normal:
             return empty(0)

@@ -18,14 +18,16 @@ from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
-from gateway.servers.base import Output
-from gateway.servers.control import Control
-from gateway.servers.dtc_frame import DtcFrameOutput
-from gateway.servers.endpoints import DiagnosticServer
+from gateway.servers.bus_server import BusServer
+from gateway.servers.diagnostic_server import DiagnosticServer
+from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
-from gateway.servers.isotp import IsoTpParams
-from gateway.servers.j1939.server import J1939Output
+from gateway.servers.isotp.endpoint import IsoTpEndpoint
+from gateway.servers.isotp.params import IsoTpParams
+from gateway.servers.j1939.endpoint import J1939Endpoint
+from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
+from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.context import Context
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
@@ -159,7 +161,7 @@ def _unique(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def identifiers_of(
-    config: Config, parts: Parts, memory: FaultMemory, control: Control
+    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl
 ) -> Identifiers:
     """Return the table of data identifiers, with those of the freeze frames' signals."""
     named = {did.name for did in config.did}
@@ -170,14 +172,18 @@ def identifiers_of(
 
 
 def outputs_of(
-    config: Config, parts: Parts, memory: FaultMemory, control: Control, identifiers: Identifiers
-) -> list[Output]:
-    """Build the ways out."""
-    made: list[Output] = []
+    config: Config,
+    parts: Parts,
+    memory: FaultMemory,
+    control: TesterControl,
+    identifiers: Identifiers,
+) -> list[BusServer]:
+    """Build what is on the buses on the gateway's behalf."""
+    made: list[BusServer] = []
     asked = config.output
     if asked.dtc_frame is not None:
         made.append(
-            DtcFrameOutput(
+            DtcFrameSender(
                 asked.dtc_frame,
                 shipped("dbc/gateway.dbc"),
                 config.bus_index(asked.dtc_frame.bus),
@@ -192,7 +198,8 @@ def outputs_of(
     obd = None if asked.obd is None else ObdServer(asked.obd, memory, control)
 
     def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
-        made.append(DiagnosticServer(params, config.bus_index(params.bus), uds, obd))
+        transport = IsoTpEndpoint(params, config.bus_index(params.bus))
+        made.append(DiagnosticServer(transport, uds, obd))
 
     if asked.uds is not None and config.diagnostic_address_is_shared():
         server(asked.uds, uds, obd)
@@ -203,5 +210,6 @@ def outputs_of(
             server(asked.obd, None, obd)
     if asked.j1939 is not None:
         bus = config.bus_index(asked.j1939.bus)
-        made.append(J1939Output(asked.j1939, bus, memory, control))
+        endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, bus)
+        made.append(J1939Server(asked.j1939, endpoint, memory, control))
     return made

@@ -17,7 +17,7 @@ from gateway.common.tomlfile import StrictModel
 from gateway.faults.dtc import Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
-from gateway.servers.base import Output
+from gateway.servers.bus_server import BusServer
 from gateway.signals.database import load_database
 
 MESSAGE = "GW_DTC"
@@ -78,8 +78,8 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
-class DtcFrameOutput(Output):
-    """Makes the DTC frames; driven by the time it is given.
+class DtcFrameSender(BusServer):
+    """Sends the DTC frames, driven by the time it is given; it listens to nothing.
 
     Args:
         params: settings.
@@ -108,9 +108,9 @@ class DtcFrameOutput(Output):
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
 
-    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
+    def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Tell the changes that were held back, and go on with the cyclic list."""
-        if isinstance(old, DtcFrameOutput):
+        if isinstance(old, DtcFrameSender):
             known = self._memory.catalogue.get
             self._held = {name: held for name, held in old._held.items() if known(name) is not None}
             self._sent_ns = old._sent_ns

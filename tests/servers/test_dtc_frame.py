@@ -8,7 +8,7 @@ from fault_examples import AtOnce, catalogue, event, nothing
 
 from gateway.bus.frames import payload
 from gateway.faults.store import Store
-from gateway.servers.dtc_frame import DtcFrameOutput, DtcFrameParams, read_dtc_frame
+from gateway.servers.dtc_frame import DtcFrameParams, DtcFrameSender, read_dtc_frame
 
 DBC = Path(__file__).parents[2] / "dbc" / "gateway.dbc"
 MESSAGE = cantools.database.load_file(DBC).get_message_by_name("GW_DTC")
@@ -22,8 +22,8 @@ def memory():
     return made
 
 
-def output(memory, **params):
-    return DtcFrameOutput(DtcFrameParams(**params), DBC, 4, memory, lambda fault: -5)
+def sender(memory, **params):
+    return DtcFrameSender(DtcFrameParams(**params), DBC, 4, memory, lambda fault: -5)
 
 
 def decoded(frames):
@@ -32,7 +32,7 @@ def decoded(frames):
 
 
 def test_a_change_is_sent_with_all_its_facts(memory):
-    made = output(memory)
+    made = sender(memory)
     changes = memory.apply(event(1, True, 3 * MS), nothing)
     (values,) = decoded(made.on_changes(changes, 3 * MS))
     assert values == {
@@ -46,7 +46,7 @@ def test_a_change_is_sent_with_all_its_facts(memory):
 
 
 def test_the_cyclic_list_and_its_all_clear_form(memory):
-    made = output(memory, cycle_ms=100.0)
+    made = sender(memory, cycle_ms=100.0)
     (values,) = decoded(made.on_time(0))
     assert (values["Dtc"], values["Count"], values["Index"]) == (0, 0, 0)
     assert len(made.on_time(99 * MS)) == 0
@@ -61,7 +61,7 @@ def test_the_cyclic_list_and_its_all_clear_form(memory):
 
 
 def test_the_cycle_neither_drifts_nor_bursts(memory):
-    made = output(memory, cycle_ms=100.0)
+    made = sender(memory, cycle_ms=100.0)
     sent = [t for t in range(0, 1000, 7) if len(made.on_time(t * MS))]
     assert len(sent) == 10
     assert all(abs(t - 100 * k) < 7 for k, t in enumerate(sent))
@@ -70,7 +70,7 @@ def test_the_cycle_neither_drifts_nor_bursts(memory):
 
 
 def test_a_chattering_dtc_is_limited_and_its_last_state_is_sent(memory):
-    made = output(memory, min_interval_ms=10.0)
+    made = sender(memory, min_interval_ms=10.0)
     sent = []
     for t in range(40):
         changes = memory.apply(event(0, t % 2 == 0, t * MS), nothing)
@@ -83,7 +83,7 @@ def test_a_chattering_dtc_is_limited_and_its_last_state_is_sent(memory):
 
 
 def test_what_we_read_back_is_what_was_sent(memory):
-    made = output(memory)
+    made = sender(memory)
     changes = memory.apply(event(0, True, 3 * MS), nothing)
     frames = made.on_changes(changes, 3 * MS)
     report = read_dtc_frame(frames[0], DBC)
@@ -98,7 +98,7 @@ def test_what_we_read_back_is_what_was_sent(memory):
 
 
 def test_a_change_that_waited_tells_what_is_true_when_it_is_sent(memory):
-    made = output(memory, min_interval_ms=10.0)
+    made = sender(memory, min_interval_ms=10.0)
     for t, failed in ((0, True), (1, False), (2, True)):
         made.on_changes(memory.apply(event(0, failed, t * MS), nothing), t * MS)
     memory.clear()

@@ -146,7 +146,7 @@ def test_mutated_requests(rig):
             now += 100_000
             request = mutated(rng, slow if n % 50 == 0 else seeds)
             functional = bool(n & 1)
-            answers = server._route(request, functional, now)
+            answers = server._answer(request, functional, now)
             answers += server._uds.pass_time(now)
             for answer in answers:
                 assert 1 <= len(answer) <= 4095
@@ -159,8 +159,8 @@ def test_mutated_requests(rig):
 
     assert grown(work, TOTAL // 2) < 250_000
     assert negative > TOTAL // 20
-    server._route(b"\x10\x01", False, now)
-    assert server._route(b"\x3e\x00", False, now) == [b"\x7e\x00"]
+    server._answer(b"\x10\x01", False, now)
+    assert server._answer(b"\x3e\x00", False, now) == [b"\x7e\x00"]
 
 
 def isotp_frames(rng):
@@ -177,7 +177,7 @@ def isotp_frames(rng):
 
 @pytest.mark.long
 def test_mutated_frames(rig):
-    """ISO-TP and J1939 frames, through the outputs as the gateway calls them."""
+    """ISO-TP and J1939 frames, through the servers as the gateway calls them."""
     seed = 78
     print(f"seed {seed}")
     rng = random.Random(seed)

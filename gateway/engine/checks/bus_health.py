@@ -38,6 +38,7 @@ from gateway.bus.conditions import (
     TX_TIMEOUT,
     TX_WARNING,
 )
+from gateway.common.times import NEVER
 from gateway.engine.checks.clock_health import OWN_FAULTS
 from gateway.engine.instances import FaultSlot
 from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
@@ -110,7 +111,6 @@ _CLASSES = np.asarray(list(COUNTED.values()), np.int64)
 
 _WRONG = TX_TIMEOUT | PROTOCOL | TRANSCEIVER | NO_ACK | BUS_ERROR
 _ALL = (1 << len(FAULTS)) - 1
-NEVER = int(np.iinfo(np.int64).max)
 
 
 class Params(MonitorParams):

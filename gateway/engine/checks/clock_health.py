@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from gateway.common.times import NEVER
 from gateway.engine.events import NO_BUS
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
@@ -19,7 +20,6 @@ from gateway.monitors.contract import Debounce, Fault, MonitorParams
 #: First part of the ids of the gateway's own faults.
 OWN = "gateway"
 
-NEVER = int(np.iinfo(np.int64).max)
 
 OWN_FAULTS = (
     Fault(

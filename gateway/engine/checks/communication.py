@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from gateway.common.times import NEVER
 from gateway.common.tomlfile import StrictModel
 from gateway.engine.instances import FaultSlot
 from gateway.errors import InputError
@@ -27,7 +28,6 @@ from gateway.signals.database import Database
 from gateway.signals.tables import DecodePlan, SignalRef
 
 TIMEOUT, COUNTER, CRC, LENGTH, VALUE = range(5)
-NEVER = int(np.iinfo(np.int64).max)
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from gateway.common.times import NEVER
 from gateway.common.tomlfile import StrictModel
-from gateway.servers.base import NEVER
 from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
 
 #: Time for others to contend after a claim.

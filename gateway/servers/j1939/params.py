@@ -1,4 +1,4 @@
-"""Settings of the J1939 output."""
+"""Settings of the J1939 server."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FreezeFrameSpn(StrictModel):
 
 
 class J1939Params(StrictModel):
-    """The J1939 output."""
+    """The J1939 server."""
 
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
     address: int = Field(0xF9, ge=0, le=253, description="source address it claims")

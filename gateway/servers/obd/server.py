@@ -15,8 +15,9 @@ from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
 from gateway.faults.store import StoreError
-from gateway.servers.control import Control
+from gateway.servers.application import Application
 from gateway.servers.obd.params import ObdParams
+from gateway.servers.tester_control import TesterControl
 
 #: Modes of J1979: identifiers below those of UDS.
 MODES = range(0x01, 0x0B)
@@ -37,7 +38,7 @@ def _bitmap(base: int, numbers: Iterable[int]) -> bytes:
     return bits.to_bytes(4, "big")
 
 
-class ObdServer:
+class ObdServer(Application):
     """Answers the modes of J1979.
 
     Args:
@@ -46,7 +47,7 @@ class ObdServer:
         control: the gateway.
     """
 
-    def __init__(self, params: ObdParams, memory: FaultMemory, control: Control) -> None:
+    def __init__(self, params: ObdParams, memory: FaultMemory, control: TesterControl) -> None:
         self._params = params
         self._memory = memory
         self._control = control
@@ -61,7 +62,7 @@ class ObdServer:
             0x0A: self._x0a_permanent,
         }
 
-    def answer(self, request: bytes, functional: bool, _t_ns: int) -> list[bytes]:
+    def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         """Return the response to a request, or nothing."""
         mode = self._modes.get(request[0])
         try:

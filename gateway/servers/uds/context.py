@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 from gateway.faults.memory import FaultMemory
-from gateway.servers.control import Control
 from gateway.servers.identifiers import Identifiers
+from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.params import SESSIONS, Access, UdsParams
 from gateway.servers.uds.security import Security
 
@@ -34,7 +34,7 @@ class Context:
     params: UdsParams
     memory: FaultMemory
     identifiers: Identifiers
-    control: Control
+    control: TesterControl
     security: Security
     now_ns: int = 0
     session: int = DEFAULT

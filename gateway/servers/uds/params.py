@@ -7,7 +7,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
-from gateway.servers.isotp import IsoTpParams
+from gateway.servers.isotp.params import IsoTpParams
 
 #: Diagnostic sessions by name (ISO 14229-1, 0x10).
 SESSIONS = {"default": 0x01, "extended": 0x03}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
-from gateway.servers.base import NEVER
+from gateway.servers.application import Application
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, refuse_unless
 from gateway.servers.uds.services import SERVICES
@@ -19,7 +20,7 @@ def _negative(sid: int, nrc: Nrc) -> bytes:
     return bytes([0x7F, sid, nrc])
 
 
-class UdsServer:
+class UdsServer(Application):
     """Answers requests; knows sessions and their end, and answers that come later or by themselves.
 
     Args:

@@ -1,4 +1,4 @@
-"""What every way out of the gateway can do: take changes and frames, let time pass, give frames to send."""
+"""The contract of what is on a bus beside the monitors: it takes frames, durable changes and time; gives frames to send."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
+from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 
-#: A time that never comes.
-NEVER = int(np.iinfo(np.int64).max)
 
+class BusServer:
+    """What is on a bus on the gateway's behalf: one that answers testers, or only tells.
 
-class Output:
-    """One way out. It reads no clock: times come with the calls and never go back."""
+    It reads no clock: times come with the calls. What a server does not need of the contract it leaves as it is here.
+    """
 
     #: Whether it is normal communication, which a tester can switch off (ISO 14229-1, 0x28).
     normal = True
@@ -44,11 +45,11 @@ class Output:
         """Let time pass; returns frames to send."""
         return empty(0)
 
-    def succeed(self, old: Output, buses: Mapping[int, int]) -> None:
-        """Go on where an output of the configuration before stops, if it is the same one.
+    def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
+        """Go on where a server of the configuration before stops, if it is the same one.
 
         Args:
-            old: one of its outputs, of any kind; not to be used any more.
+            old: one of its servers, of any kind; not to be used any more.
             buses: index of a bus there -> its index here.
         """
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Control(Protocol):
-    """The gateway, as its servers see it."""
+class TesterControl(Protocol):
+    """The gateway, as the servers that testers speak to see it."""
 
     def clear(self, group: int) -> bool:
         """Clear one DTC or a group, durable on return; False if there is no such DTC or group.

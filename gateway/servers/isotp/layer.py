@@ -1,0 +1,187 @@
+"""can-isotp's state machine on our time: no thread, no sleep, so that a replay does what the live run did."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from typing import Any, cast
+
+import isotp
+from isotp.protocol import PDU
+
+from gateway.common.times import NEVER
+from gateway.servers.isotp.params import IsoTpParams
+
+#: Wait frames in a row that a tester may send.
+MOST_WAITS = 16
+
+# What a tester sends wrongly is counted, not logged frame by frame.
+_LOGGER = f"{__name__}.protocol"
+logging.getLogger(_LOGGER).setLevel(logging.CRITICAL)
+
+
+class _Clock:
+    now_ns = 0
+
+
+class _Timer:
+    """can-isotp's timer on our time."""
+
+    def __init__(self, clock: _Clock, timeout: float) -> None:
+        self._clock = clock
+        self._start_ns: int | None = None
+        self.set_timeout(timeout)
+
+    def set_timeout(self, timeout: float) -> None:
+        self.timeout = int(timeout * 1e9)
+
+    def start(self, timeout: float | None = None) -> None:
+        if timeout is not None:
+            self.set_timeout(timeout)
+        self._start_ns = self._clock.now_ns
+
+    def stop(self) -> None:
+        self._start_ns = None
+
+    def is_stopped(self) -> bool:
+        return self._start_ns is None
+
+    def is_timed_out(self) -> bool:
+        return self._start_ns is not None and self._clock.now_ns >= self._start_ns + self.timeout
+
+    @property
+    def due_ns(self) -> int:
+        return NEVER if self._start_ns is None else self._start_ns + self.timeout
+
+
+class _Logic(isotp.TransportLayerLogic):
+    """can-isotp's state machine, with our timers."""
+
+    def __init__(self, clock: _Clock, *args: Any, **options: Any) -> None:
+        self._clock = clock
+        super().__init__(*args, **options)
+        self.timer_tx_stmin = cast(Any, _Timer(clock, 0.0))
+
+    def load_params(self) -> None:
+        super().load_params()
+        self.timer_rx_fc = self._timer(self.params.rx_flowcontrol_timeout)
+        self.timer_rx_cf = self._timer(self.params.rx_consecutive_frame_timeout)
+
+    def _timer(self, milliseconds: float) -> Any:
+        return _Timer(self._clock, milliseconds / 1000)
+
+    def _start_rx_fc_timer(self) -> None:
+        self.timer_rx_fc = self._timer(self.params.rx_flowcontrol_timeout)
+        self.timer_rx_fc.start()
+
+    def _start_rx_cf_timer(self) -> None:
+        self.timer_rx_cf = self._timer(self.params.rx_consecutive_frame_timeout)
+        self.timer_rx_cf.start()
+
+    @property
+    def due_ns(self) -> int:
+        timers = [self.timer_rx_fc, self.timer_rx_cf]
+        if self.is_tx_transmitting_cf():
+            timers.append(self.timer_tx_stmin)
+        return min(int(cast(Any, timer).due_ns) for timer in timers)
+
+
+class IsoTpLayer:
+    """The messages of one pair of identifiers, under way in both directions, at the time it is given.
+
+    Args:
+        params: addresses and transport.
+    """
+
+    def __init__(self, params: IsoTpParams) -> None:
+        self._clock = _Clock()
+        self._received: deque[isotp.CanMessage] = deque()
+        self._sent: list[isotp.CanMessage] = []
+        self.errors = 0
+        mode = (
+            isotp.AddressingMode.Normal_29bits
+            if params.flags
+            else isotp.AddressingMode.Normal_11bits
+        )
+        self._logic = _Logic(
+            self._clock,
+            rxfn=lambda _timeout: self._received.popleft() if self._received else None,
+            txfn=self._sent.append,
+            address=isotp.Address(mode, txid=params.response, rxid=params.request),
+            error_handler=self._on_error,
+            params={
+                "stmin": params.separation_ms,
+                "blocksize": params.block_size,
+                "tx_data_length": 64 if params.fd else 8,
+                "tx_data_min_length": None if params.padding is None else 8,
+                "tx_padding": params.padding,
+                "can_fd": params.fd,
+                "bitrate_switch": params.fd,
+                "wftmax": MOST_WAITS,
+                "max_frame_size": 4095,
+                "logger_name": _LOGGER,
+            },
+        )
+
+    def _on_error(self, _error: Exception) -> None:
+        self.errors += 1
+
+    @property
+    def now_ns(self) -> int:
+        """The time that it has come to."""
+        return self._clock.now_ns
+
+    def advance(self, t_ns: int) -> int:
+        """Set its clock, never back; returns what it shows. Nothing is done before :meth:`process`."""
+        self._clock.now_ns = max(self._clock.now_ns, t_ns)
+        return self._clock.now_ns
+
+    def process(self) -> None:
+        """Do what is due by now."""
+        self._logic.process()
+
+    def take(self, message: isotp.CanMessage) -> bytes | None:
+        """Take a frame and do what is due; returns the message that it completes, None: none."""
+        self._received.append(message)
+        self._logic.process()
+        whole = self._logic.recv()
+        return None if whole is None else bytes(whole)
+
+    def single(self, message: isotp.CanMessage) -> bytes | None:
+        """Return what a single frame carries, leaving what is under way alone; None: it is no valid one."""
+        try:
+            pdu = PDU(message)
+        except ValueError:
+            self.errors += 1
+            return None
+        if pdu.type != PDU.Type.SINGLE_FRAME or (pdu.can_dl > 8 and not pdu.escape_sequence):
+            self.errors += 1
+            return None
+        return bytes(pdu.data)
+
+    def send(self, messages: list[bytes]) -> None:
+        """Send messages one after the other, as far as possible by now."""
+        for message in messages:
+            self._logic.send(message)
+        self._logic.process()
+
+    @property
+    def transmitting(self) -> bool:
+        """Whether a message is being sent, or waits to be."""
+        return bool(self._logic.transmitting())
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait for the one being sent."""
+        return int(self._logic.tx_queue.qsize())
+
+    def take_sent(self) -> list[isotp.CanMessage]:
+        """Return the frames to be sent, once."""
+        sent = self._sent.copy()
+        self._sent.clear()  # not a new list: can-isotp appends to this one
+        return sent
+
+    @property
+    def next_ns(self) -> int:
+        """Time of its next timer."""
+        return self._logic.due_ns
