@@ -6,7 +6,7 @@ tests all drive this same class.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import are_steps
-from gateway.bus.frames import OWN, URGENT, Frames, empty
+from gateway.bus.frames import OWN, Frames, empty
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
-from gateway.common.times import NEVER
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.events import (
@@ -36,7 +35,7 @@ from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
-from gateway.runtime.assemble import Parts, identifiers_of, outputs_of, prepare
+from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
 from gateway.runtime.told import (
     clear_event,
@@ -47,22 +46,18 @@ from gateway.runtime.told import (
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
-from gateway.servers.bus_server import BusServer
+from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.servers.uds.extended_data import EXTENDED_DATA
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
 
-#: Frames of a batch that is looked at one by one.
-FEW = 16
 log = get_logger(__name__)
-
-_NOBODY = np.void(b"")
 
 
 class Gateway:
-    """Engine, fault memory and outputs of one configuration.
+    """Engine, fault memory and servers of one configuration.
 
     Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
     condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
@@ -112,13 +107,12 @@ class Gateway:
             self._after_clear,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
-        self._outputs = outputs_of(
-            config, self._parts, self.memory, self.controls, self.identifiers
+        self.servers = BusServers(
+            servers_of(config, self._parts, self.memory, self.controls, self.identifiers),
+            len(config.bus),
+            lambda: self.controls.send,
         )
         self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
-        self._due = [output.next_ns for output in self._outputs]
-        self._next_due = min(self._due, default=NEVER)
-        self._heard = self._identifiers_of_outputs()
         self._emitted = self.engine.emitted
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
@@ -172,10 +166,7 @@ class Gateway:
         }
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self.controls.go_on()
-        for k, output in enumerate(self._outputs):
-            for other in old._outputs:
-                output.succeed(other, buses)
-            self._set_due(k)
+        self.servers.succeed(old.servers, buses)
         self._listeners = old._listeners
         self.event_count = old.event_count
         self.memory.note_descriptions()
@@ -237,14 +228,12 @@ class Gateway:
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         sent: list[Frames] = []
-        for piece, last, wanting in self._pieces(frames):
+        for piece, last, wanting in self.servers.pieces(frames):
             sent.append(self._emit(self._process(piece), asked=bool(wanting)))
             for k in wanting:
-                output = self._outputs[k]
-                made = output.on_frame(last, self.engine.now_ns)
-                self._set_due(k)
-                sent += [*self._take_early(), self._allowed(output, made)]
-        return sent[0] if len(sent) == 1 else np.concatenate(sent) if sent else empty(0)
+                made = self.servers.on_frame(k, last, self.engine.now_ns)
+                sent += [*self._take_early(), made]
+        return _joined(sent)
 
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
@@ -253,35 +242,6 @@ class Gateway:
             return frames
         kept: Frames = frames[~(own & np.isin(frames["can_id"], self._emitted))]
         return kept
-
-    def _pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
-        """Cut a batch behind each frame that is for an output, which sees the memory as it is then."""
-        # Most batches have nothing for an output; a small one is told by its identifiers alone.
-        ids = self._heard
-        if ids is not None and len(frames) <= FEW and ids.isdisjoint(frames["can_id"].tolist()):
-            yield frames, _NOBODY, []
-            return
-        masks = [(k, output.wanted(frames)) for k, output in enumerate(self._outputs)]
-        known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
-        start = 0
-        if known:
-            for stop in np.flatnonzero(np.logical_or.reduce([mask for _, mask in known])):
-                wanting = [k for k, mask in known if mask[stop]]
-                yield frames[start : stop + 1], frames[stop], wanting
-                start = int(stop) + 1
-        if start < len(frames) or not len(frames):
-            yield frames[start:], _NOBODY, []
-
-    def _identifiers_of_outputs(self) -> frozenset[int] | None:
-        """Return the identifiers that outputs listen to on any bus; None: one listens to all."""
-        found: set[int] = set()
-        for bus in range(len(self.config.bus)):
-            for output in self._outputs:
-                ids = output.identifiers(bus)
-                if ids is None:
-                    return None
-                found.update(ids)
-        return frozenset(found)
 
     def _process(self, frames: Frames) -> Frames:
         if self.controls.receive or not len(frames):
@@ -296,18 +256,17 @@ class Gateway:
         return self._emit(self.engine.advance(t_ns, self._on_events))
 
     def poll(self, t_ns: int) -> Frames:
-        """Let time pass for the outputs that answer others, which the monitors' time lags behind.
+        """Let time pass for the servers that answer others, which the monitors' time lags behind.
 
         Args:
             t_ns: now, of the clock that stamps frames.
         """
-        return self._on_time(t_ns, [output.prompt for output in self._outputs])
+        return _joined(self.servers.on_time(t_ns, prompt=True))
 
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
-        due = [at for at, output in zip(self._due, self._outputs, strict=True) if output.prompt]
-        return min(due, default=NEVER)
+        return self.servers.next_prompt_ns
 
     @property
     def dtc_frame_id(self) -> int:
@@ -316,13 +275,8 @@ class Gateway:
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
-        found = self.engine.plan.identifiers(bus)
-        for output in self._outputs:
-            more = output.identifiers(bus)
-            if found is None or more is None:
-                return None
-            found = found + more
-        return found
+        decoded, served = self.engine.plan.identifiers(bus), self.servers.identifiers_on(bus)
+        return None if decoded is None or served is None else decoded + served
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
@@ -387,7 +341,7 @@ class Gateway:
         return "" if bus == NO_BUS else self.config.bus[bus].name
 
     def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
-        """Return the frames to send: the monitors' own, then what the outputs have to say.
+        """Return the frames to send: the monitors' own, then what the servers have to say.
 
         Args:
             sent: by the monitors.
@@ -399,22 +353,14 @@ class Gateway:
         if self.memory.room:
             self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
         frames = [*self._take_early(), sent if self.controls.send else empty(0)]
-        frames += self._frames_of(self._settle(now, asked=asked))
-        if now >= self._next_due:
-            frames.append(self._on_time(now, [True] * len(self._outputs)))
-        return frames[0] if len(frames) == 1 else np.concatenate(frames)
-
-    def _frames_of(self, changes: Sequence[DtcChange]) -> list[Frames]:
-        """Return what the outputs send of changes."""
-        frames = []
-        for k, output in enumerate(self._outputs if changes else ()):
-            frames.append(self._allowed(output, output.on_changes(changes, self.engine.now_ns)))
-            self._set_due(k)
-        return frames
+        frames += self.servers.on_changes(self._settle(now, asked=asked), now)
+        frames += self.servers.on_time(now)
+        return _joined(frames)
 
     def _before_clear(self) -> None:
         """Write and tell all that waits: what is cleared next must not be told as set after it."""
-        self._early += self._frames_of(self._settle(self.engine.now_ns, final=True))
+        now = self.engine.now_ns
+        self._early += self.servers.on_changes(self._settle(now, final=True), now)
         self._entries = {entry.fault for entry in self.memory.entries()}
 
     def _after_clear(self, cleared: Iterable[str]) -> None:
@@ -453,26 +399,6 @@ class Gateway:
             self._tell(event)
         return own + waiting[: may.changes]
 
-    def _on_time(self, t_ns: int, which: Sequence[bool]) -> Frames:
-        frames = []
-        for k, (output, asked) in enumerate(zip(self._outputs, which, strict=True)):
-            if asked and t_ns >= self._due[k]:
-                frames.append(self._allowed(output, output.on_time(t_ns)))
-                self._set_due(k)
-        return np.concatenate(frames) if frames else empty(0)
-
-    def _set_due(self, k: int) -> None:
-        self._due[k] = self._outputs[k].next_ns
-        self._next_due = min(self._due)
-
-    def _allowed(self, output: BusServer, frames: Frames) -> Frames:
-        """Return frames, unless a tester has switched normal communication off."""
-        if not self.controls.send and output.normal:
-            return empty(0)
-        if output.urgent:
-            frames["rank"] = URGENT
-        return frames
-
     def _observe(self, definition: FaultDefinition) -> Observed:
         slots = self._parts.slots
         inputs = self.engine.inputs_of(self._index[definition.id])
@@ -504,9 +430,8 @@ class Gateway:
             seconds: how long the work took by the caller's clock.
         """
         counters = self.engine.counters()
-        for output in self._outputs:
-            for name, count in output.counters().items():
-                counters[name] = counters.get(name, 0) + count
+        for name, count in self.servers.counters().items():
+            counters[name] = counters.get(name, 0) + count
         counters["memory_not_stored"] = self._upkeep.not_stored
         counters["memory_write_failures"] = self._upkeep.failures
         if self._recorder is not None:
@@ -523,3 +448,9 @@ class Gateway:
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
         )
+
+
+def _joined(frames: list[Frames]) -> Frames:
+    if len(frames) == 1:
+        return frames[0]
+    return np.concatenate(frames) if frames else empty(0)

@@ -171,7 +171,7 @@ def identifiers_of(
     )
 
 
-def outputs_of(
+def servers_of(
     config: Config,
     parts: Parts,
     memory: FaultMemory,

@@ -134,7 +134,7 @@ def test_mutated_requests(rig):
     seed = 77
     print(f"seed {seed}")
     rng = random.Random(seed)
-    server = rig.gateway._outputs[0]
+    server = rig.gateway.servers.all[0]
     # The disk is not what is tested here: clearing and routines would write 10^5 times.
     seeds = [request for request in REQUESTS if request[0] not in (0x04, 0x11, 0x14, 0x2E, 0x31)]
     slow = [request for request in REQUESTS if request not in seeds]
@@ -181,7 +181,7 @@ def test_mutated_frames(rig):
     seed = 78
     print(f"seed {seed}")
     rng = random.Random(seed)
-    isotp, j1939 = rig.gateway._outputs
+    isotp, j1939 = rig.gateway.servers.all
     j1939.on_time(0)
     j1939.on_time(10**9)
     ids = [0x7E0, 0x7DF]

@@ -310,7 +310,7 @@ def test_a_long_answer_to_one_goes_by_rts_and_cts(make):
     assert whole[:6] == bytes.fromhex("00FF64000101")
     done = bytes([19, 22, 0, 4, 0xFF]) + (0xFECB).to_bytes(3, "little")
     rig.feed((to_me, done))
-    assert rig.gateway._outputs[-1].endpoint.transport._sending is None
+    assert rig.gateway.servers.all[-1].endpoint.transport._sending is None
 
 
 def test_a_receiver_that_falls_silent_is_given_up(make):
@@ -377,9 +377,9 @@ def test_interleaved_broadcasts_of_many_senders_keep_their_bounds(make):
     bam = bytes([32, 20, 0, 3, 0xFF]) + (0xFECA).to_bytes(3, "little")
     for source in range(1, 200):
         rig.feed((pgn_id(0xEC00, source, ALL, 7), bam))
-    assert len(rig.gateway._outputs[-1].endpoint.transport._receiving) == 64
+    assert len(rig.gateway.servers.all[-1].endpoint.transport._receiving) == 64
     rig.wait(1000)
-    assert len(rig.gateway._outputs[-1].endpoint.transport._receiving) == 0
+    assert len(rig.gateway.servers.all[-1].endpoint.transport._receiving) == 0
 
 
 # Address claim

@@ -1,0 +1,147 @@
+"""All servers of a gateway together: which frames are for them, when they are due, what they may send."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from gateway.bus.frames import URGENT, Frames, empty
+from gateway.common.times import NEVER
+from gateway.faults.entries import DtcChange
+from gateway.servers.bus_server import BusServer
+
+#: Frames of a batch that is looked at one by one.
+MAX_SMALL_BATCH = 16
+
+_NOBODY = np.void(b"")
+
+
+class BusServers:
+    """The servers, in the order in which they send.
+
+    Args:
+        servers: each reads no clock: times come with the calls.
+        buses: how many the gateway has.
+        may_send: whether normal communication is on at present (ISO 14229-1, 0x28).
+    """
+
+    def __init__(
+        self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool]
+    ) -> None:
+        self.all = tuple(servers)
+        self._may_send = may_send
+        self._due = [server.next_ns for server in self.all]
+        self._next_due = min(self._due, default=NEVER)
+        self._heard = self._identifiers(buses)
+
+    def _identifiers(self, buses: int) -> frozenset[int] | None:
+        """Return the identifiers that they listen to on any bus; None: one listens to all."""
+        found: set[int] = set()
+        for bus in range(buses):
+            ids = self.identifiers_on(bus)
+            if ids is None:
+                return None
+            found.update(ids)
+        return frozenset(found)
+
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) that they listen to on a bus; None: to all."""
+        found: list[int] = []
+        for server in self.all:
+            more = server.identifiers(bus)
+            if more is None:
+                return None
+            found += more
+        return found
+
+    def succeed(self, old: BusServers, buses: Mapping[int, int]) -> None:
+        """Go on where those of another configuration stop.
+
+        Args:
+            old: not to be used any more.
+            buses: index of a bus there -> its index here.
+        """
+        for k, server in enumerate(self.all):
+            for other in old.all:
+                server.succeed(other, buses)
+            self._set_due(k)
+
+    def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
+        """Cut a batch after each frame that is for a server, which sees the memory as it is then.
+
+        Yields:
+            a piece, its last frame, and the indices of the servers that this frame is for.
+        """
+        # Most batches have nothing for a server; a small one is told by its identifiers alone.
+        ids = self._heard
+        small = len(frames) <= MAX_SMALL_BATCH
+        if ids is not None and small and ids.isdisjoint(frames["can_id"].tolist()):
+            yield frames, _NOBODY, []
+            return
+        masks = [(k, server.wanted(frames)) for k, server in enumerate(self.all)]
+        known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
+        start = 0
+        if known:
+            for stop in np.flatnonzero(np.logical_or.reduce([mask for _, mask in known])):
+                wanting = [k for k, mask in known if mask[stop]]
+                yield frames[start : stop + 1], frames[stop], wanting
+                start = int(stop) + 1
+        if start < len(frames) or not len(frames):
+            yield frames[start:], _NOBODY, []
+
+    def on_frame(self, k: int, frame: np.void, t_ns: int) -> Frames:
+        """Give a server a frame that it wanted; returns frames to send."""
+        made = self.all[k].on_frame(frame, t_ns)
+        self._set_due(k)
+        return self._allowed(self.all[k], made)
+
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[Frames]:
+        """Tell all of changes that are durable; returns frames to send."""
+        frames = []
+        for k, server in enumerate(self.all if changes else ()):
+            frames.append(self._allowed(server, server.on_changes(changes, t_ns)))
+            self._set_due(k)
+        return frames
+
+    def on_time(self, t_ns: int, *, prompt: bool = False) -> list[Frames]:
+        """Let time pass for those that are due; returns frames to send.
+
+        Args:
+            t_ns: now.
+            prompt: only for those whose time is that of the bus, which the monitors' lags behind.
+        """
+        if t_ns < self._next_due:
+            return []
+        frames = []
+        for k, server in enumerate(self.all):
+            if t_ns >= self._due[k] and (server.prompt or not prompt):
+                frames.append(self._allowed(server, server.on_time(t_ns)))
+                self._set_due(k)
+        return frames
+
+    @property
+    def next_prompt_ns(self) -> int:
+        """When the first of those is due whose time is that of the bus."""
+        due = [at for at, server in zip(self._due, self.all, strict=True) if server.prompt]
+        return min(due, default=NEVER)
+
+    def counters(self) -> dict[str, int]:
+        """Return what they counted, by name."""
+        counters: dict[str, int] = {}
+        for server in self.all:
+            for name, count in server.counters().items():
+                counters[name] = counters.get(name, 0) + count
+        return counters
+
+    def _set_due(self, k: int) -> None:
+        self._due[k] = self.all[k].next_ns
+        self._next_due = min(self._due)
+
+    def _allowed(self, server: BusServer, frames: Frames) -> Frames:
+        """Return frames, unless a tester has switched normal communication off."""
+        if server.normal and not self._may_send():
+            return empty(0)
+        if server.urgent:
+            frames["rank"] = URGENT
+        return frames
