@@ -74,6 +74,75 @@ def _word(control: Any, at: int, count: int) -> int:
 
 
 @kernel
+def _read_ancillary(
+    control: Any, end: int, losses: Any, gaps: int, kept: int, now_ns: int, lost: int
+) -> tuple[int, int, int]:
+    """Read what came with a struct: its stamp, and the socket's count of lost frames.
+
+    Args:
+        control: the ancillary data, uint8, shape (bytes,).
+        end: how many bytes there are.
+        losses: takes (place in the batch, frames lost before it).
+        gaps: rows of it so far.
+        kept: place of the struct's frame in the batch.
+        now_ns: stamp of a frame that has none [ns].
+        lost: the socket's count of lost frames so far, modulo 2**32.
+
+    Returns:
+        stamp [ns], the socket's count of lost frames, rows of ``losses``.
+    """
+    stamp, at = now_ns, 0
+    while at + _TO_DATA <= end:
+        length = _word(control, at, _ALIGNED)
+        kind = _word(control, at + _ALIGNED + 4, 4)
+        if _word(control, at + _ALIGNED, 4) == _SOL_SOCKET:
+            data = at + _TO_DATA
+            if kind == _SO_TIMESTAMPNS:
+                stamp = _word(control, data, 8) * 1_000_000_000
+                stamp += _word(control, data + 8, 8)
+            elif kind == _SO_RXQ_OVFL:
+                total = _word(control, data, 4)
+                if total != lost:
+                    losses[gaps, 0], losses[gaps, 1] = kept, (total - lost) & 0xFFFFFFFF
+                    gaps += 1
+                    lost = total
+        if length < _TO_DATA:
+            break
+        at += (length + _ALIGNED - 1) // _ALIGNED * _ALIGNED
+    return stamp, lost, gaps
+
+
+@kernel
+def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
+    """Turn a record whose bytes from the 8th on are a received struct into a frame.
+
+    Args:
+        f: the record: the struct's length lies at ``bus``.
+        fd: whether it is a ``struct canfd_frame``.
+        own: whether this socket sent it.
+        stamp: [ns].
+        bus: index of the bus.
+    """
+    length = int(min(np.int64(f["bus"]), 64 if fd else 8))
+    if np.int64(f["can_id"]) & REMOTE:
+        length = 0  # a remote frame has a length but no data
+    raw = np.int64(f["flags"])
+    flags = OWN if own else 0
+    if fd:
+        flags |= FD
+        flags |= BRS if raw & _CANFD_BRS else 0
+        flags |= ESI if raw & _CANFD_ESI else 0
+    f["t_ns"] = stamp
+    f["bus"] = bus
+    f["flags"] = flags
+    f["length"] = length
+    f["rank"] = 0
+    data = f["data"]
+    for j in range(length, 64):
+        data[j] = 0
+
+
+@kernel
 def settle(
     messages: Any, control: Any, losses: Any, out: Any, count: int, bus: int, now_ns: int, lost: int
 ) -> tuple[int, int, int, int]:
@@ -94,52 +163,17 @@ def settle(
     """
     kept, rejected, gaps = 0, 0, 0
     for k in range(count):
-        m = messages[k]
-        size = m["length"]
-        stamp, at = now_ns, 0
-        header = m["header"]
+        size = messages[k]["length"]
+        header = messages[k]["header"]
         end = min(np.int64(header["control_length"]), control.shape[1])
-        while at + _TO_DATA <= end:
-            length = _word(control[k], at, _ALIGNED)
-            kind = _word(control[k], at + _ALIGNED + 4, 4)
-            if _word(control[k], at + _ALIGNED, 4) == _SOL_SOCKET:
-                data = at + _TO_DATA
-                if kind == _SO_TIMESTAMPNS:
-                    stamp = _word(control[k], data, 8) * 1_000_000_000
-                    stamp += _word(control[k], data + 8, 8)
-                elif kind == _SO_RXQ_OVFL:
-                    total = _word(control[k], data, 4)
-                    if total != lost:
-                        losses[gaps, 0], losses[gaps, 1] = kept, (total - lost) & 0xFFFFFFFF
-                        gaps += 1
-                        lost = total
-            if length < _TO_DATA:
-                break
-            at += (length + _ALIGNED - 1) // _ALIGNED * _ALIGNED
+        stamp, lost, gaps = _read_ancillary(control[k], end, losses, gaps, kept, now_ns, lost)
         if size not in (_CAN_MTU, _CANFD_MTU):
             rejected += 1 if size > 0 else 0
             continue
         if kept != k:
             out[kept] = out[k]
-        f = out[kept]
-        fd = size == _CANFD_MTU
-        length = int(min(np.int64(f["bus"]), 64 if fd else 8))
-        if np.int64(f["can_id"]) & REMOTE:
-            length = 0  # a remote frame has a length but no data
-        raw = np.int64(f["flags"])
-        flags = OWN if np.int64(header["flags"]) & _MSG_CONFIRM else 0
-        if fd:
-            flags |= FD
-            flags |= BRS if raw & _CANFD_BRS else 0
-            flags |= ESI if raw & _CANFD_ESI else 0
-        f["t_ns"] = stamp
-        f["bus"] = bus
-        f["flags"] = flags
-        f["length"] = length
-        f["rank"] = 0
-        data = f["data"]
-        for j in range(length, 64):
-            data[j] = 0
+        own = np.int64(header["flags"]) & _MSG_CONFIRM != 0
+        _to_frame(out[kept], size == _CANFD_MTU, own, stamp, bus)
         kept += 1
     return kept, rejected, lost, gaps
 

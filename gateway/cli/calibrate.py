@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +100,132 @@ def _cusum_table(rows: tuple[cusum.Quantity, ...]) -> Table:
     return table
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked for.
+
+    Attributes:
+        config: the configuration's file.
+        logs: healthy logs.
+        mtfa: target of the mean time between false alarms [s], for stopping rules.
+        margin: largest healthy T over its threshold, for CUSUM tests.
+        floor: least threshold of these [nu].
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+    """
+
+    config: Path
+    logs: list[Path]
+    mtfa: float
+    margin: float
+    floor: float
+    maps: Sequence[str]
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """What the logs say: of stopping rules, of CUSUM tests, None where a configuration has none of these.
+
+    Attributes:
+        levels: largest levels of stopping rules.
+        proposals: thresholds for them.
+        tests: of CUSUM tests, with thresholds.
+    """
+
+    levels: stopping.Levels | None
+    proposals: list[stopping.Proposal]
+    tests: cusum.Found | None
+
+    @property
+    def seconds(self) -> float:
+        """Length of the logs [s]."""
+        return max(part.seconds for part in (self.levels, self.tests) if part is not None)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """DTCs that the logs set."""
+        parts = (part for part in (self.levels, self.tests) if part is not None)
+        return tuple(sorted({dtc for part in parts for dtc in part.failed}))
+
+
+def _learn(asked: _Asked) -> _Learned:
+    """Run the logs through a gateway, and propose thresholds.
+
+    Raises:
+        InputError: the configuration has nothing to calibrate.
+    """
+    config = load_config(asked.config)
+    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
+    if not rules and not tests:
+        raise refuse("thresholds", asked.config)
+    columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
+    levels, found = None, None
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("frames", total=None)
+
+        def progress(count: int) -> None:
+            bar.advance(task, count)
+
+        if rules:
+            levels = stopping.levels(
+                config, asked.logs, file=asked.config, maps=asked.maps, progress=progress
+            )
+        if tests:
+            found = cusum.learn(
+                config,
+                asked.logs,
+                margin=asked.margin,
+                floor=asked.floor,
+                file=asked.config,
+                maps=asked.maps,
+                progress=progress,
+            )
+    proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
+    return _Learned(levels, proposals, found)
+
+
+def _write(asked: _Asked, learned: _Learned) -> None:
+    """Write the thresholds into the configuration, with their source."""
+    source = f"{learned.seconds:.0f} s of healthy logs, sha256 {digest(asked.logs)}"
+    if learned.levels:
+        tables = stopping.tables(learned.proposals)
+        write(asked.config, tables, f"{source}, target {asked.mtfa:.0f} s")
+    if learned.tests:
+        criteria = f"margin {asked.margin:g}, floor {asked.floor:g} nu"
+        write(asked.config, learned.tests.tables, f"{source}, {criteria}")
+
+
+def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
+    """Return what was found, for programs."""
+    said: dict[str, Any] = {
+        "seconds": learned.seconds,
+        "data": digest(asked.logs),
+        "failed": list(learned.failed),
+    }
+    if learned.levels:
+        said |= {"target_s": asked.mtfa, "rows": [asdict(p) for p in learned.proposals]}
+    if learned.tests:
+        said |= {"margin": asked.margin, "floor": asked.floor}
+        said["cusum"] = [asdict(row) | {"margin": row.margin} for row in learned.tests.rows]
+    return said | {"assured_s": assured(learned.seconds, 0)}
+
+
+def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
+    """Print what was found, for people."""
+    lines = _alarmed(learned.failed)
+    if learned.levels:
+        console.print(_table(learned.proposals))
+        lines = _claim(learned.levels.seconds, asked.mtfa) + lines
+        if any(p.beyond > 1.0 for p in learned.proposals):
+            lines.append(
+                "* extrapolated: this symptom's share of the target is longer than the logs"
+            )
+    if learned.tests:
+        console.print(_cusum_table(learned.tests.rows))
+        lines = _cusum_claim(learned.tests, asked.margin, asked.floor) + lines
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
 def calibrate_logs(
     config_path: Path,
     logs: list[Path],
@@ -112,64 +238,15 @@ def calibrate_logs(
     json: bool,
 ) -> int:
     """Propose thresholds, and write them if wanted; returns the exit code."""
-    config = load_config(config_path)
-    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
-    if not rules and not tests:
-        raise refuse("thresholds", config_path)
-    columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
-    seen, found = None, None
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("frames", total=None)
-
-        def progress(count: int) -> None:
-            bar.advance(task, count)
-
-        if rules:
-            seen = stopping.levels(config, logs, file=config_path, maps=maps, progress=progress)
-        if tests:
-            found = cusum.learn(
-                config,
-                logs,
-                margin=margin,
-                floor=floor,
-                file=config_path,
-                maps=maps,
-                progress=progress,
-            )
-    proposals = stopping.calibrate(config, seen, mtfa) if seen else []
-    seconds = max(part.seconds for part in (seen, found) if part is not None)
-    failed = tuple(
-        sorted({dtc for part in (seen, found) if part is not None for dtc in part.failed})
-    )
+    asked = _Asked(config_path, logs, mtfa, margin, floor, maps)
+    learned = _learn(asked)
     if into:
-        source = f"{seconds:.0f} s of healthy logs, sha256 {digest(logs)}"
-        if seen:
-            write(config_path, stopping.tables(proposals), f"{source}, target {mtfa:.0f} s")
-        if found:
-            write(config_path, found.tables, f"{source}, margin {margin:g}, floor {floor:g} nu")
+        _write(asked, learned)
     if json:
-        said: dict[str, Any] = {"seconds": seconds, "data": digest(logs), "failed": list(failed)}
-        if seen:
-            said |= {"target_s": mtfa, "rows": [asdict(p) for p in proposals]}
-        if found:
-            said |= {"margin": margin, "floor": floor}
-            said["cusum"] = [asdict(row) | {"margin": row.margin} for row in found.rows]
-        print_json(said | {"assured_s": assured(seconds, 0), "written": into})
+        print_json(_data(asked, learned) | {"written": into})
         return 0
     console = wide_console()
-    lines = _alarmed(failed)
-    if seen:
-        console.print(_table(proposals))
-        lines = _claim(seen.seconds, mtfa) + lines
-        if any(p.beyond > 1.0 for p in proposals):
-            lines.append(
-                "* extrapolated: this symptom's share of the target is longer than the logs"
-            )
-    if found:
-        console.print(_cusum_table(found.rows))
-        lines = _cusum_claim(found, margin, floor) + lines
-    for line in lines:
-        console.print(line, soft_wrap=True)
+    _show(asked, learned, console)
     if into:
         console.print(f"written: {config_path}")
     return 0

@@ -58,52 +58,80 @@ def _finding_event(finding: Finding) -> dict[str, Any]:
     return {"event": "expectation", "met": finding.good, "text": finding.text}
 
 
-def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
-    """Show the whole chain in one process; returns the exit code."""
-    scenario, config, player = _open(scenario_name, seed)
-    console = Console(highlight=False, soft_wrap=True)
-    printer = EventPrinter(as_json=json)
-    gateway = Gateway(config, file=scenario.config)
-    gateway.listen(printer)
-    judge = Judge(scenario)
-    if not json:
-        console.print(f"[bold]{scenario.name}[/]: {scenario.description} (seed {player.seed})")
-        for ecu in scenario.ecu:
-            console.print(
-                f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
-                f" {len(player.frames)} frames in {scenario.duration_s} s"
-            )
-    truth = list(player.truth)
-    begun = time.monotonic()
-    shown_s = -1
+class _Narrator:
+    """Tells what happens in a demo, line by line, each with the scenario's time.
 
-    def on_report(report: DtcReport) -> None:
-        if report.dtc is None or json:
+    Args:
+        console: to print to.
+        player: of the scenario.
+        gateway: whose readings are shown.
+    """
+
+    def __init__(self, console: Console, player: Player, gateway: Gateway) -> None:
+        self._console = console
+        self._player = player
+        self._gateway = gateway
+        self._truth = list(player.truth)
+        self._shown_s = -1
+
+    def begin(self, scenario: Scenario) -> None:
+        """Introduce the scenario and its ECUs."""
+        self._console.print(
+            f"[bold]{scenario.name}[/]: {scenario.description} (seed {self._player.seed})"
+        )
+        for ecu in scenario.ecu:
+            self._console.print(
+                f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
+                f" {len(self._player.frames)} frames in {scenario.duration_s} s"
+            )
+
+    def on_frames(self, frames: Frames) -> None:
+        """Tell what was injected before the gateway can have seen it."""
+        while self._truth and len(frames) and self._truth[0].t_ns <= frames["t_ns"][-1]:
+            fact = self._truth.pop(0)
+            tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
+            self._console.print(
+                f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]:"
+                f" {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
+            )
+
+    def on_report(self, report: DtcReport) -> None:
+        """Show a DTC frame."""
+        if report.dtc is None:
             return
         where = "change" if report.index == 0 else f"{report.index} of {report.count}"
-        console.print(
+        self._console.print(
             f"{report.t_ns / 1e9:10.4f} s  [cyan]CAN GW_DTC[/] ({where}): {report.dtc}"
             f"  status 0x{report.status:02X} = {status_text(report.status)}"
         )
 
-    def on_frames(frames: Frames) -> None:
-        """Tell what was injected before the gateway can have seen it."""
-        while truth and len(frames) and truth[0].t_ns <= frames["t_ns"][-1]:
-            fact = truth.pop(0)
-            if not json:
-                tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
-                console.print(
-                    f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]:"
-                    f" {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
-                )
+    def on_step(self, t_ns: int) -> None:
+        """Show what the monitors read, once a second."""
+        if t_ns // 10**9 <= self._shown_s:
+            return
+        self._shown_s = t_ns // 10**9
+        for name, values in self._gateway.engine.readout().items():
+            facts = "  ".join(f"{k} {v:.6g}" for k, v in values.items() if k != "not_tested")
+            self._console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
+
+
+def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
+    """Show the whole chain in one process; returns the exit code."""
+    scenario, config, player = _open(scenario_name, seed)
+    printer = EventPrinter(as_json=json)
+    gateway = Gateway(config, file=scenario.config)
+    gateway.listen(printer)
+    judge = Judge(scenario)
+    narrator = (
+        None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
+    )
+    if narrator is not None:
+        narrator.begin(scenario)
+    begun = time.monotonic()
 
     def on_step(t_ns: int) -> None:
-        nonlocal shown_s
-        if not json and t_ns // 10**9 > shown_s:
-            shown_s = t_ns // 10**9
-            for name, values in gateway.engine.readout().items():
-                facts = "  ".join(f"{k} {v:.6g}" for k, v in values.items() if k != "not_tested")
-                console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
+        if narrator is not None:
+            narrator.on_step(t_ns)
         if speed:
             time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
 
@@ -112,8 +140,8 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
             gateway,
             player,
             judge=judge,
-            on_frames=on_frames,
-            on_report=on_report,
+            on_frames=None if narrator is None else narrator.on_frames,
+            on_report=None if narrator is None else narrator.on_report,
             on_step=on_step,
         )
         printer(gateway.summary(time.monotonic() - begun))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import os
 import select
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -47,6 +47,52 @@ def collect(bus: Bus, count: int) -> Frames:
     return np.concatenate(parts) if parts else empty(0)
 
 
+class _Wires:
+    """The virtual buses of a configuration, with three ends each: the ECUs', the gateway's and a tester's.
+
+    Args:
+        gateway: whose configuration it is.
+    """
+
+    def __init__(self, gateway: Gateway) -> None:
+        uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
+        self._dtc_frame_id = gateway.dtc_frame_id
+        self._database = shipped("dbc/gateway.dbc")
+        self._ecus, self._ours, self._testers = (
+            [open_bus(uri, index) for index, uri in enumerate(uris)] for _ in range(3)
+        )
+        for bus in self._ecus:
+            bus.set_filters([0x1FFFFFFF | 0x80000000])  # virtual ECUs listen to nobody
+        for bus in self._testers:
+            bus.set_filters([gateway.dtc_frame_id])
+
+    def carry(self, frames: Frames) -> Frames:
+        """Send frames from the ECUs; returns them as the gateway got them, in order of time."""
+        arrived = []
+        for index, (ecu, ours) in enumerate(zip(self._ecus, self._ours, strict=True)):
+            mine = frames[frames["bus"] == index]
+            ecu.send(mine)
+            arrived.append(collect(ours, len(mine)))
+        batch = np.concatenate(arrived)
+        return batch[np.argsort(batch["t_ns"], kind="stable")]
+
+    def reports(self, frames: Frames) -> Iterator[DtcReport]:
+        """Send frames from the gateway, bus by bus; yields the DTC frames among them as a tester decodes them."""
+        for index, (ours, tester) in enumerate(zip(self._ours, self._testers, strict=True)):
+            mine = frames[frames["bus"] == index]
+            ours.send(mine)
+            dtc = mine["can_id"] == self._dtc_frame_id
+            for frame in collect(tester, int(dtc.sum())):
+                report = read_dtc_frame(frame, self._database)
+                if report is not None:
+                    yield report
+
+    def close(self) -> None:
+        """Close all ends."""
+        for bus in (*self._ecus, *self._ours, *self._testers):
+            bus.close()
+
+
 def drive(
     gateway: Gateway,
     player: Player,
@@ -68,48 +114,26 @@ def drive(
         on_step: called at the end of each step with its time [ns].
         stop: tells to end early; the operation cycle ends then.
     """
-    database = shipped("dbc/gateway.dbc")
-    uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
-    ecus = [open_bus(uri, index) for index, uri in enumerate(uris)]
-    ours = [open_bus(uri, index) for index, uri in enumerate(uris)]
-    testers = [open_bus(uri, index) for index, uri in enumerate(uris)]
-    for bus in ecus:
-        bus.set_filters([0x1FFFFFFF | 0x80000000])  # virtual ECUs listen to nobody
-    for bus in testers:
-        bus.set_filters([gateway.dtc_frame_id])
+    wires = _Wires(gateway)
     try:
         gateway.start(0)
         until = 0
         for until, frames in player.batches():
             if stop():
                 break
-            arrived = []
-            for index, ecu in enumerate(ecus):
-                mine = frames[frames["bus"] == index]
-                ecu.send(mine)
-                arrived.append(collect(ours[index], len(mine)))
-            batch = np.concatenate(arrived)
-            batch = batch[np.argsort(batch["t_ns"], kind="stable")]
+            batch = wires.carry(frames)
             if on_frames is not None:
                 on_frames(batch)
             for sent in (gateway.feed(batch), gateway.advance(until)):
-                for index, bus in enumerate(ours):
-                    mine = sent[sent["bus"] == index]
-                    bus.send(mine)
-                    dtc = mine["can_id"] == gateway.dtc_frame_id
-                    for frame in collect(testers[index], int(dtc.sum())):
-                        report = read_dtc_frame(frame, database)
-                        if report is None:
-                            continue
-                        if judge is not None and report.dtc is not None:
-                            judge.report(
-                                report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence
-                            )
-                        if on_report is not None:
-                            on_report(report)
+                for report in wires.reports(sent):
+                    if judge is not None and report.dtc is not None:
+                        judge.report(
+                            report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence
+                        )
+                    if on_report is not None:
+                        on_report(report)
             if on_step is not None:
                 on_step(until)
         gateway.stop(until)
     finally:
-        for bus in (*ecus, *ours, *testers):
-            bus.close()
+        wires.close()

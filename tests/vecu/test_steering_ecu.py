@@ -17,11 +17,12 @@ from gateway.signals.database import load_database
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 from gateway.vecu.steering.column import Column, pinion, sampled
+from gateway.vecu.steering.controller import CONTROL
 from gateway.vecu.steering.course import driving, sweep, times
 from gateway.vecu.steering.ecu import steering_frames
 from gateway.vecu.steering.faults import KINDS, SteeringFault, bursts, disturb, falsify
 from gateway.vecu.steering.params import SteeringParams
-from gateway.vecu.steering.plant import CONTROL, Plant, drive, undisturbed
+from gateway.vecu.steering.plant import Plant, drive, undisturbed
 
 compiled = pytest.mark.skipif(not COMPILED, reason="a plant at 50 kHz")
 #: Without noise: what comes out is physics.

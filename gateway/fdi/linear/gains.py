@@ -92,6 +92,116 @@ def _ordered(poles: tuple[complex, ...]) -> NDArray[np.complex128]:
     return np.array(real + pairs, dtype=np.complex128)
 
 
+#: Cost of a gain that makes the observer unstable, or that cannot be computed.
+_UNUSABLE = 1e9
+
+
+@dataclass(frozen=True)
+class _Observer:
+    """What a gain is chosen for.
+
+    Attributes:
+        phi: shape (n, n).
+        c: shape (p, n).
+        q: covariance of the noise on the states, shape (n, n).
+        r: of the outputs, shape (p, p).
+        faults: so many of the last states are estimates of inputs' faults.
+    """
+
+    phi: Array
+    c: Array
+    q: Array
+    r: Array
+    faults: int
+
+    def with_noise(self, gain: Array) -> Gain:
+        """Return a gain with its covariances."""
+        return with_noise(self.phi, self.c, gain, self.q, self.r)
+
+    def variances(self, gain: Array) -> Array:
+        """Return the stationary variances of what is estimated: the faults, or all states if there are none."""
+        n = len(self.phi)
+        estimated = np.arange(n - self.faults, n) if self.faults else np.arange(n)
+        return np.asarray(np.diag(self.with_noise(gain).error)[estimated])
+
+    def crosstalk(self, gain: Array, steps: int) -> float:
+        """Return how much of one input's fault another's estimate shows at most, within so many samples of its start."""
+        n = len(self.phi)
+        f = self.phi - gain @ self.c
+        largest, response = 0.0, np.eye(n)
+        for _ in range(steps if self.faults > 1 else 0):
+            response = f @ response
+            block = response[n - self.faults :, n - self.faults :]
+            largest = max(largest, float(np.abs(block - np.diag(np.diag(block))).max()))
+        return largest
+
+    def unstable(self, gain: Array) -> bool:
+        """Tell whether the observer does not forget its error."""
+        return bool(np.abs(np.linalg.eigvals(self.phi - gain @ self.c)).max() >= 1.0)
+
+
+def _place(phi: Array, c: Array, wanted: NDArray[np.complex128]) -> Array:
+    """Return a gain with these poles.
+
+    Raises:
+        ValueError: they cannot be placed.
+    """
+    from scipy.signal import place_poles  # noqa: PLC0415 - slow to load
+
+    try:
+        gain = place_poles(phi.T, c.T, wanted).gain_matrix.T
+    except ValueError as error:
+        raise ValueError(f"the poles cannot be placed: {error}") from error
+    return np.asarray(gain.real)
+
+
+def _free_vectors(phi: Array, c: Array, gain: Array, wanted: NDArray[np.complex128]) -> Array:
+    """Return the free vectors g of a gain with these poles, shape (n, p), as :func:`_from_vectors` takes them."""
+    n, p = len(phi), len(c)
+    values, vectors = np.linalg.eig((phi - gain @ c).T)
+    g = np.zeros((n, p))
+    k = 0
+    while k < n:
+        nearest = int(np.argmin(np.abs(values - wanted[k])))
+        free = gain.T @ vectors[:, nearest]
+        free = free / np.linalg.norm(free)
+        if wanted[k].imag == 0.0:
+            g[k] = (free / free[np.argmax(np.abs(free))]).real
+            k += 1
+        else:
+            g[k], g[k + 1] = free.real, free.imag
+            k += 2
+    return g
+
+
+def _robust(observer: _Observer, wanted: NDArray[np.complex128], start: Array) -> Array:
+    """Return the gain with these poles that is best in the sense of this module, found from another one with them."""
+    from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
+
+    phi, c = observer.phi, observer.c
+    n, p = len(phi), len(c)
+    scale = observer.variances(start)
+    steps = round(min(max(3.0 / (1.0 - max(abs(wanted))), 10.0), 200.0))
+
+    def cost(gain: Array) -> float:
+        if observer.unstable(gain):
+            return _UNUSABLE
+        noise = float((observer.variances(gain) / scale).sum())
+        return noise + observer.crosstalk(gain, steps) ** 2
+
+    def of_free(flat: Array) -> float:
+        try:
+            return cost(_from_vectors(phi, c, wanted, flat.reshape(n, p)))
+        except np.linalg.LinAlgError:
+            return _UNUSABLE
+
+    g = _free_vectors(phi, c, start, wanted)
+    found = minimize(of_free, g.ravel(), method="L-BFGS-B", options={"maxiter": 40})
+    if found.fun >= cost(start):
+        return start
+    return _from_vectors(phi, c, wanted, found.x.reshape(n, p))
+
+
 def from_poles(
     phi: Array, c: Array, poles: tuple[complex, ...], q: Array, r: Array, faults: int = 0
 ) -> Gain:
@@ -108,59 +218,13 @@ def from_poles(
     Raises:
         ValueError: they cannot be placed.
     """
-    from scipy.optimize import minimize  # noqa: PLC0415 - slow to load
-    from scipy.signal import place_poles  # noqa: PLC0415 - likewise
-
-    n, p = len(phi), len(c)
-    if len(poles) != n:
-        raise ValueError(f"{n} poles are needed, {len(poles)} are given")
+    if len(poles) != len(phi):
+        raise ValueError(f"{len(phi)} poles are needed, {len(poles)} are given")
     if max(abs(pole) for pole in poles) >= 1.0:
         raise ValueError("a pole lies outside the unit circle: the observer would be unstable")
     wanted = _ordered(poles)
-    try:
-        first = place_poles(phi.T, c.T, wanted).gain_matrix.T
-    except ValueError as error:
-        raise ValueError(f"the poles cannot be placed: {error}") from error
-    start = with_noise(phi, c, np.asarray(first.real), q, r)
-    if p == 1:
-        return start  # nothing is free
-    shown = np.arange(n - faults, n) if faults else np.arange(n)
-    scale = np.diag(start.error)[shown]
-    steps = round(min(max(3.0 / (1.0 - max(abs(wanted))), 10.0), 200.0))
-
-    def cost(gain: Array) -> float:
-        f = phi - gain @ c
-        if np.abs(np.linalg.eigvals(f)).max() >= 1.0:
-            return 1e9
-        noise = float((np.diag(with_noise(phi, c, gain, q, r).error)[shown] / scale).sum())
-        crossed, response = 0.0, np.eye(n)
-        for _ in range(steps if faults > 1 else 0):
-            response = f @ response
-            block = response[n - faults :, n - faults :]
-            crossed = max(crossed, float(np.abs(block - np.diag(np.diag(block))).max()))
-        return noise + crossed**2
-
-    values, vectors = np.linalg.eig((phi - start.gain @ c).T)
-    g = np.zeros((n, p))
-    k = 0
-    while k < n:
-        nearest = int(np.argmin(np.abs(values - wanted[k])))
-        free = start.gain.T @ vectors[:, nearest]
-        free = free / np.linalg.norm(free)
-        if wanted[k].imag == 0.0:
-            g[k] = (free / free[np.argmax(np.abs(free))]).real
-            k += 1
-        else:
-            g[k], g[k + 1] = free.real, free.imag
-            k += 2
-
-    def of_free(flat: Array) -> float:
-        try:
-            return cost(_from_vectors(phi, c, wanted, flat.reshape(n, p)))
-        except np.linalg.LinAlgError:
-            return 1e9
-
-    found = minimize(of_free, g.ravel(), method="L-BFGS-B", options={"maxiter": 40})
-    if found.fun >= cost(start.gain):
-        return start
-    return with_noise(phi, c, _from_vectors(phi, c, wanted, found.x.reshape(n, p)), q, r)
+    gain = _place(phi, c, wanted)
+    observer = _Observer(phi, c, q, r, faults)
+    if len(c) > 1:  # with one output nothing is free
+        gain = _robust(observer, wanted, gain)
+    return observer.with_noise(gain)

@@ -1,11 +1,12 @@
 """Which actuator, which sensor, how large: decisions on the bank beyond paper 003's products.
 
-A change of the innovations is heard first, by the generalised likelihood ratio of the observer in use. Then every
-observer is asked whether faults of actuators, beginning anywhere in the window, explain its own innovations:
+A change of the innovations raises an alarm first: the generalised likelihood ratio of the observer in use, over the
+window, or the energy of its last sample alone. Then it is searched whether faults of actuators, beginning anywhere in the
+window, explain the innovations of each observer:
 
-    all of them say yes                  actuators: each observer's estimate is corrected for its transient
-    only the one without sensor j does   sensor j; from here on that observer alone is believed
-    none, for a while                    more than one sensor, or not the plant that was told: not isolated
+    of all observers                     actuators: each observer's estimate is corrected for its transient
+    only of the one without sensor j     sensor j; from here on that observer alone is believed
+    of none, for a while                 more than one sensor, or not the plant that was told: not isolated
 
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
 fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is at
@@ -36,14 +37,19 @@ PATIENCE = 25
 GONE, AGAINST = 2.0, 2.0
 #: Of a sensor's offset, likewise: below it, it is none.
 NOTHING = 3.0
-#: Energy that a fault takes from an observer's innovations, if others have heard it [standard deviations squared].
+#: Energy that a fault has to take from an observer's innovations, once there is an alarm [standard deviations squared].
 WEAK = 6.0
 #: Standard deviation of an actuator's fault beforehand, in thresholds.
 PRIOR = 100.0
 
 
 class Const(Record):
-    """Constants."""
+    """Constants.
+
+    Thresholds of the ``actuator`` and the ``sensor`` faults; ``spread``: standard deviation of a sensor's offset;
+    ``sure``: quantile beyond which an estimate is no noise; ``window_alarm``: of the window's log likelihood ratio,
+    doubled, ``sample_alarm``: of a sample's energy, by observer; ``persistence``, ``hold`` [samples].
+    """
 
     bank: bank.Const
     jump: jump.Const
@@ -52,8 +58,8 @@ class Const(Record):
     sensor: Annotated[f8s, MOST_OUTPUTS]
     spread: Annotated[f8s, MOST_OUTPUTS]
     sure: f8
-    heard: f8
-    struck: Annotated[f8s, BANK]
+    window_alarm: f8
+    sample_alarm: Annotated[f8s, BANK]
     persistence: i8
     hold: i8
 
@@ -62,7 +68,7 @@ class State(Record):
     """State.
 
     ``active``: the observer in use; ``latched``: the sensor at fault, ``confirmed`` once its offset was beyond
-    its threshold, ``doubted`` for so many samples before; ``undecided``: samples since something was heard;
+    its threshold, ``doubted`` for so many samples before; ``undecided``: samples since an alarm;
     ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags,
     with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the
     sensor's fault.
@@ -149,9 +155,9 @@ def prepare(
         c.spread[j] = np.sqrt(plant.c[j] @ x @ plant.c[j] + noise.outputs[j] ** 2)
     # Estimates change as slowly as their observer forgets; innovations are new with every sample.
     c.sure = normal_above(min(settled(plant, observers[0]) / (2 * m * mtfa_s), 0.02))
-    c.heard = chi2_above(min(plant.period / mtfa_s, 0.01), m)
+    c.window_alarm = chi2_above(min(plant.period / mtfa_s, 0.01), m)
     for k in range(p + 1):
-        c.struck[k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
+        c.sample_alarm[k] = chi2_above(min(plant.period / mtfa_s, 0.01), p if k == 0 else p - 1)
     c.persistence = persistence
     c.hold = max(round(hold_s / plant.period), 1)
     s.latched = NONE
@@ -173,8 +179,8 @@ def restart(s: State, c: Const) -> None:
 
 
 @kernel
-def _follow(s: State, o: bank.Const, active: int, y: f8s) -> None:
-    """Give all observers the state of one, and forget the window."""
+def _adopt(s: State, o: bank.Const, active: int, y: f8s) -> None:
+    """Let all observers adopt the state of one, and forget the window."""
     jump.merge(s.jump, o, active, s.bank.z)
     for k in range(o.p + 1):
         s.jump.open[k] = 0
@@ -185,7 +191,7 @@ def _follow(s: State, o: bank.Const, active: int, y: f8s) -> None:
 
 
 @kernel
-def _decided(s: State, c: Const, y: f8s, actuators: bool) -> None:
+def _open_faults(s: State, c: Const, y: f8s, actuators: bool) -> None:
     """Open the faults that explain the window: of all observers, or of the active one."""
     o = c.bank
     for k in range(o.p + 1):
@@ -201,58 +207,68 @@ def _decided(s: State, c: Const, y: f8s, actuators: bool) -> None:
 
 
 @kernel
-def _latch(s: State, c: Const, y: f8s, who: int) -> None:
+def _latch_sensor(s: State, c: Const, y: f8s, who: int) -> None:
     """Believe the observer ``who`` alone: the sensor that it does not take is at fault."""
     s.latched, s.active = who - 1, who
     s.well = s.confirmed = s.doubted = 0
-    _decided(s, c, y, False)
+    _open_faults(s, c, y, False)
 
 
 @kernel
-def _needs_least(s: State, c: Const) -> int:
-    """Return the only observer that explains its innovations without any fault of actuators, 0: none or several."""
+def _only_undisturbed(s: State, c: Const) -> int:
+    """Return the only observer whose innovations no fault of actuators is needed for, 0: none or several."""
     found = 0
     for k in range(1, c.bank.p + 1):
-        if s.explains[k] == 1 and s.jump.gained[k] < c.heard:
+        if s.explains[k] == 1 and s.jump.gained[k] < c.window_alarm:
             found = k if found == 0 else -1
     return max(found, 0)
 
 
 @kernel
-def _look(s: State, c: Const, y: f8s) -> None:
-    """Ask all observers whether actuators explain what was heard, and decide if the answers allow it."""
-    o = c.bank
-    s.undecided += 1
-    willing, who = 0, 0
-    for k in range(o.p + 1):
+def _search_explanations(s: State, c: Const) -> tuple[int, int]:
+    """Search for faults of actuators that explain the innovations, for each observer that is in use.
+
+    Returns:
+        how many observers without a sensor have such an explanation, and the last of these.
+    """
+    observers_explaining, last = 0, 0
+    for k in range(c.bank.p + 1):
         s.explains[k] = 0
         if s.latched == NONE or k == s.active:
-            s.explains[k] = 1 if jump.search(s.jump, c.jump, o, k) else 0
+            s.explains[k] = 1 if jump.search(s.jump, c.jump, c.bank, k) else 0
         if k > 0 and s.explains[k] == 1:
-            willing += 1
-            who = k
+            observers_explaining += 1
+            last = k
+    return observers_explaining, last
+
+
+@kernel
+def _isolate(s: State, c: Const, y: f8s) -> None:
+    """Decide between actuators and a sensor if the explanations allow it."""
+    s.undecided += 1
+    observers_explaining, last = _search_explanations(s, c)
     if s.latched != NONE:
-        if willing == 1:
-            _decided(s, c, y, False)
+        if observers_explaining == 1:
+            _open_faults(s, c, y, False)
         elif s.undecided > PATIENCE:
             s.unexplained = 1
-    elif s.explains[0] == 1 and willing == o.p and s.undecided >= 2:
-        _decided(s, c, y, True)
-    elif s.explains[0] == 0 and willing == 1:
-        _latch(s, c, y, who)
+    elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2:
+        _open_faults(s, c, y, True)
+    elif s.explains[0] == 0 and observers_explaining == 1:
+        _latch_sensor(s, c, y, last)
     elif s.undecided > PATIENCE:
-        alone = _needs_least(s, c)
+        alone = _only_undisturbed(s, c)
         if s.explains[0] == 1:  # small, and whoever does not agree is not sure of it
-            _decided(s, c, y, True)
+            _open_faults(s, c, y, True)
         elif alone > 0:
-            _latch(s, c, y, alone)
+            _latch_sensor(s, c, y, alone)
         else:
             s.unexplained = 1
 
 
 @kernel
-def _disagree(s: State, c: Const, i: int) -> bool:
-    """Tell whether an observer contradicts that actuator i is at fault."""
+def _contradicted(s: State, c: Const, i: int) -> bool:
+    """Tell whether any observer contradicts that actuator i is at fault."""
     o = c.bank
     way = 1.0 if s.fault[i] > 0.0 else -1.0
     for k in range(1, o.p + 1):
@@ -263,7 +279,7 @@ def _disagree(s: State, c: Const, i: int) -> bool:
 
 
 @kernel
-def _judge(s: State, c: Const, y: f8s) -> None:
+def _set_flags(s: State, c: Const, y: f8s) -> None:
     """Set the flags of the actuators, and end that of a sensor whose fault is gone."""
     o, k = c.bank, s.active
     for i in range(o.m):
@@ -271,7 +287,7 @@ def _judge(s: State, c: Const, y: f8s) -> None:
         std = s.jump.sigma[k, i]
         limit = max(c.actuator[i], c.sure * std)
         s.fault[i], s.limit[i] = value, limit
-        beyond = abs(value) >= limit and not (s.latched == NONE and _disagree(s, c, i))
+        beyond = abs(value) >= limit and not (s.latched == NONE and _contradicted(s, c, i))
         s.count[i] = s.count[i] + 1 if beyond else 0
         quiet = s.jump.open[k] == 0 and abs(value) < 0.5 * limit
         if s.count[i] >= c.persistence:
@@ -291,10 +307,10 @@ def _judge(s: State, c: Const, y: f8s) -> None:
     s.well = s.well + 1 if gone else 0
     if abs(s.offset[j]) >= c.sensor[j]:
         s.confirmed = 1
-    # What no jump explains, an actuator that drifts, makes one observer alone contented too; its sensor is right.
+    # What no jump explains, an actuator that drifts, leaves one observer alone with an explanation too; its sensor is right.
     s.doubted = 0 if s.confirmed == 1 else s.doubted + 1
     if s.well >= c.hold or s.doubted > PATIENCE:
-        _follow(s, o, k, y)
+        _adopt(s, o, k, y)
         s.latched, s.active, s.confirmed = NONE, 0, 0
 
 
@@ -312,7 +328,7 @@ def _agree(s: State, c: Const) -> bool:
 
 
 @kernel
-def _lost(s: State, c: Const, y: f8s, u: f8s) -> None:
+def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Go on with a bank that contradicts itself, until it has agreed for long enough."""
     o = c.bank
     bank.step(s.bank, o, y, u)
@@ -332,7 +348,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
             s.unexplained = 0 if _agree(s, c) else 1
         return
     if s.unexplained == 1:
-        _lost(s, c, y, u)
+        _recover(s, c, y, u)
         return
     x = s.jump
     x.at = (x.at + 1) % jump.WINDOW
@@ -341,10 +357,10 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
         if s.latched == NONE or k == s.active:
             bank.innovate(s.bank, o, k, y)
             jump.keep(x, o, k, s.bank.e)
-    heard = jump.listen(x, c.jump, o, s.active) > c.heard
-    struck = jump.energy(x, c.jump, o, s.active, x.at) > c.struck[s.active]
-    if s.undecided > 0 or heard or struck:
-        _look(s, c, y)
+    window_alarm = jump.likelihood_ratio(x, c.jump, o, s.active) > c.window_alarm
+    sample_alarm = jump.energy(x, c.jump, o, s.active, x.at) > c.sample_alarm[s.active]
+    if s.undecided > 0 or window_alarm or sample_alarm:
+        _isolate(s, c, y)
     if s.unexplained == 1:
         for k in range(o.p + 1):
             x.open[k] = 0
@@ -354,7 +370,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
             jump.learn(x, c.jump, o, k, s.bank.e)
     if s.undecided == 0 and s.unexplained == 0:
         s.tested = 1
-        _judge(s, c, y)
+        _set_flags(s, c, y)
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             bank.advance(s.bank, o, k, u)

@@ -57,7 +57,7 @@ class State(Record):
     """State.
 
     ``r``: innovations that the present estimate leaves, newest at ``at``; ``b``: of each beginning in the window,
-    for the observer that is listened to. Of each observer: whether a fault is ``open``, its ``g``, information
+    for the observer in use. Of each observer: whether a fault is ``open``, its ``g``, information
     ``j``, ``h``, and estimate ``a`` with standard deviation ``sigma`` of the corrected omega.
     """
 
@@ -162,7 +162,7 @@ def energy(s: State, c: Const, o: Bank, k: int, place: int) -> float:
 
 
 @kernel
-def listen(s: State, c: Const, o: Bank, k: int) -> float:
+def likelihood_ratio(s: State, c: Const, o: Bank, k: int) -> float:
     """Take the newest sample of observer k; returns the largest log likelihood ratio of a beginning, doubled."""
     m, p, at = o.m, o.p, s.at
     newest, begun, weighted, inverse = s.r[k, at], s.b, c.weighted[k, 0], c.inverse[k, 0]

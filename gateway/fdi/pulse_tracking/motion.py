@@ -26,14 +26,14 @@ from gateway.jit import Record, f8, i4, kernel, u1
 class Hypothesis(Record):
     """Hypothesis.
 
-    One hypothesis about which pulse was which tooth.  ``lag`` time since its last tooth (filtered) [us];
+    One hypothesis about which pulse was which tooth.  ``elapsed`` since its last tooth (filtered) [us];
     ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance; ``cost`` minus log likelihood above the best;
-    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed; ``pending`` pulses held
-    for spurious since its last tooth; ``fresh`` its last tooth is the latest pulse; ``outlier`` it took that for
+    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed; ``clutter`` pulses held
+    for spurious since its last tooth; ``associated`` the latest pulse is its last tooth; ``outlier`` it took that for
     an edge far off.
     """
 
-    lag: f8
+    elapsed: f8
     period: f8
     growth: f8
     p11: f8
@@ -46,9 +46,30 @@ class Hypothesis(Record):
     index: i4
     missed: i4
     added: i4
-    pending: i4
-    fresh: u1
+    clutter: i4
+    associated: u1
     outlier: u1
+
+
+@kernel
+def copy(a: Hypothesis, b: Hypothesis) -> None:
+    """Copy hypothesis ``b`` to ``a``."""
+    a.elapsed = b.elapsed
+    a.period = b.period
+    a.growth = b.growth
+    a.p11 = b.p11
+    a.p12 = b.p12
+    a.p13 = b.p13
+    a.p22 = b.p22
+    a.p23 = b.p23
+    a.p33 = b.p33
+    a.cost = b.cost
+    a.index = b.index
+    a.missed = b.missed
+    a.added = b.added
+    a.clutter = b.clutter
+    a.associated = b.associated
+    a.outlier = b.outlier
 
 
 #: Process noise per pitch: variances of the position [pitch^2] and of ln T. They are the engine's, not the
@@ -117,7 +138,7 @@ def correct(
     """Take a pulse as the tooth ``span`` pitches on, with residual ``e``.
 
     Args:
-        h: hypothesis; its ``lag`` is the time of the pulse since the last tooth.
+        h: hypothesis; its ``elapsed`` is the time of the pulse since the last tooth.
         span: pitches travelled.
         e: residual [pitch].
         q: of :func:`travel`.
@@ -154,7 +175,7 @@ def correct(
     h.p23 = f23 - k2 * f13
     h.p33 = f33 - k3 * f13
     change = min(max(k2 * e, -0.6), 0.6)
-    h.lag = e * period * (1.0 - k1)
+    h.elapsed = e * period * (1.0 - k1)
     h.period = period * (1.0 + change + 0.5 * change * change)
     growth = h.growth / (q * q) * max(1.0 - span / LASTS, 0.5) + k3 * e
     h.growth = min(max(growth, -MOST_GROWTH), MOST_GROWTH)

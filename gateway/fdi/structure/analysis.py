@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import InputError
 from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES, Candidates, classify
-from gateway.fdi.structure.decomposition import Decomposition, decompose
+from gateway.fdi.structure.decomposition import Block, Decomposition, decompose
 from gateway.fdi.structure.incidence import Incidence, Sets, counted
 from gateway.fdi.structure.isolability import (
     Isolability,
@@ -186,11 +186,6 @@ def analyse(
 def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
     """Return an analysis as data; ``sets``: with every MSO set."""
     model, parts = analysis.model, analysis.parts
-    counts = {
-        f"{algebraic} {causality}": analysis.counts(causality, algebraic)
-        for algebraic in ALGEBRAIC
-        for causality in CAUSALITIES
-    }
     found: dict[str, Any] = {
         "model": model.name,
         "equations": len(model.equations),
@@ -201,22 +196,10 @@ def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
         "msos": len(analysis.msos),
         "candidates": len(analysis.candidates),
         "sizes": {str(size): count for size, count in analysis.sizes.items()},
-        "table": {
-            algorithm: {
-                algebraic: {causality: list(pair) for causality, pair in row.items()}
-                for algebraic, row in rows.items()
-            }
-            for algorithm, rows in analysis.candidates.table.items()
-        },
-        "detectable": analysis.best.detectable.astype(int).tolist(),
-        "isolability": analysis.best.confused.astype(int).tolist(),
+        "table": _table(analysis.candidates),
+        **_isolability(analysis.best),
         "isolability_of": {
-            causality: {
-                "detectable": mine.detectable.astype(int).tolist(),
-                "isolability": mine.confused.astype(int).tolist(),
-            }
-            for causality in CAUSALITIES
-            for mine in (analysis.isolability(causality),)
+            causality: _isolability(analysis.isolability(causality)) for causality in CAUSALITIES
         },
         "mtes": [list(analysis.structure.names(row)) for row in find_mtes(model)],
         "fewest_tests": [int(k) + 1 for k in analysis.fewest],
@@ -226,30 +209,60 @@ def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
             "over": _block(parts.over),
             "classes": [_block(block) for block in parts.classes],
         },
-        "tests": {
-            name: {
-                "equations": list(test.equations),
-                "consistency": test.consistency,
-                "causality": test.causality,
-                "status": test.status,
-                "faults": list(test.faults),
-                "sequence": test.sequence,
-                "minimal": test.minimal,
-            }
-            for name, test in analysis.tests.items()
-        },
+        "tests": {name: _test(test) for name, test in analysis.tests.items()},
     }
     if sets:
-        found["sets"] = [
-            {
-                "equations": list(analysis.structure.names(row)),
-                "faults": [f for f, there in zip(model.faults, signs, strict=True) if there],
-                **{name: int(count[k]) for name, count in counts.items()},
-            }
-            for k, (row, signs) in enumerate(zip(analysis.msos, analysis.signature, strict=True))
-        ]
+        found["sets"] = _sets(analysis)
     return found
 
 
-def _block(block: Any) -> dict[str, list[str]]:
+def _table(candidates: Candidates) -> dict[str, Any]:
+    """Return Table IV; pairs as lists."""
+    return {
+        algorithm: {
+            algebraic: {causality: list(pair) for causality, pair in row.items()}
+            for algebraic, row in rows.items()
+        }
+        for algorithm, rows in candidates.table.items()
+    }
+
+
+def _isolability(found: Isolability) -> dict[str, Any]:
+    return {
+        "detectable": found.detectable.astype(int).tolist(),
+        "isolability": found.confused.astype(int).tolist(),
+    }
+
+
+def _test(test: Test) -> dict[str, Any]:
+    return {
+        "equations": list(test.equations),
+        "consistency": test.consistency,
+        "causality": test.causality,
+        "status": test.status,
+        "faults": list(test.faults),
+        "sequence": test.sequence,
+        "minimal": test.minimal,
+    }
+
+
+def _sets(analysis: Analysis) -> list[dict[str, Any]]:
+    """Return every MSO set with its faults and its candidates of each class."""
+    counts = {
+        f"{algebraic} {causality}": analysis.counts(causality, algebraic)
+        for algebraic in ALGEBRAIC
+        for causality in CAUSALITIES
+    }
+    faults = analysis.model.faults
+    return [
+        {
+            "equations": list(analysis.structure.names(row)),
+            "faults": [f for f, there in zip(faults, signs, strict=True) if there],
+            **{name: int(count[k]) for name, count in counts.items()},
+        }
+        for k, (row, signs) in enumerate(zip(analysis.msos, analysis.signature, strict=True))
+    ]
+
+
+def _block(block: Block) -> dict[str, list[str]]:
     return {"equations": list(block.equations), "unknowns": list(block.variables)}

@@ -15,20 +15,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.incidence import BITS, Flags, Masks, Sets, pack
-from gateway.fdi.structure.matching import make_free
+from gateway.fdi.structure.incidence import Masks, Sets, clear, include, pack
+from gateway.fdi.structure.matching import Matching, copy_pairs, make_free, match_set
 from gateway.fdi.structure.model import Model, Solvable
-from gateway.fdi.structure.sequence import (
+from gateway.fdi.structure.sequence import Structure
+from gateway.fdi.structure.steps import (
     DIFFERENTIATE,
     INTEGRATE,
     SINGULAR,
-    Structure,
-    match_set,
-    sequence,
+    Explicit,
+    Steps,
+    Workspace,
+    order_steps,
 )
 from gateway.jit import i8s, kernel
 
@@ -44,93 +47,135 @@ PORTION = 500
 _NONE, _UNIQUE = int(Solvable.NONE), int(Solvable.UNIQUE)
 
 
+class Solvability(NamedTuple):
+    """How equations and loops can be solved, each a :class:`Solvable`.
+
+    Attributes:
+        alone: of each equation, for each variable, int64 (equations, variables).
+        loop_equations: equations of each loop that the model declares, masks (loops, words of equations).
+        loop_variables: its variables, masks (loops, words of variables).
+        loop: of each loop, int64 (loops,).
+        equations: scratch, the equations of a loop that was found, mask.
+        variables: scratch, its variables, mask.
+    """
+
+    alone: i8s
+    loop_equations: Masks
+    loop_variables: Masks
+    loop: i8s
+    equations: Masks
+    variables: Masks
+
+
+class Portion(NamedTuple):
+    """Some sets with the choices of their consistency relations, one after the other.
+
+    Attributes:
+        members: equations of all sets, with the tacit relations, int64.
+        starts: where each set begins in ``members``, and where the last one ends, int64 (sets + 1,).
+        choices: consistency relations to try, of all sets, int64 (candidates,).
+        choice_starts: where each set begins in ``choices``, and where the last one ends, int64 (sets + 1,).
+        used: scratch, the equations of a candidate, int64 (equations,).
+    """
+
+    members: i8s
+    starts: i8s
+    choices: i8s
+    choice_starts: i8s
+    used: i8s
+
+
 @kernel
-def _loop_status(loops: Masks, solvable: i8s, equations: Masks, variables: Masks) -> int:
-    """Return how a loop can be solved; one that is not declared cannot."""
-    split = len(equations)
-    for k in range(loops.shape[0]):
-        same = True
-        for w in range(split):
-            same = same and loops[k, w] == equations[w]
-        for w in range(len(variables)):
-            same = same and loops[k, split + w] == variables[w]
-        if same:
-            return int(solvable[k])
+def _same(a: Masks, b: Masks) -> bool:
+    """Tell whether two masks are the same set."""
+    same = True
+    for w in range(len(a)):
+        same = same and a[w] == b[w]
+    return bool(same)
+
+
+@kernel
+def _loop_status(
+    solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, step: int
+) -> int:
+    """Return how the loop that a step is can be solved; one that is not declared cannot."""
+    clear(solve.equations)
+    clear(solve.variables)
+    for k in range(count):
+        e = used[k]
+        if order.step[e] == step:
+            include(solve.equations, e)
+            include(solve.variables, mate[e])
+    for k in range(len(solve.loop)):
+        if _same(solve.loop_equations[k], solve.equations) and _same(
+            solve.loop_variables[k], solve.variables
+        ):
+            return int(solve.loop[k])
     return _NONE
 
 
 @kernel
 def _classify_one(
-    used: i8s, count: int, steps: int, mate: i8s, step: i8s, kind: i8s, solve: i8s,
-    loops: Masks, loop_solvable: i8s, equations: Masks, variables: Masks, bits: int, result: i8s,
-) -> None:  # fmt: skip
+    solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, steps: int, result: i8s
+) -> None:
     """Write status, whether it integrates, and how often it differentiates, of one sequence into ``result``."""
     result[0], result[1], result[2] = _UNIQUE, 0, 0
     for number in range(steps):
-        if kind[number] == INTEGRATE:
+        if order.kind[number] == INTEGRATE:
             result[1] = 1
             continue
-        if kind[number] == DIFFERENTIATE:
+        if order.kind[number] == DIFFERENTIATE:
             result[2] += 1
             continue
-        if kind[number] == SINGULAR:
+        if order.kind[number] == SINGULAR:
             result[0] = _NONE
             result[1] = 1
             continue
         size, last = 0, 0
         for k in range(count):
-            if step[used[k]] == number:
+            if order.step[used[k]] == number:
                 size += 1
                 last = used[k]
         if size == 1:
-            result[0] = min(result[0], solve[last, mate[last]])
-            continue
-        for w in range(len(equations)):
-            equations[w] = 0
-        for w in range(len(variables)):
-            variables[w] = 0
-        for k in range(count):
-            e = used[k]
-            if step[e] == number:
-                equations[e // bits] |= 1 << (e % bits)
-                variables[mate[e] // bits] |= 1 << (mate[e] % bits)
-        result[0] = min(result[0], _loop_status(loops, loop_solvable, equations, variables))
+            result[0] = min(result[0], solve.alone[last, mate[last]])
+        else:
+            result[0] = min(result[0], _loop_status(solve, used, count, mate, order, number))
 
 
 @kernel
 def _classify(
-    rows: Masks, members: i8s, starts: i8s, choices: i8s, choice_starts: i8s, state: i8s, solve: i8s,
-    loops: Masks, loop_solvable: i8s, bits: int, everything: Masks, mate: i8s, owner: i8s, came: i8s, queue: i8s,
-    flags: Flags, seen: Masks, block: i8s, step: i8s, kind: i8s, scratch: i8s, rest: Masks, masks: Masks, one: i8s, mate_one: i8s, owner_one: i8s, equations: Masks, variables: Masks,
-    results: i8s,
+    explicit: Explicit, solve: Solvability, portion: Portion, matching: Matching, changed: Matching,
+    order: Steps, work: Workspace, results: i8s,
 ) -> None:  # fmt: skip
-    """Classify all choices of all sets into ``results``: status, integration, differentiations."""
-    m, n = rows.shape[0], len(owner)
-    for k in range(len(starts) - 1):
-        first, size = starts[k], starts[k + 1] - starts[k]
+    """Classify all choices of all sets.
+
+    Args:
+        explicit: the model.
+        solve: how its equations can be solved.
+        portion: sets and choices.
+        matching: scratch, of a set.
+        changed: scratch, as a candidate's sequence leaves it.
+        order: scratch.
+        work: scratch.
+        results: written: status, integration, differentiations; int64 (candidates, 3).
+    """
+    rows, members, used = explicit.rows, portion.members, portion.used
+    for k in range(len(portion.starts) - 1):
+        first, size = portion.starts[k], portion.starts[k + 1] - portion.starts[k]
         for i in range(size):
-            one[i] = members[first + i]
-        match_set(rows, one, size, mate, owner, came, queue, flags, seen, everything)
-        for c in range(choice_starts[k], choice_starts[k + 1]):
-            left = choices[c]
-            make_free(rows, m, mate, owner, left, came, queue, flags, seen)
+            used[i] = members[first + i]
+        match_set(rows, used, size, matching, explicit.everything)
+        for c in range(portion.choice_starts[k], portion.choice_starts[k + 1]):
+            check = portion.choices[c]
+            make_free(rows, rows.shape[0], matching, check)
             count = 0
             for i in range(size):
-                if members[first + i] != left:
-                    one[count] = members[first + i]
+                if members[first + i] != check:
+                    used[count] = members[first + i]
                     count += 1
-            for i in range(m):
-                mate_one[i] = mate[i]
-            for v in range(n):
-                owner_one[v] = owner[v]
-            steps = sequence(
-                rows, one, count, state, mate_one, owner_one,
-                block, step, kind, scratch, rest, masks, flags,
-            )  # fmt: skip
-            _classify_one(
-                one, count, steps, mate_one, step, kind, solve,
-                loops, loop_solvable, equations, variables, bits, results[c],
-            )  # fmt: skip
+            copy_pairs(changed, matching)
+            steps = order_steps(explicit, used, count, changed, order, work)
+            _classify_one(solve, used, count, changed.mate, order, steps, results[c])
 
 
 @dataclass(frozen=True)
@@ -207,19 +252,38 @@ class Candidates:
         return table
 
 
-def _solvability(model: Model, structure: Structure) -> NDArray[np.int64]:
-    solve = np.zeros(structure.incidence.dense.shape, np.int64)
+def _solvability(model: Model, structure: Structure) -> Solvability:
+    m, n = structure.incidence.dense.shape
+    alone = np.zeros((m, n), np.int64)
     for k, equation in enumerate(model.full_equations):
         for v, solvable in equation.solvable.items():
-            solve[k, structure.column[v]] = solvable
-    return solve
-
-
-def _loops(model: Model, structure: Structure) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    m, n = structure.incidence.dense.shape
+            alone[k, structure.column[v]] = solvable
     equations = pack([[structure.place[e] for e in loop.equations] for loop in model.loops], m)
     variables = pack([[structure.column[v] for v in loop.variables] for loop in model.loops], n)
-    return np.hstack([equations, variables]), np.array([x.solvable for x in model.loops], np.int64)
+    return Solvability(
+        alone,
+        equations,
+        variables,
+        np.array([x.solvable for x in model.loops], np.int64),
+        np.zeros(equations.shape[1], np.int64),
+        np.zeros(variables.shape[1], np.int64),
+    )
+
+
+def _portion(msos: Sets, choices: NDArray[np.int64], tacit: NDArray[np.int64]) -> Portion:
+    """Return sets, shape (sets, equations), with the choices of all of them one after the other."""
+    members = []
+    for row in msos:
+        own = np.flatnonzero(row)
+        with_tacit = tacit[own]
+        members.append(np.concatenate([own, with_tacit[with_tacit >= 0]]))
+    return Portion(
+        np.concatenate(members),
+        np.cumsum([0, *(len(x) for x in members)]),
+        choices,
+        np.concatenate([[0], np.cumsum(msos.sum(1))]),
+        np.zeros(max(len(x) for x in members), np.int64),
+    )
 
 
 def classify(
@@ -234,32 +298,17 @@ def classify(
     """
     s = Structure(model)
     solve = _solvability(model, s)
-    loops, loop_solvable = _loops(model, s)
-    m = len(model.equations)
-    tacit = s.tacit[:m]
+    matching, changed = s.new_matching(), s.new_matching()
+    tacit = s.tacit[: len(model.equations)]
     mso, equation = np.nonzero(msos)
     results = np.zeros((len(mso), 3), np.int64)
-    one, mate_one, owner_one = (
-        np.zeros(size, np.int64) for size in (len(s.rows), len(s.rows), len(s.owner))
-    )
-    variables = np.zeros(s.rows.shape[1], np.int64)
-    equations = np.zeros(loops.shape[1] - len(variables), np.int64)
     done = 0
     for begin in range(0, len(msos), PORTION):
-        portion = msos[begin : begin + PORTION]
-        members = []
-        for row in portion:
-            own = np.flatnonzero(row)
-            with_tacit = tacit[own]
-            members.append(np.concatenate([own, with_tacit[with_tacit >= 0]]))
-        choices = equation[done : done + int(portion.sum())]
+        sets = msos[begin : begin + PORTION]
+        choices = equation[done : done + int(sets.sum())]
         _classify(
-            s.rows, np.concatenate(members), np.cumsum([0, *(len(x) for x in members)]),
-            choices, np.concatenate([[0], np.cumsum(portion.sum(1))]), s.state, solve,
-            loops, loop_solvable, BITS, s.everything, s.mate, s.owner, s.came, s.queue,
-            s.flags, s.seen, s.block, s.step, s.kind, s.scratch, s.rest, s.masks,
-            one, mate_one, owner_one, equations, variables,
-            results[done : done + len(choices)],
+            s.explicit, solve, _portion(sets, choices, tacit), matching, changed,
+            s.order, s.work, results[done : done + len(choices)],
         )  # fmt: skip
         done += len(choices)
         if progress is not None:
@@ -273,6 +322,6 @@ def classify(
         equation,
         results[:, 0],
         results[:, 1] > 0,
-        (results[:, 2] > 0) | (s.state[equation] >= 0),
+        (results[:, 2] > 0) | (s.explicit.state[equation] >= 0),
         results[:, 2] > of_consistency,
     )

@@ -12,9 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.blocks import find_blocks
+from gateway.fdi.structure.blocks import block_search, find_blocks
 from gateway.fdi.structure.incidence import BITS, Incidence, words
-from gateway.fdi.structure.matching import ABSENT, FREE, augment, make_free, reach_from_free
+from gateway.fdi.structure.matching import (
+    ABSENT,
+    FREE,
+    Matching,
+    augment,
+    make_free,
+    reach_from_free,
+)
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -66,33 +73,28 @@ class Matched:
         if subset is not None:
             self.mate[~subset] = ABSENT
         self.owner: Ints = np.full(n, -1, np.int64)
-        self._came = np.zeros(n, np.int64)
-        self._queue = np.zeros(m, np.int64)
-        self._reached = np.zeros(m, np.bool_)
-        self._seen = np.zeros(words(n), np.int64)
+        self._matching = Matching(
+            self.mate,
+            self.owner,
+            came=np.zeros(n, np.int64),
+            queue=np.zeros(m, np.int64),
+            reached=np.zeros(m, np.bool_),
+            seen=np.zeros(words(n), np.int64),
+        )
         everything = np.full(words(n), (1 << BITS) - 1, np.int64)
         for i in np.flatnonzero(self.mate == FREE):
-            augment(
-                self.rows, self.mate, self.owner, int(i), everything,
-                self._came, self._queue, self._reached, self._seen,
-            )  # fmt: skip
+            augment(self.rows, self._matching, int(i), everything)
 
     def over(self, skip: int = -1) -> Bools:
         """Return the equations of M+, shape (equations,), without those that only the free equation ``skip`` reaches."""
-        reach_from_free(
-            self.rows, len(self.mate), self.mate, self.owner, skip,
-            self._came, self._queue, self._reached, self._seen,
-        )  # fmt: skip
-        return self._reached.copy()
+        reach_from_free(self.rows, len(self.mate), self._matching, skip)
+        return self._matching.reached.copy()
 
     def without(self, i: int) -> Bools:
         """Return (M minus equation ``i``)+ of a set M, shape (equations,)."""
         if self.mate[i] == ABSENT:
             return self.over()
-        free = make_free(
-            self.rows, len(self.mate), self.mate, self.owner, i,
-            self._came, self._queue, self._reached, self._seen,
-        )  # fmt: skip
+        free = make_free(self.rows, len(self.mate), self._matching, i)
         return self.over(i) if free else self.over()
 
 
@@ -150,7 +152,7 @@ def decompose(structure: Incidence) -> Decomposition:
     number = np.full(m, -1, np.int64)
     count = find_blocks(
         matched.rows, members, len(members), matched.owner, within, 0, number,
-        np.zeros((4, m), np.int64), np.zeros((m, words(n)), np.int64),
+        block_search(m, words(n)),
     )  # fmt: skip
     just = []
     for k in range(count):

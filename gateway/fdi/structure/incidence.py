@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.fdi.structure.model import Equation, Model
+from gateway.jit import kernel
 
 #: Bits of a word that are used: two less than it has, so that no word is ever negative.
 BITS = 62
@@ -38,6 +39,25 @@ def unpack(masks: Masks, size: int) -> Sets:
     """Return masks, shape (sets, words), as booleans, shape (sets, size)."""
     places = np.arange(size)
     return (masks[:, places // BITS] >> (places % BITS) & 1).astype(bool)
+
+
+@kernel
+def include(mask: Masks, k: int) -> None:
+    """Add number ``k`` to the set that a mask is, int64 (words,)."""
+    mask[k // BITS] |= 1 << (k % BITS)
+
+
+@kernel
+def exclude(mask: Masks, k: int) -> None:
+    """Take number ``k`` out of the set that a mask is, int64 (words,)."""
+    mask[k // BITS] &= ~(1 << (k % BITS))
+
+
+@kernel
+def clear(mask: Masks) -> None:
+    """Make the set that a mask is empty, int64 (words,)."""
+    for w in range(len(mask)):
+        mask[w] = 0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from gateway.fdi.structure.decomposition import Matched
 from gateway.fdi.structure.incidence import Flags, Incidence, Masks, Sets, pack, unpack, words
-from gateway.fdi.structure.matching import ABSENT, FREE, make_free, reach_from_free
+from gateway.fdi.structure.matching import ABSENT, FREE, Matching, make_free, reach_from_free
 from gateway.jit import i8s, kernel
 
 #: Sets found between two reports of progress.
@@ -49,29 +49,25 @@ def _lump(
     rows: Masks,
     ids: Masks,
     state: i8s,
-    mate: i8s,
-    owner: i8s,
     size: int,
-    came: i8s,
-    queue: i8s,
-    reached: Flags,
-    seen: Masks,
+    matching: Matching,
     done: Flags,
 ) -> int:
     """Lump the equivalence classes that may be left out; returns how many equations are left.
 
     ``state`` of each equation: 1 it may be left out, 0 it may not.
     """
+    mate, owner = matching.mate, matching.owner
     for i in range(size):
         done[i] = False
     for i in range(size):
         if mate[i] == ABSENT or state[i] == 0 or done[i]:
             continue
-        make_free(rows, size, mate, owner, i, came, queue, reached, seen)
-        reach_from_free(rows, size, mate, owner, i, came, queue, reached, seen)
+        make_free(rows, size, matching, i)
+        reach_from_free(rows, size, matching, i)
         done[i] = True
         for j in range(size):
-            if j == i or reached[j] or mate[j] == ABSENT:
+            if j == i or matching.reached[j] or mate[j] == ABSENT:
                 continue
             # Equation i is free, so the others of its class are matched to variables that only the class contains.
             for w in range(rows.shape[1]):
@@ -82,7 +78,7 @@ def _lump(
             owner[mate[j]] = -1
             mate[j] = ABSENT
         for w in range(rows.shape[1]):
-            rows[i, w] &= seen[w]
+            rows[i, w] &= matching.seen[w]
     left = 0
     for i in range(size):
         if mate[i] == ABSENT:
@@ -122,11 +118,9 @@ def _search(
             count += 1
             level -= 1
             continue
+        matching = Matching(mate[level], owner[level], came, queue, reached, seen)
         if at[1 + level] == 0:
-            size[level] = _lump(
-                rows[level], ids[level], state[level], mate[level], owner[level], size[level],
-                came, queue, reached, seen, done,
-            )  # fmt: skip
+            size[level] = _lump(rows[level], ids[level], state[level], size[level], matching, done)
         i = at[1 + level]
         while i < size[level] and state[level, i] == 0:
             i += 1
@@ -134,9 +128,7 @@ def _search(
             level -= 1
             continue
         at[1 + level] = i + 1
-        make_free(
-            rows[level], size[level], mate[level], owner[level], i, came, queue, reached, seen
-        )
+        make_free(rows[level], size[level], matching, i)
         below = level + 1
         left = 0
         for j in range(size[level]):

@@ -21,14 +21,19 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.blocks import find_blocks
-from gateway.fdi.structure.incidence import BITS, Flags, Masks, full, words
-from gateway.fdi.structure.matching import ABSENT, FREE, augment
+from gateway.fdi.structure.incidence import BITS, full, words
+from gateway.fdi.structure.matching import Matching, match_set
 from gateway.fdi.structure.model import Equation, Model, state_of
-from gateway.jit import i8s, kernel
-
-#: Kinds of step, as the kernel numbers them.
-SOLVE, INTEGRATE, DIFFERENTIATE, SINGULAR = 0, 1, 2, 3
+from gateway.fdi.structure.steps import (
+    DIFFERENTIATE,
+    INTEGRATE,
+    SINGULAR,
+    SOLVE,
+    Explicit,
+    Steps,
+    order_steps,
+    workspace,
+)
 
 
 class Kind(Enum):
@@ -38,136 +43,6 @@ class Kind(Enum):
     INTEGRATE = INTEGRATE
     DIFFERENTIATE = DIFFERENTIATE
     SINGULAR = SINGULAR
-
-
-@kernel
-def _put(masks: Masks, v: int) -> None:
-    masks[v // BITS] |= 1 << (v % BITS)
-
-
-@kernel
-def sequence(
-    rows: Masks, members: i8s, count: int, state: i8s, mate: i8s, owner: i8s,
-    block: i8s, step: i8s, kind: i8s, scratch: i8s, rest: Masks, masks: Masks, flags: Flags,
-) -> int:  # fmt: skip
-    """Order a matched set of equations into steps.
-
-    Args:
-        rows: variables of each equation, int64 (equations, words).
-        members: the equations, all matched.
-        count: how many of them.
-        state: for the relation of a state, the variable that the state is; else -1.
-        mate: variable of each equation; changed within differential loops.
-        owner: equation of each variable; changed within differential loops.
-        block: written: the block of each equation, as in a sequence of the paper.
-        step: written: the step of each equation, several in one are a loop.
-        kind: written: SOLVE, INTEGRATE, DIFFERENTIATE or SINGULAR, for each step.
-        scratch: int64 (6, larger of equations and variables).
-        rest: int64 (equations, words).
-        masks: int64 (2, words).
-        flags: bool (equations,).
-
-    Returns:
-        number of steps.
-    """
-    within, own = masks[0], masks[1]
-    for w in range(len(within)):
-        within[w] = 0
-    for k in range(count):
-        _put(within, mate[members[k]])
-    blocks = find_blocks(rows, members, count, owner, within, 0, block, scratch, rest)
-    inside, came, queue = scratch[4], scratch[5], scratch[0]
-    steps = 0
-    for b in range(blocks):
-        size = 0
-        for k in range(count):
-            if block[members[k]] == b:
-                inside[size] = members[k]
-                size += 1
-        if size == 1:
-            e = inside[0]
-            step[e] = steps
-            if state[e] < 0:
-                kind[steps] = SOLVE
-            elif mate[e] == state[e]:
-                kind[steps] = INTEGRATE
-            else:
-                kind[steps] = DIFFERENTIATE
-            steps += 1
-            continue
-        for w in range(len(own)):
-            own[w] = 0
-        relations = 0
-        for k in range(size):
-            _put(own, mate[inside[k]])
-            relations += state[inside[k]] >= 0
-        if relations == 0:
-            for k in range(size):
-                step[inside[k]] = steps
-            kind[steps] = SOLVE
-            steps += 1
-            continue
-        # A differential loop: its states are known, and the other equations are matched without them.
-        left = 0
-        for k in range(size):
-            e = inside[k]
-            owner[mate[e]] = -1
-            mate[e] = FREE
-        for k in range(size):
-            e = inside[k]
-            if state[e] < 0:
-                inside[left] = e
-                left += 1
-                continue
-            v = state[e]
-            own[v // BITS] &= ~(1 << (v % BITS))
-            mate[e] = v
-        solved = True
-        for k in range(left):
-            if not augment(rows, mate, owner, inside[k], own, came, queue, flags, within):
-                solved = False
-        # Only now: before, a path would have led through a state.
-        for k in range(count):
-            e = members[k]
-            if block[e] == b and state[e] >= 0:
-                owner[state[e]] = e
-        if not solved:
-            for k in range(count):
-                if block[members[k]] == b:
-                    step[members[k]] = steps
-            kind[steps] = SINGULAR
-            steps += 1
-            continue
-        behind = find_blocks(rows, inside, left, owner, own, steps, step, scratch, rest)
-        for number in range(steps, behind):
-            kind[number] = SOLVE
-        steps = behind
-        for k in range(count):
-            e = members[k]
-            if block[e] == b and state[e] >= 0:
-                step[e] = steps
-                kind[steps] = INTEGRATE
-                steps += 1
-    return steps
-
-
-@kernel
-def match_set(
-    rows: Masks, members: i8s, count: int, mate: i8s, owner: i8s,
-    came: i8s, queue: i8s, flags: Flags, seen: Masks, everything: Masks,
-) -> int:  # fmt: skip
-    """Match a set of equations from nothing; returns how many stay free. Others are absent."""
-    for i in range(len(mate)):
-        mate[i] = ABSENT
-    for v in range(len(owner)):
-        owner[v] = -1
-    free = 0
-    for k in range(count):
-        mate[members[k]] = FREE
-    for k in range(count):
-        if not augment(rows, mate, owner, members[k], everything, came, queue, flags, seen):
-            free += 1
-    return free
 
 
 @dataclass(frozen=True)
@@ -197,33 +72,34 @@ class Structure:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.incidence = full(model)
-        m, n = len(self.incidence.equations), len(self.incidence.variables)
-        w, most = words(n), max(m, n)
+        m, w = len(self.incidence.equations), words(len(self.incidence.variables))
         self.place = {name: k for k, name in enumerate(self.incidence.equations)}
         self.column = {name: k for k, name in enumerate(self.incidence.variables)}
-        self.rows = self.incidence.rows
-        #: For the relation of a state the column of the state, else -1.
-        self.state: NDArray[np.int64] = np.array(
+        state: NDArray[np.int64] = np.array(
             [self.column[e.differential] if e.differential else -1 for e in model.full_equations],
             np.int64,
         )
+        everything: NDArray[np.int64] = np.full(w, (1 << BITS) - 1, np.int64)
+        self.explicit = Explicit(self.incidence.rows, state, everything)
         #: For each equation, the tacit relation that comes with it in the explicit form, else -1.
         self.tacit: NDArray[np.int64] = np.array(
             [self._tacit(model, e) for e in model.full_equations], np.int64
         )
-        self.mate = np.zeros(m, np.int64)
-        self.owner = np.zeros(n, np.int64)
-        self.came = np.zeros(n, np.int64)
-        self.queue = np.zeros(most, np.int64)
-        self.flags = np.zeros(m, np.bool_)
-        self.seen = np.zeros(w, np.int64)
-        self.everything: NDArray[np.int64] = np.full(w, (1 << BITS) - 1, np.int64)
-        self.block = np.zeros(m, np.int64)
-        self.step = np.zeros(m, np.int64)
-        self.kind = np.zeros(m + 1, np.int64)
-        self.scratch = np.zeros((6, most), np.int64)
-        self.rest = np.zeros((m, w), np.int64)
-        self.masks = np.zeros((2, w), np.int64)
+        self.matching = self.new_matching()
+        self.order = Steps(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m + 1, np.int64))
+        self.work = workspace(m, w)
+
+    def new_matching(self) -> Matching:
+        """Return a matching of the model's equations, to be filled by a kernel."""
+        m, n = len(self.incidence.equations), len(self.incidence.variables)
+        return Matching(
+            mate=np.zeros(m, np.int64),
+            owner=np.zeros(n, np.int64),
+            came=np.zeros(n, np.int64),
+            queue=np.zeros(m, np.int64),
+            reached=np.zeros(m, np.bool_),
+            seen=np.zeros(words(n), np.int64),
+        )
 
     def _tacit(self, model: Model, equation: Equation) -> int:
         state = equation.derivative
@@ -258,37 +134,32 @@ class Structure:
             raise ValueError(f"{consistency} is not among {', '.join(sorted(equations))}")
         members = self.members(equations)
         used = members[members != self.place[consistency]]
-        free = match_set(
-            self.rows, used, len(used), self.mate, self.owner,
-            self.came, self.queue, self.flags, self.seen, self.everything,
-        )  # fmt: skip
+        x, matching = self.explicit, self.matching
+        free = match_set(x.rows, used, len(used), matching, x.everything)
         dense = self.incidence.dense[members].any(0)
         if free or int(dense.sum()) != len(used):
             raise ValueError(
                 f"without {consistency}, {len(used)} equations do not determine {int(dense.sum())} unknowns"
             )
-        count = sequence(
-            self.rows, used, len(used), self.state, self.mate, self.owner,
-            self.block, self.step, self.kind, self.scratch, self.rest, self.masks, self.flags,
-        )  # fmt: skip
+        count = order_steps(x, used, len(used), matching, self.order, self.work)
         return tuple(self._step(used, k) for k in range(count))
 
     def _step(self, used: NDArray[np.int64], number: int) -> Step:
-        rows = [int(e) for e in used if self.step[e] == number]
-        kind = Kind(int(self.kind[number]))
+        rows = [int(e) for e in used if self.order.step[e] == number]
+        kind = Kind(int(self.order.kind[number]))
         variables: list[int]
         if kind is Kind.SINGULAR:
             mine = self.incidence.dense[rows].any(0)
-            outside = [e for e in used if self.step[e] != number]
-            others = {int(self.mate[e]) for e in outside if self.mate[e] >= 0}
+            outside = [e for e in used if self.order.step[e] != number]
+            others = {int(self.matching.mate[e]) for e in outside if self.matching.mate[e] >= 0}
             variables = [int(v) for v in np.flatnonzero(mine) if int(v) not in others]
         else:
-            variables = [int(self.mate[e]) for e in rows]
+            variables = [int(self.matching.mate[e]) for e in rows]
         return Step(
             kind,
             tuple(self.incidence.equations[e] for e in rows),
             tuple(self.incidence.variables[v] for v in variables),
-            int(self.block[rows[0]]),
+            int(self.order.block[rows[0]]),
         )
 
 

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import restart, seek
-from gateway.fdi.pulse_tracking.hypotheses import (
-    HOPELESS,
-    MOST_MISSED,
+from gateway.fdi.pulse_tracking.branching import MOST_MISSED
+from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, take
+from gateway.fdi.pulse_tracking.tracker import (
     agreed,
     begin,
     best,
     jump,
     keep_best,
-    rebase,
+    reported,
     shift,
-    speaker,
-    take,
+    transfer_ripple,
 )
 from gateway.jit import kernel
 from gateway.monitors.crank import reversal
@@ -37,7 +36,7 @@ from gateway.monitors.crank.place import (
 )
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
-MOST_STRESS = 8.0
+MOST_MEAN_COST = 8.0
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
 
@@ -124,12 +123,12 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     before = int(s.index)
     cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
     s.residuals[s.teeth % RESIDUALS] = tr.residual
-    if cost > HOPELESS or tr.stress > MOST_STRESS:
+    if cost > HOPELESS or tr.mean_cost > MOST_MEAN_COST:
         lose(s, c, out, cost)
         return
     if tr.open > 5 * c.pulses // 2:
         keep_best(tr)
-    h = speaker(tr)
+    h = reported(tr)
     s.index = h.index
     s.since += 1
     behind = s.index - 1 if s.index > 0 else c.pulses - 1
@@ -137,12 +136,12 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     old_ahead = profile.smooth(s.profile, s.index)
     profile.follow(s.profile, c.wheel, h.period, tr.pitches)
     following = before + 1 if before + 1 < c.pulses else 0
-    if h.fresh == 1 and s.index == following:
+    if h.associated == 1 and s.index == following:
         profile.note(s.profile, before, y)
     else:
         s.profile.clean = 0
     first = best(tr)
-    if first.fresh == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
+    if first.associated == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
         s.index = first.index
         decide(s, c, out)
         if s.phase == SEARCHING:
@@ -154,6 +153,6 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_behind = profile.smooth(s.profile, behind)
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
-        rebase(tr, old_behind - new_behind, old_ahead - new_ahead)
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
     if s.phase == TENTATIVE and s.since >= c.pulses and agreed(tr):
         confirm(s, out)

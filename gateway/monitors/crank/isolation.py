@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from gateway.fdi.pulse_tracking import profile
-from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, best, settle
+from gateway.fdi.pulse_tracking.hypotheses import HOPELESS
 from gateway.fdi.pulse_tracking.motion import Q3
+from gateway.fdi.pulse_tracking.tracker import best, marginalise_decided
 from gateway.jit import kernel
 from gateway.monitors.contract import report
 from gateway.monitors.crank.faults import (
@@ -72,7 +73,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
     missed, added = int(h.missed), int(h.added)
-    settle(s.tracker)
+    marginalise_decided(s.tracker)
     s.profile.clean = 0
     s.since = 0
     if s.hole > 0:
@@ -87,7 +88,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     s.recent_missed += missed
     s.recent_added += added
     if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
-        lose(s, c, out, s.tracker.stress)
+        lose(s, c, out, s.tracker.mean_cost)
         return
     if s.teeth - s.decided > TOGETHER:
         s.burst_missed = 0

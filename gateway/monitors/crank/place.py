@@ -7,8 +7,8 @@ from typing import Annotated
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
-from gateway.fdi.pulse_tracking.hypotheses import Tracker, best
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile
+from gateway.fdi.pulse_tracking.tracker import Tracker, best
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
 from gateway.monitors.crank.faults import RESIDUALS, Shape

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.jit import kernel
-from gateway.vecu.steering.plant import CONTROL
+from gateway.vecu.steering.controller import CONTROL
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.vecu.steering.plant import CONTROL
+from gateway.vecu.steering.controller import CONTROL
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from gateway.vecu.protection import message_of, protect
 from gateway.vecu.steering.course import Course, driving, sweep, times
 from gateway.vecu.steering.faults import SteeringFault
 from gateway.vecu.steering.params import SteeringParams
-from gateway.vecu.steering.signals import sense
+from gateway.vecu.steering.signals import Signals, sense
 
 #: Messages with the names of their counter and CRC, and when they follow the motor's sample [ms].
 _PARTS = {
@@ -62,6 +62,66 @@ def _rows(name: str, period_ms: float, columns: dict[str, np.ndarray]) -> list[R
     return rows
 
 
+def _motor_rows(params: SteeringParams, told: Signals) -> list[Row]:
+    """Return the frames of currents and voltages."""
+    x, period = told.samples, params.period_ms
+    step = 360.0 / 65536.0
+    electrical = np.degrees(params.plant.believed.pole_pairs * x["sensor"])
+    rows = _rows(
+        "AFS_MotCur",
+        period,
+        {"I_U": x["i_u"], "I_V": x["i_v"], "Theta_park": np.rint(electrical / step) % 65536 * step},
+    )
+    voltages = {
+        "U_sd_mean": x["u_d"],
+        "U_sq_mean": x["u_q"],
+        "U_dc": np.full(len(x), 12.0),
+        "T_wdg": np.full(len(x), params.celsius),
+    }
+    late = params.late_voltage
+    for stamp, can_id, data in _rows("AFS_MotVol", period, voltages):
+        behind = late is not None and late[0] * 1e9 <= stamp < late[1] * 1e9
+        rows.append((stamp + behind * period * 1_000_000, can_id, data))
+    return rows
+
+
+def _other_rows(params: SteeringParams, course: Course, told: Signals) -> list[Row]:
+    """Return the frames of angles and speed."""
+    column = params.column
+    every = max(column.angle_period * 1e3, params.period_ms)
+    wheel = {"Delta_S": told.wheel, "Delta_S_dot": told.rate}
+    speed = {"v_X": course.speed[200::200], "Valid_v": np.ones(len(told.samples))}
+    return [
+        *_rows("AFS_Angle", every, {"Delta_M": told.motor, "Delta_G": told.pinion}),
+        *_rows("SAS_Angle", column.wheel_period * 1e3, wheel),
+        *_rows("ESC_Speed", 20.0, speed),
+    ]
+
+
+def _stamped(
+    rows: list[Row], jitter_us: float, duration_s: float, bus: int, rng: np.random.Generator
+) -> Frames:
+    """Return frames in order of their stamps, with jitter, up to the end of the run."""
+    frames = empty(len(rows))
+    least = 0.1e6  # frames of one ECU do not overtake each other
+    jitter = np.clip(np.abs(rng.normal(0, jitter_us * 1e3, len(rows))), 0, least)
+    for k, (stamp, can_id, data) in enumerate(rows):
+        put(frames, k, stamp + round(jitter[k]), can_id, data, bus=bus)
+    frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+    return frames[frames["t_ns"] < duration_s * 1e9]
+
+
+def _injected(faults: Iterable[SteeringFault], duration_s: float, period_ms: float) -> list[Truth]:
+    """Return what was injected within the run, counted in samples of the motor."""
+    truth = []
+    for fault in faults:
+        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
+        if fault.from_s < end:
+            count = round((end - fault.from_s) * 1e3 / period_ms)
+            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
+    return truth
+
+
 def steering_frames(
     params: SteeringParams,
     faults: Iterable[SteeringFault],
@@ -81,49 +141,10 @@ def steering_frames(
     """
     faults = tuple(faults)
     course = _course(params, duration_s, rng)
-    period, column = params.period_ms, params.column
-    told = sense(params.plant, column, course, faults, period * 1e-3, rng)
-    x = told.samples
-    n = len(x)
-    step = 360.0 / 65536.0
-    electrical = np.degrees(params.plant.believed.pole_pairs * x["sensor"])
-    rows = _rows(
-        "AFS_MotCur",
-        period,
-        {"I_U": x["i_u"], "I_V": x["i_v"], "Theta_park": np.rint(electrical / step) % 65536 * step},
-    )
-    voltages = {
-        "U_sd_mean": x["u_d"],
-        "U_sq_mean": x["u_q"],
-        "U_dc": np.full(n, 12.0),
-        "T_wdg": np.full(n, params.celsius),
-    }
-    late = params.late_voltage
-    for stamp, can_id, data in _rows("AFS_MotVol", period, voltages):
-        behind = late is not None and late[0] * 1e9 <= stamp < late[1] * 1e9
-        rows.append((stamp + behind * period * 1_000_000, can_id, data))
-    every = max(column.angle_period * 1e3, period)
-    rows += _rows("AFS_Angle", every, {"Delta_M": told.motor, "Delta_G": told.pinion})
-    rows += _rows(
-        "SAS_Angle",
-        column.wheel_period * 1e3,
-        {"Delta_S": told.wheel, "Delta_S_dot": told.rate},
-    )
-    rows += _rows("ESC_Speed", 20.0, {"v_X": course.speed[200::200], "Valid_v": np.ones(n)})
-    frames = empty(len(rows))
-    least = 0.1e6  # frames of one ECU do not overtake each other
-    jitter = np.clip(np.abs(rng.normal(0, params.jitter_us * 1e3, len(rows))), 0, least)
-    for k, (stamp, can_id, data) in enumerate(rows):
-        put(frames, k, stamp + round(jitter[k]), can_id, data, bus=bus)
-    frames = frames[np.argsort(frames["t_ns"], kind="stable")]
-    frames = frames[frames["t_ns"] < duration_s * 1e9]
-    truth = []
-    for fault in faults:
-        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
-        if fault.from_s < end:
-            count = round((end - fault.from_s) * 1e3 / period)
-            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
-    return frames, truth
+    told = sense(params.plant, params.column, course, faults, params.period_ms * 1e-3, rng)
+    rows = _motor_rows(params, told) + _other_rows(params, course, told)
+    frames = _stamped(rows, params.jitter_us, duration_s, bus, rng)
+    return frames, _injected(faults, duration_s, params.period_ms)
 
 
 def _frames(

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from gateway.vecu.contract import EcuFault
 from gateway.vecu.sensor_faults import drift, offset, stuck
-from gateway.vecu.steering.plant import CONTROL
+from gateway.vecu.steering.controller import CONTROL
 
 Kind = Literal[
     "motor_angle_offset",

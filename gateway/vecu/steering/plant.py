@@ -1,8 +1,8 @@
 """A synchronous motor under field oriented control, closed through sensors that may be faulty.
 
 Plant: (17), (18) of paper 001 with L_d = L_q and the torque of its power balance, in stator co-ordinates, second order
-Runge-Kutta. Controller at 10 kHz: position, speed and current loops, Park with the measured angle; what a sensor
-reads wrong, the motor does. It tells what an ECU's bus messages carry: currents at the end of each frame, mean
+Runge-Kutta. Controller (:mod:`gateway.vecu.steering.controller`): Park with the measured angle, so what a sensor reads
+wrong, the motor does. It tells what an ECU's bus messages carry: currents at the end of each frame, mean
 voltages in the controller's frame, the angle that was used for Park.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import cos, pi, sin, tanh
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +18,49 @@ from numpy.typing import NDArray
 from gateway.fdi.filters import motor
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park
-from gateway.jit import f8, kernel, record, zeros
+from gateway.jit import Record, f8, f8s, kernel, record, zeros
+from gateway.vecu.steering import controller
+from gateway.vecu.steering.controller import CONTROL, advanced, control
 
-#: Controller's period [s], and integration steps in it.
-CONTROL, SUBSTEPS = 1e-4, 5
-#: Bandwidths: current loop, speed loop and its integral, estimator of the measured speed [rad/s]; position gain [1/s].
-CURRENT_LOOP, SPEED_LOOP, SPEED_INTEGRAL, TRACKER, POSITION = 1900.0, 190.0, 40.0, 500.0, 25.0
+#: Integration steps in a period of the controller.
+SUBSTEPS = 5
 #: Speed below which Coulomb friction fades [rad/s], and current below which the dead time's voltage does [A].
 CREEP, ZERO_CURRENT = 0.05, 0.3
 
-CONST = record(
-    motor=motor.Const,
-    believed=motor.Const,
-    coulomb=f8,
-    dead=f8,
-    voltage=f8,
-    current=f8,
-    lsb=f8,
-    current_lsb=f8,
-)
+
+class Const(Record):
+    """The drive, for kernels.
+
+    ``motor``: as it is; ``coulomb``: friction [N m]; ``dead``: voltage lost to dead time in a phase [V]; ``lsb``: of the
+    angle sensor [rad], ``current_lsb``: of the current sensors [A], 0: not digitised.
+    """
+
+    motor: motor.Const
+    controller: controller.Const
+    coulomb: f8
+    dead: f8
+    lsb: f8
+    current_lsb: f8
+
+
+class State(Record):
+    """State of the drive.
+
+    ``x``: i_alpha, i_beta [A], omega [rad/s], theta [rad]; ``slope``, ``middle``: of a step of integration, likewise.
+    ``angle`` [rad], ``current`` of U [A]: last readings; ``sum_..``: voltages since the last frame [V].
+    """
+
+    x: Annotated[f8s, 4]
+    slope: Annotated[f8s, 4]
+    middle: Annotated[f8s, 4]
+    controller: controller.State
+    angle: f8
+    current: f8
+    sum_d: f8
+    sum_q: f8
+    sum_alpha: f8
+    sum_beta: f8
+
 
 #: What may go wrong, sample by sample of the controller: added to the angle [rad], its scale, the angle stands still;
 #: added to the current of U [A], its scale, it stands still; scale of all voltages, added to the voltage of U [V].
@@ -112,7 +136,7 @@ def _rounded(value: float, lsb: float) -> float:
 
 
 @kernel
-def _dead(c: Any, i_alpha: float, i_beta: float) -> tuple[float, float]:
+def _dead(c: Const, i_alpha: float, i_beta: float) -> tuple[float, float]:
     """Return the voltage that dead time takes, alpha and beta."""
     i_u, i_v = inverse_clarke(i_alpha, i_beta)
     d_u = c.dead * tanh(i_u / ZERO_CURRENT)
@@ -123,7 +147,7 @@ def _dead(c: Any, i_alpha: float, i_beta: float) -> tuple[float, float]:
 
 
 @kernel
-def _slope(c: Any, x: Any, d: Any, u_alpha: float, u_beta: float, load: float) -> None:
+def _slope(c: Const, x: f8s, d: f8s, u_alpha: float, u_beta: float, load: float) -> None:
     """Derivative of (i_alpha, i_beta, omega, theta)."""
     m = c.motor
     cosine, sine = cos(m.pole_pairs * x[3]), sin(m.pole_pairs * x[3])
@@ -137,98 +161,118 @@ def _slope(c: Any, x: Any, d: Any, u_alpha: float, u_beta: float, load: float) -
 
 
 @kernel
+def _integrate(c: Const, s: State, u_alpha: float, u_beta: float, load: float) -> None:
+    """Integrate the motor over a period of the controller, under the inverter's voltages [V] and a load [N m]."""
+    x, slope, middle = s.x, s.slope, s.middle
+    h = CONTROL / SUBSTEPS
+    for _ in range(SUBSTEPS):
+        d_alpha, d_beta = _dead(c, x[0], x[1])
+        _slope(c, x, slope, u_alpha - d_alpha, u_beta - d_beta, load)
+        for j in range(4):
+            middle[j] = x[j] + 0.5 * h * slope[j]
+        _slope(c, middle, slope, u_alpha - d_alpha, u_beta - d_beta, load)
+        for j in range(4):
+            x[j] += h * slope[j]
+
+
+@kernel
+def _read_angle(c: Const, s: State, wrong: Any, noise: float) -> float:
+    """Return what the angle sensor reads [rad], with what is wrong and with noise."""
+    angle = _rounded(wrong.scale * s.x[3] + wrong.angle + noise, c.lsb)
+    if wrong.stuck > 0.0:
+        angle = s.angle
+    s.angle = angle
+    return float(angle)
+
+
+@kernel
+def _read_currents(
+    c: Const, s: State, wrong: Any, noise_u: float, noise_v: float
+) -> tuple[float, float]:
+    """Return what the current sensors of U and V read [A], with what is wrong and with noise."""
+    i_u, i_v = inverse_clarke(s.x[0], s.x[1])
+    i_u = _rounded(wrong.gain * i_u + wrong.current + noise_u, c.current_lsb)
+    if wrong.frozen > 0.0:
+        i_u = s.current
+    s.current = i_u
+    return i_u, _rounded(i_v + noise_v, c.current_lsb)
+
+
+@kernel
+def _write_frame(
+    c: Const, s: State, i_u: float, i_v: float, noise: Any, per: int, out: Any
+) -> None:
+    """Write a frame and begin the next.
+
+    Args:
+        c: constants.
+        s: state.
+        i_u: measured [A].
+        i_v: measured [A].
+        noise: of the mean voltages, shape (2,) [V].
+        per: controller samples a frame.
+        out: record of SAMPLE.
+    """
+    out.i_u, out.i_v = i_u, i_v
+    out.u_d = s.sum_d / per + noise[0]
+    out.u_q = s.sum_q / per + noise[1]
+    out.u_alpha = s.sum_alpha / per + noise[0]
+    out.u_beta = s.sum_beta / per + noise[1]
+    out.sensor = s.angle
+    out.theta, out.omega = s.x[3], s.x[2]
+    out.i_d, out.i_q = park(s.x[0], s.x[1], c.motor.pole_pairs * s.x[3])
+    s.sum_d = s.sum_q = s.sum_alpha = s.sum_beta = 0.0
+
+
+@kernel
 def simulate(
-    c: Any, demand: Any, load: Any, wrong: Any, noise: Any, out: Any, voltage_noise: Any, per: int,
-    scratch: Any,
+    c: Const, s: State, demand: f8s, load: f8s, wrong: Any, noise: f8s, voltage_noise: f8s, per: int, out: Any
 ) -> None:  # fmt: skip
     """Run the drive.
 
     Args:
-        c: record of CONST.
+        c: constants.
+        s: state, zeros.
         demand: angle asked for, shape (n,) [rad].
         load: torque that pushes against the motor, shape (n,) [N m].
         wrong: shape (n,) of DISTURBANCE.
         noise: shape (n, 3), of the angle [rad] and the two currents [A].
-        out: shape (n // per,) of SAMPLE.
         voltage_noise: shape (n // per, 2) [V].
         per: controller samples a frame.
-        scratch: zeros, shape (4, 4).
+        out: shape (n // per,) of SAMPLE.
     """
-    m, b = c.motor, c.believed
-    x, k1, mid, k2 = scratch[0], scratch[1], scratch[2], scratch[3]
-    x[3] = demand[0]
-    h = CONTROL / SUBSTEPS
-    emf = b.flux * b.pole_pairs
-    speed_gain = b.inertia * SPEED_LOOP / (1.5 * emf)
-    seen, speed, wound = demand[0], 0.0, 0.0
-    held_d, held_q = 0.0, 0.0
-    last_angle, last_current = demand[0], 0.0
-    mean_d = mean_q = mean_a = mean_b = 0.0
+    s.x[3] = s.angle = s.controller.seen = demand[0]
     at = 0
     for k in range(demand.shape[0]):
         e = wrong[k]
-        angle = _rounded(e.scale * x[3] + e.angle + noise[k, 0], c.lsb)
-        if e.stuck > 0.0:
-            angle = last_angle
-        last_angle = angle
-        i_u, i_v = inverse_clarke(x[0], x[1])
-        i_u = _rounded(e.gain * i_u + e.current + noise[k, 1], c.current_lsb)
-        if e.frozen > 0.0:
-            i_u = last_current
-        last_current = i_u
-        i_v = _rounded(i_v + noise[k, 2], c.current_lsb)
+        angle = _read_angle(c, s, e, noise[k, 0])
+        i_u, i_v = _read_currents(c, s, e, noise[k, 1], noise[k, 2])
         i_alpha, i_beta = clarke(i_u, i_v)
-        electrical = b.pole_pairs * angle
-        i_d, i_q = park(i_alpha, i_beta, electrical)
+        i_d, i_q = park(i_alpha, i_beta, c.controller.believed.pole_pairs * angle)
         if k > 0 and k % per == 0:
-            s = out[at]
-            s.i_u, s.i_v = i_u, i_v
-            s.u_d = mean_d / per + voltage_noise[at, 0]
-            s.u_q = mean_q / per + voltage_noise[at, 1]
-            s.u_alpha = mean_a / per + voltage_noise[at, 0]
-            s.u_beta = mean_b / per + voltage_noise[at, 1]
-            s.sensor = angle
-            s.theta, s.omega = x[3], x[2]
-            s.i_d, s.i_q = park(x[0], x[1], m.pole_pairs * x[3])
+            _write_frame(c, s, i_u, i_v, voltage_noise[at], per, out[at])
             at += 1
-            mean_d = mean_q = mean_a = mean_b = 0.0
-        # Measured speed: a tracking loop on the measured angle.
-        error = angle - seen
-        speed += TRACKER * TRACKER * error * CONTROL
-        seen += (speed + 2.0 * TRACKER * error) * CONTROL
-        asked = 0.0
-        if k > 0:
-            asked = (demand[k] - demand[k - 1]) / CONTROL
-        lag = asked + POSITION * (demand[k] - angle) - speed
-        wanted = speed_gain * (lag + wound)
-        if abs(wanted) < c.current:
-            wound += SPEED_INTEGRAL * lag * CONTROL
-        wanted = min(max(wanted, -c.current), c.current)
-        # Current loops with decoupling.
-        held_d += CURRENT_LOOP * b.resistance * -i_d * CONTROL
-        held_q += CURRENT_LOOP * b.resistance * (wanted - i_q) * CONTROL
-        turning = b.pole_pairs * speed
-        u_d = -CURRENT_LOOP * b.ld * i_d + held_d - turning * b.lq * i_q
-        u_q = CURRENT_LOOP * b.lq * (wanted - i_q) + held_q + turning * (b.ld * i_d + b.flux)
-        size = np.sqrt(u_d * u_d + u_q * u_q)
-        if size > c.voltage:
-            u_d, u_q = u_d * c.voltage / size, u_q * c.voltage / size
-            held_d *= 0.99
-            held_q = min(max(held_q, -c.voltage), c.voltage)
-        u_alpha, u_beta = inverse_park(u_d, u_q, electrical + 0.5 * turning * CONTROL)
-        mean_d, mean_q = mean_d + u_d, mean_q + u_q
-        mean_a, mean_b = mean_a + u_alpha, mean_b + u_beta
+        asked = (demand[k] - demand[k - 1]) / CONTROL if k > 0 else 0.0
+        u_d, u_q = control(c.controller, s.controller, demand[k], asked, angle, i_d, i_q)
+        u_alpha, u_beta = inverse_park(u_d, u_q, advanced(c.controller, s.controller, angle))
+        s.sum_d, s.sum_q = s.sum_d + u_d, s.sum_q + u_q
+        s.sum_alpha, s.sum_beta = s.sum_alpha + u_alpha, s.sum_beta + u_beta
         # A voltage that is added to U alone is two thirds of it in alpha: the neutral floats.
         u_alpha = e.supply * u_alpha + 2.0 / 3.0 * e.volts
         u_beta = e.supply * u_beta
-        for _ in range(SUBSTEPS):
-            d_alpha, d_beta = _dead(c, x[0], x[1])
-            _slope(c, x, k1, u_alpha - d_alpha, u_beta - d_beta, load[k])
-            for j in range(4):
-                mid[j] = x[j] + 0.5 * h * k1[j]
-            _slope(c, mid, k2, u_alpha - d_alpha, u_beta - d_beta, load[k])
-            for j in range(4):
-                x[j] += h * k2[j]
+        _integrate(c, s, u_alpha, u_beta, load[k])
+
+
+def _constants(plant: Plant) -> Any:
+    """Return a record of Const."""
+    c = zeros(1, Const)[0]
+    motor.prepare(c.motor, plant.motor)
+    motor.prepare(c.controller.believed, plant.believed)
+    c.controller.voltage, c.controller.current = plant.voltage, plant.current
+    c.coulomb, c.dead = plant.coulomb, plant.dead
+    c.lsb = 2 * pi / (1 << plant.angle_bits) if plant.angle_bits else 0.0
+    c.current_lsb = 200.0 / (1 << plant.current_bits) if plant.current_bits else 0.0
+    return c
 
 
 def drive(
@@ -250,26 +294,12 @@ def drive(
         period: of the frames, a multiple of the controller's [s].
     """
     n, per = len(demand), round(period / CONTROL)
-    c = zeros(1, CONST)
-    motor.prepare(c[0]["motor"], plant.motor)
-    motor.prepare(c[0]["believed"], plant.believed)
-    for name in ("coulomb", "dead", "voltage", "current"):
-        c[0][name] = getattr(plant, name)
-    c[0]["lsb"] = 2 * pi / (1 << plant.angle_bits) if plant.angle_bits else 0.0
-    c[0]["current_lsb"] = 200.0 / (1 << plant.current_bits) if plant.current_bits else 0.0
     noise = rng.normal(size=(n, 3)) * [plant.angle_noise, plant.current_noise, plant.current_noise]
     frames = (n - 1) // per
     out = np.zeros(frames, SAMPLE)
     voltage_noise = rng.normal(size=(frames, 2)) * plant.voltage_noise
     simulate(
-        c.view(np.recarray)[0],
-        demand,
-        load,
-        wrong.view(np.recarray),
-        noise,
-        out.view(np.recarray),
-        voltage_noise,
-        per,
-        np.zeros((4, 4)),
-    )
+        _constants(plant), zeros(1, State)[0], demand, load, wrong.view(np.recarray), noise,
+        voltage_noise, per, out.view(np.recarray),
+    )  # fmt: skip
     return out

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.vecu.steering.column import Column, pinion, sampled
+from gateway.vecu.steering.controller import CONTROL
 from gateway.vecu.steering.course import Course
 from gateway.vecu.steering.faults import SteeringFault, disturb, falsify
-from gateway.vecu.steering.plant import CONTROL, Plant, drive, undisturbed
+from gateway.vecu.steering.plant import Plant, drive, undisturbed
 
 Array = NDArray[np.float64]
 

@@ -83,6 +83,96 @@ def _split(c: Any, torque: float, most: float, least: float, soc: float, limit: 
 
 
 @kernel
+def _asked_torque(c: Any, p: Any, s: Any, now: float, ahead: float, stands: bool) -> float:
+    """Return the torque at the wheels that the driver asks for [Nm]; arguments as of :func:`control`."""
+    v = p.omega_w * c.r_w
+    error = now - v
+    if stands:
+        s.integral = 0.0
+    else:
+        s.integral = min(max(s.integral + PERIOD * error, -BOUND), BOUND)
+    mass = c.m_v0 - p.fuel
+    inertia = c.ratio[s.gear - 1] ** 2 * (c.inertia[s.gear - 1] + c.J_em + c.J_c + c.J_e) * c.u_f**2
+    push = (ahead - now) + GAIN * error + INTEGRAL * s.integral
+    wheel = push * (mass * c.r_w**2 + inertia) / c.r_w
+    # The driver does not feel the wind.
+    wheel += resistance(c, p.omega_w, mass) - 0.5 * c.rho * c.C_d * c.A_f * c.r_w * (
+        (v + c.wind) * abs(v + c.wind) - v * v
+    )
+    return float(wheel)
+
+
+@kernel
+def _shift(c: Any, s: Any, omega_gb: float, wheel: float, stands: bool) -> None:
+    """Go on with a shift, or begin one if another gear suits the torque at the wheels [Nm] better."""
+    if s.shifting > 0.0:
+        s.shifting -= PERIOD
+        if s.shifting <= SHIFT / 2.0:
+            s.gear = s.next
+        if s.shifting <= 1e-9:
+            s.shifting, s.since = 0.0, 0.0
+    elif not stands:
+        wanted = _choose(c, s, omega_gb, max(wheel, 0.0) / c.u_f)
+        if wanted != s.gear:
+            s.next, s.shifting = wanted, SHIFT
+
+
+@kernel
+def _propel(c: Any, p: Any, s: Any, omega_mj: float, wheel: float, u: Any) -> float:
+    """Share a torque at the wheels [Nm] between engine, machine and brake, in gear; returns the machine's [Nm].
+
+    Args:
+        c: constants of the plant.
+        p: its state.
+        s: state of the controller.
+        omega_mj: speed of the joint of engine and machine [rad/s].
+        wheel: torque at the wheels [Nm].
+        u: commands: clutch, and brake and fuel if they are needed, are written.
+    """
+    ratio = c.ratio[s.gear - 1]
+    loss = 8.0 + 0.6 * (12 - s.gear) + 0.08 * omega_mj
+    through = wheel / (c.u_f * ratio)
+    torque = through / (c.eta_pos if through > 0.0 else c.eta_neg) + loss
+    running = omega_mj >= c.omega_e_idle
+    u.clutch = 1.0 if running else 0.9
+    if not running and torque < 0.0:
+        u.clutch = 0.0
+    most = interpolate(c.speed_x, c.torque_y, p.omega_e)
+    least = engine_torque(c, 0.0, p.omega_e) if u.clutch > 0.995 else 0.0
+    limit = min(POWER / max(omega_mj, 1.0), CURRENT * c.k_i * c.eta_em_0)
+    machine = _split(c, torque, most, least, p.soc, limit)
+    if omega_mj < 10.0:
+        machine = max(machine, 0.0)
+    engine = min(max(torque - machine, least), most)
+    if u.clutch > 0.0:
+        wanted_fuel = fuel_for(c, engine / u.clutch, p.omega_e)
+        u.ice = min(max(wanted_fuel, 0.0), MOST_FUEL)
+    missing = torque - machine - engine
+    if missing < 0.0:
+        u.brake = -missing * ratio * c.u_f * c.eta_neg
+    return float(machine)
+
+
+@kernel
+def _control_current(c: Any, s: Any, omega_em: float, machine: float, current: float) -> float:
+    """Return the machine's voltage [V]: what the model says, and what it is wrong by, integrated.
+
+    Args:
+        c: constants of the plant.
+        s: state of the controller.
+        omega_em: speed of the machine [rad/s].
+        machine: torque asked of it [Nm].
+        current: measured [A].
+    """
+    wanted_torque = machine + c.c_em_f * omega_em
+    k_a = c.k_i * (c.eta_em_0 if wanted_torque > 0.0 else 1.0 / c.eta_em_0)
+    reference = min(max(wanted_torque / k_a, -CURRENT), CURRENT)
+    s.volts += LOOP * c.R_em * (s.current - current)
+    s.current = reference
+    return float(c.k_i * omega_em + c.R_em * reference + s.volts)
+
+
+@kernel
 def control(c: Any, p: Any, s: Any, now: float, ahead: float, current: float, u: Any) -> None:
     """Compute the commands of a step.
 
@@ -99,30 +189,9 @@ def control(c: Any, p: Any, s: Any, now: float, ahead: float, current: float, u:
     u.brake, u.ice = 0.0, 0.0
     s.since += PERIOD
     stands = now < STANDS and ahead < STANDS and v < 0.5
-    error = now - v
-    if stands:
-        s.integral = 0.0
-    else:
-        s.integral = min(max(s.integral + PERIOD * error, -BOUND), BOUND)
-    mass = c.m_v0 - p.fuel
-    inertia = c.ratio[s.gear - 1] ** 2 * (c.inertia[s.gear - 1] + c.J_em + c.J_c + c.J_e) * c.u_f**2
-    push = (ahead - now) + GAIN * error + INTEGRAL * s.integral
-    wheel = push * (mass * c.r_w**2 + inertia) / c.r_w
-    wheel += resistance(c, p.omega_w, mass) - 0.5 * c.rho * c.C_d * c.A_f * c.r_w * (
-        (v + c.wind) * abs(v + c.wind) - v * v
-    )
-    if s.shifting > 0.0:
-        s.shifting -= PERIOD
-        if s.shifting <= SHIFT / 2.0:
-            s.gear = s.next
-        if s.shifting <= 1e-9:
-            s.shifting, s.since = 0.0, 0.0
-    elif not stands:
-        wanted = _choose(c, s, omega_gb, max(wheel, 0.0) / c.u_f)
-        if wanted != s.gear:
-            s.next, s.shifting = wanted, SHIFT
-    ratio = c.ratio[s.gear - 1]
-    omega_mj = ratio * omega_gb
+    wheel = _asked_torque(c, p, s, now, ahead, stands)
+    _shift(c, s, omega_gb, wheel, stands)
+    omega_mj = c.ratio[s.gear - 1] * omega_gb
     u.gear = s.gear
     machine = 0.0
     if stands:
@@ -132,33 +201,7 @@ def control(c: Any, p: Any, s: Any, now: float, ahead: float, current: float, u:
         if wheel < 0.0:
             u.brake = -wheel
     else:
-        loss = 8.0 + 0.6 * (12 - s.gear) + 0.08 * omega_mj
-        through = wheel / (c.u_f * ratio)
-        torque = through / (c.eta_pos if through > 0.0 else c.eta_neg) + loss
-        running = omega_mj >= c.omega_e_idle
-        u.clutch = 1.0 if running else 0.9
-        if not running and torque < 0.0:
-            u.clutch = 0.0
-        most = interpolate(c.speed_x, c.torque_y, p.omega_e)
-        least = engine_torque(c, 0.0, p.omega_e) if u.clutch > 0.995 else 0.0
-        limit = min(POWER / max(omega_mj, 1.0), CURRENT * c.k_i * c.eta_em_0)
-        machine = _split(c, torque, most, least, p.soc, limit)
-        if omega_mj < 10.0:
-            machine = max(machine, 0.0)
-        engine = min(max(torque - machine, least), most)
-        if u.clutch > 0.0:
-            wanted_fuel = fuel_for(c, engine / u.clutch, p.omega_e)
-            u.ice = min(max(wanted_fuel, 0.0), MOST_FUEL)
-        missing = torque - machine - engine
-        if missing < 0.0:
-            u.brake = -missing * ratio * c.u_f * c.eta_neg
+        machine = _propel(c, p, s, omega_mj, wheel, u)
     if u.clutch == 0.0:
         u.ice = max(fuel_for(c, 0.0, p.omega_e), 0.0)  # idles
-    # Current loop: what the model says, and what it is wrong by, integrated.
-    omega_em = c.u_em * omega_mj
-    wanted_torque = machine + c.c_em_f * omega_em
-    k_a = c.k_i * (c.eta_em_0 if wanted_torque > 0.0 else 1.0 / c.eta_em_0)
-    reference = min(max(wanted_torque / k_a, -CURRENT), CURRENT)
-    s.volts += LOOP * c.R_em * (s.current - current)
-    s.current = reference
-    u.volts = c.k_i * omega_em + c.R_em * reference + s.volts
+    u.volts = _control_current(c, s, c.u_em * omega_mj, machine, current)

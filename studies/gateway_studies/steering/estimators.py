@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
-from gateway.jit import kernel, zeros
+from gateway.jit import Record, f8s, kernel, zeros
 from gateway.vecu.steering.course import sweep, times
 from gateway.vecu.steering.plant import Plant, drive, undisturbed
 from gateway_studies.pool import Progress, run
@@ -44,39 +44,130 @@ COLUMNS = NIS + 1
 NOTE = (521.0, 318.0, 133.0, 6.1, 141.0, 671.0, 124.0, 1170.0, 2.2, 1.24, float("nan"))
 
 
+class Constants(Record):
+    """Constants of all estimators; EKF3 with its own angle has those of EKF3."""
+
+    lo: luenberger.Const
+    reduced: reduced_luenberger.Const
+    ekf3: ekf_dq.Const
+    ekf4: ekf_dq.Const
+    ff: feedforward.Const
+    ff_held: feedforward.Const
+    ff_printed: feedforward.Const
+    ekf4_ab: ekf_alpha_beta.Const
+    ekf5_ab: ekf_alpha_beta.Const
+    anchored: ekf_alpha_beta.Const
+
+
+class States(Record):
+    """States of all estimators, in the order of :data:`NAMES`."""
+
+    lo: luenberger.State
+    reduced: reduced_luenberger.State
+    ekf3: ekf_dq.State
+    ekf4: ekf_dq.State
+    ekf3_own: ekf_dq.State
+    ff: feedforward.State
+    ff_held: feedforward.State
+    ff_printed: feedforward.State
+    ekf4_ab: ekf_alpha_beta.State
+    ekf5_ab: ekf_alpha_beta.State
+    anchored: ekf_alpha_beta.State
+
+
 @kernel
-def _estimate(
-    x: Any,
-    z: float,
-    mean_dq: int,
-    lo: Any,
-    lo_c: Any,
-    red: Any,
-    red_c: Any,
-    e3: Any,
-    e3_c: Any,
-    e4: Any,
-    e4_c: Any,
-    own: Any,
-    f1: Any,
-    f1_c: Any,
-    f2: Any,
-    f2_c: Any,
-    f3: Any,
-    f3_c: Any,
-    a4: Any,
-    a4_c: Any,
-    a5: Any,
-    a5_c: Any,
-    held: Any,
-    held_c: Any,
-    out: Any,
+def _step_in_rotor_frame(
+    c: Constants, s: States, u_d: float, u_q: float, i_d: float, i_q: float
 ) -> None:
-    n = (out.shape[1] - 1) // 2
+    """Step the estimators that take Park with the sensor's angle; voltages [V], currents [A]."""
+    luenberger.step(s.lo, c.lo, u_q, i_q)
+    reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
+    ekf_dq.step(s.ekf3, c.ekf3, u_d, u_q, i_d, i_q)
+    ekf_dq.step(s.ekf4, c.ekf4, u_d, u_q, i_d, i_q)
+
+
+@kernel
+def _step_own_angle(
+    c: Constants, s: States, z: float, u_a: float, u_b: float, i_a: float, i_b: float
+) -> None:
+    """Step EKF3 with Park by its own angle; ``z`` pole pairs, voltages [V] and currents [A] alpha and beta."""
+    own = s.ekf3_own
+    o_d, o_q = park(u_a, u_b, z * own.theta)
+    ekf_dq.predict(own, c.ekf3, o_d, o_q)
+    o_d, o_q = park(i_a, i_b, z * own.theta)
+    ekf_dq.correct(own, c.ekf3, o_d, o_q)
+
+
+@kernel
+def _step_feedforward(
+    c: Constants, s: States, u_a: float, u_b: float, i_a: float, i_b: float
+) -> None:
+    """Step the estimators from the EMF; voltages [V], currents [A], alpha and beta."""
+    feedforward.step(s.ff, c.ff, u_a, u_b, i_a, i_b)
+    feedforward.step(s.ff_held, c.ff_held, u_a, u_b, i_a, i_b)
+    feedforward.step(s.ff_printed, c.ff_printed, u_a, u_b, i_a, i_b)
+
+
+@kernel
+def _step_in_stator_frame(
+    c: Constants, s: States, u_1: float, u_2: float, frame: float, turned: float, i_a: float, i_b: float, sensor: float
+) -> None:  # fmt: skip
+    """Step the estimators with the angle as a state.
+
+    Args:
+        c: constants.
+        s: states.
+        u_1: voltage, d in the frame [V].
+        u_2: voltage, q in the frame [V].
+        frame: electrical angle of the voltages' frame at the step's beginning [rad].
+        turned: by so much it turned within the step [rad].
+        i_a: current, alpha [A].
+        i_b: current, beta [A].
+        sensor: measured angle, mechanical [rad], for the anchored one.
+    """
+    ekf_alpha_beta.step(s.ekf4_ab, c.ekf4_ab, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.step(s.ekf5_ab, c.ekf5_ab, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.step(s.anchored, c.anchored, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.hold(s.anchored, c.anchored, sensor, 1.0)
+
+
+@kernel
+def _write(c: Constants, s: States, r: f8s) -> None:
+    """Write angles, speeds and the NIS of a sample, shape (2 n + 1,)."""
+    n = (len(r) - 1) // 2
+    r[LO], r[n + LO] = s.lo.theta, s.lo.omega
+    r[REDUCED], r[n + REDUCED] = s.reduced.theta, s.reduced.omega
+    r[EKF3], r[n + EKF3] = s.ekf3.theta, s.ekf3.x[2]
+    r[EKF4_DQ], r[n + EKF4_DQ] = s.ekf4.theta, s.ekf4.x[2]
+    r[EKF3_OWN], r[n + EKF3_OWN] = s.ekf3_own.theta, s.ekf3_own.x[2]
+    # The EMF is that of the middle of the step.
+    omega = s.ekf5_ab.x[2]
+    half = 0.5 * omega * c.ekf5_ab.h * c.ekf5_ab.steps
+    r[FF], r[n + FF] = s.ff.theta + half, omega
+    r[FF_HELD], r[n + FF_HELD] = s.ff_held.theta + half, omega
+    r[FF_PRINTED], r[n + FF_PRINTED] = s.ff_printed.theta + half, omega
+    r[EKF4_AB], r[n + EKF4_AB] = s.ekf4_ab.x[3], s.ekf4_ab.x[2]
+    r[EKF5_AB], r[n + EKF5_AB] = s.ekf5_ab.x[3], s.ekf5_ab.x[2]
+    r[ANCHORED], r[n + ANCHORED] = s.anchored.x[3], s.anchored.x[2]
+    r[2 * n] = s.ekf4.nis
+
+
+@kernel
+def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s) -> None:
+    """Run all estimators over samples.
+
+    Args:
+        c: constants.
+        s: states.
+        x: samples, shape (n,) of SAMPLE.
+        z: pole pairs.
+        mean_dq: whether voltages are means in the controller's frame, else in the stator's.
+        out: angles, speeds and the NIS, shape (n, COLUMNS).
+    """
     last = z * x[0].sensor
-    ekf_alpha_beta.begin(a4, a4_c, x[0].sensor)
-    ekf_alpha_beta.begin(a5, a5_c, x[0].sensor)
-    ekf_alpha_beta.begin(held, held_c, x[0].sensor)
+    ekf_alpha_beta.begin(s.ekf4_ab, c.ekf4_ab, x[0].sensor)
+    ekf_alpha_beta.begin(s.ekf5_ab, c.ekf5_ab, x[0].sensor)
+    ekf_alpha_beta.begin(s.anchored, c.anchored, x[0].sensor)
     for k in range(x.shape[0]):
         m = x[k]
         theta = z * m.sensor
@@ -86,41 +177,33 @@ def _estimate(
         frame, turned = 0.0, 0.0
         u_d, u_q = park(u_a, u_b, 0.5 * (theta + last))
         u_1, u_2 = u_a, u_b
-        if mean_dq == 1:
+        if mean_dq:
             u_d, u_q = m.u_d, m.u_q
             u_1, u_2, frame, turned = u_d, u_q, last, theta - last
-        luenberger.step(lo, lo_c, u_q, i_q)
-        reduced_luenberger.step(red, red_c, u_q, i_q)
-        ekf_dq.step(e3, e3_c, u_d, u_q, i_d, i_q)
-        ekf_dq.step(e4, e4_c, u_d, u_q, i_d, i_q)
-        believed = z * own.theta
-        o_d, o_q = park(u_a, u_b, believed)
-        ekf_dq.predict(own, e3_c, o_d, o_q)
-        o_d, o_q = park(i_a, i_b, z * own.theta)
-        ekf_dq.correct(own, e3_c, o_d, o_q)
-        feedforward.step(f1, f1_c, u_a, u_b, i_a, i_b)
-        feedforward.step(f2, f2_c, u_a, u_b, i_a, i_b)
-        feedforward.step(f3, f3_c, u_a, u_b, i_a, i_b)
-        ekf_alpha_beta.step(a4, a4_c, u_1, u_2, frame, turned, i_a, i_b)
-        ekf_alpha_beta.step(a5, a5_c, u_1, u_2, frame, turned, i_a, i_b)
-        ekf_alpha_beta.step(held, held_c, u_1, u_2, frame, turned, i_a, i_b)
-        ekf_alpha_beta.hold(held, held_c, m.sensor, 1.0)
+        _step_in_rotor_frame(c, s, u_d, u_q, i_d, i_q)
+        _step_own_angle(c, s, z, u_a, u_b, i_a, i_b)
+        _step_feedforward(c, s, u_a, u_b, i_a, i_b)
+        _step_in_stator_frame(c, s, u_1, u_2, frame, turned, i_a, i_b, m.sensor)
         last = theta
-        r = out[k]
-        r[0], r[n] = lo.theta, lo.omega
-        r[1], r[n + 1] = red.theta, red.omega
-        r[2], r[n + 2] = e3.theta, e3.x[2]
-        r[3], r[n + 3] = e4.theta, e4.x[2]
-        r[4], r[n + 4] = own.theta, own.x[2]
-        # The EMF is that of the middle of the step.
-        half = 0.5 * a5.x[2] * a5_c.h * a5_c.steps
-        r[5], r[n + 5] = f1.theta + half, a5.x[2]
-        r[6], r[n + 6] = f2.theta + half, a5.x[2]
-        r[7], r[n + 7] = f3.theta + half, a5.x[2]
-        r[8], r[n + 8] = a4.x[3], a4.x[2]
-        r[9], r[n + 9] = a5.x[3], a5.x[2]
-        r[10], r[n + 10] = held.x[3], held.x[2]
-        r[2 * n] = e4.nis
+        _write(c, s, out[k])
+
+
+def _constants(m: Motor, period: float) -> Any:
+    """Return the constants of all estimators, for samples at a period [s]."""
+    c = zeros(1, Constants)[0]
+    luenberger.prepare(c.lo, m, period)
+    reduced_luenberger.prepare(c.reduced, m, period)
+    ekf_dq.prepare(c.ekf3, m, period, load=False, voltage=0.02, torque=1.2, current=0.1)
+    ekf_dq.prepare(c.ekf4, m, period, load=True)
+    feedforward.prepare(c.ff, m, period, held=0.0)
+    feedforward.prepare(c.ff_held, m, period)
+    feedforward.prepare(c.ff_printed, m, period, held=0.0, printed=True)
+    ekf_alpha_beta.prepare(
+        c.ekf4_ab, m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0
+    )
+    ekf_alpha_beta.prepare(c.ekf5_ab, m, period, slow=0.0)
+    ekf_alpha_beta.prepare(c.anchored, m, period)
+    return c
 
 
 def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False) -> Array:
@@ -135,33 +218,13 @@ def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False)
         shape (n, 23): angles [rad] and speeds [rad/s] in the order of :data:`NAMES`, then EKF4 dq's NIS.
     """
     m = Motor()
-    parts: list[Any] = []
-
-    def add(module: Any, constants: bool = True, **options: Any) -> None:
-        parts.append(zeros(1, module.State)[0])
-        if constants:
-            c = zeros(1, module.Const)
-            module.prepare(c[0], m, period, **options)
-            parts.append(c[0])
-
-    add(luenberger)
-    add(reduced_luenberger)
-    add(ekf_dq, load=False, voltage=0.02, torque=1.2, current=0.1)
-    add(ekf_dq, load=True)
-    add(ekf_dq, constants=False)
-    add(feedforward, held=0.0)
-    add(feedforward)
-    add(feedforward, held=0.0, printed=True)
-    add(ekf_alpha_beta, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0)
-    add(ekf_alpha_beta, slow=0.0)
-    add(ekf_alpha_beta)
-    for at in (9, 11, 13):  # the feed-forward filters begin at the sensor's angle
-        parts[at]["theta_e"] = m.pole_pairs * samples["sensor"][0]
+    s = zeros(1, States)[0]
+    for filtered in (s.ff, s.ff_held, s.ff_printed):  # they begin at the sensor's angle
+        filtered.theta_e = m.pole_pairs * samples["sensor"][0]
     x = zeros(len(samples), samples.dtype)
     x[:] = samples
     out = np.zeros((len(samples), COLUMNS))
-    everything: Any = _estimate
-    everything(x, float(m.pole_pairs), int(mean_dq), *parts, out)
+    _estimate(_constants(m, period), s, x, float(m.pole_pairs), mean_dq, out)
     return out
 
 

@@ -14,9 +14,10 @@ from gateway.monitors.steering import MONITOR, monitor
 from gateway.monitors.steering.faults import FAULTS
 from gateway.monitors.steering.params import Params
 from gateway.vecu.steering.column import Column
+from gateway.vecu.steering.controller import CONTROL
 from gateway.vecu.steering.course import sweep, times
 from gateway.vecu.steering.faults import SteeringFault
-from gateway.vecu.steering.plant import CONTROL, Plant
+from gateway.vecu.steering.plant import Plant
 from gateway.vecu.steering.signals import sense
 from gateway_studies.steering.cases import DURATION
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import WINDOW, Search, seek
-from gateway.fdi.pulse_tracking.hypotheses import MOST, Tracker, begin, take
+from gateway.fdi.pulse_tracking.hypotheses import take
 from gateway.fdi.pulse_tracking.motion import Q1, Q2, Hypothesis, correct, spread, travel
+from gateway.fdi.pulse_tracking.tracker import MOST, Tracker, begin
 from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED, zeros
 from gateway.monitors.crank import place
@@ -69,7 +70,7 @@ def test_correction_is_filterpys(data):
     correct(h, span, e, 1.0, 1.7, step, jolt, 1 / variance, q3)
     np.testing.assert_allclose([h[n] for n in names], [kf.P[i] for i in places], atol=1e-9)
     gain = kf.K[:, 0]
-    assert h["lag"] == pytest.approx(e * (1 - gain[0]), abs=1e-12)
+    assert h["elapsed"] == pytest.approx(e * (1 - gain[0]), abs=1e-12)
     assert h["period"] == pytest.approx(np.exp(min(max(gain[1] * e, -0.6), 0.6)), rel=1e-3)
     assert h["growth"] == pytest.approx(min(max(gain[2] * e, -0.3), 0.3), abs=1e-9)
 

@@ -123,9 +123,8 @@ def realise(
         NotSolvableError: a step cannot be solved, or must differentiate and may not.
         ValueError: the set is not of that kind, or does not compute an output.
     """
-    structure, symbols = Structure(model), Symbols(model)
-    steps = structure.sequence(equations, consistency)
-    check = next(e for e in model.equations if e.name == consistency)
+    symbols = Symbols(model)
+    steps = Structure(model).sequence(equations, consistency)
     transformed = _transformed(model, equations, consistency, steps)
     statements: list[Statement] = []
     integrated: list[str] = []
@@ -133,24 +132,16 @@ def realise(
         state = state_of(step.variables[0])
         if step.kind is Kind.INTEGRATE:
             integrated.append(state)
-        elif step.kind is Kind.DIFFERENTIATE:
-            if state == transformed:
-                continue
+        elif step.kind is not Kind.DIFFERENTIATE:
+            statements.append(Statement(step.equations, solve(model, symbols, step)))
+        elif state != transformed:
             if not differentiate:
                 raise NotSolvableError(
                     f"the sequence differentiates {state}, and a transformation (20) avoids that in the consistency"
                     " relation only: check another equation of the set, or take another set"
                 )
             statements.append(Statement(step.equations, (), state))
-        else:
-            statements.append(Statement(step.equations, solve(model, symbols, step)))
-    residual = (
-        symbols.of[check.differential] * 0 - symbols.of[der(check.differential)]
-        if check.differential
-        else _residual(symbols, model, consistency)
-    )
-    if transformed and not check.differential:
-        residual = _transformation(symbols, residual, transformed, consistency)
+    residual = _residual(symbols, model, consistency, transformed)
     carried = {x: value for x in integrated if (value := _start(model, x, start)) is not None}
     computed = {v for statement in statements for v in statement.variables}
     for name in outputs:
@@ -170,11 +161,15 @@ def _start(model: Model, state: str, start: Mapping[str, float] | None) -> float
     return None if quantity is None else quantity.value
 
 
-def _residual(symbols: Symbols, model: Model, consistency: str) -> Algebra:
-    relation = model.by_name[consistency].relation
-    if relation is None:
+def _residual(symbols: Symbols, model: Model, consistency: str, transformed: str) -> Algebra:
+    """Return the residual of a consistency relation, or b of (20) if a variable is transformed."""
+    check = model.by_name[consistency]
+    if check.differential:
+        return symbols.of[check.differential] * 0 - symbols.of[der(check.differential)]
+    if check.relation is None:
         raise NotSolvableError(f"equation {consistency} has no relation, only a structure")
-    return symbols.residual(relation)
+    residual = symbols.residual(check.relation)
+    return _transformation(symbols, residual, transformed, consistency) if transformed else residual
 
 
 def _transformed(
