@@ -12,12 +12,13 @@ balance    the EMF vector less c_M omega of the sensor's own speed: currents or 
 
 from __future__ import annotations
 
-from math import atan2, hypot, pi, sin
+from math import atan2, exp, hypot, nan, pi, sin
 
 from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
 from gateway.fdi.filters.motor import warm_resistance
 from gateway.fdi.filters.transforms import clarke, inverse_park, park, wrap
 from gateway.jit import Record, f8, i8, kernel
+from gateway.monitors.steering.params import Params
 
 #: Share of a new value in the EMF's average, per millisecond.
 AVERAGE = 0.05
@@ -66,7 +67,7 @@ class State(Record):
     ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor
     [rad/s]. ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the
     controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too
-    small to tell; ``strict``: it is larger than what a wrong resistance makes, too. ``odd_d``, ``odd_q``: EMF
+    small to tell; ``strict``: it is larger than what a wrong resistance makes, too. ``residual_d``, ``residual_q``: EMF
     that the sensor's speed does not explain, of the last frame alone [V], in the frame at ``middle``;
     ``balance``: averaged, in units of what parameter errors explain. ``repeated``: frames for which the sensor
     has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile [rad]; of the
@@ -97,14 +98,39 @@ class State(Record):
     strict: i8
     i_alpha: f8
     i_beta: f8
-    odd_d: f8
-    odd_q: f8
+    residual_d: f8
+    residual_q: f8
     middle: f8
     luenberger: luenberger.State
     reduced: reduced_luenberger.State
     dq: ekf_dq.State
     filter: ekf_alpha_beta.State
     forward: feedforward.State
+
+
+def prepare(s: State, c: Const, p: Params) -> None:
+    """Fill state and constants.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        p: parameters of the monitor.
+    """
+    motor, period = p.motor.motor, p.period_ms * 1e-3
+    s.angle = nan
+    c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
+    c.resistance, c.warm, c.compare = motor.resistance, p.temperature, p.compare
+    c.quiet, c.silent = 2.0, max(p.frames(35.0), 10)
+    c.share = 1.0 - (1.0 - AVERAGE) ** p.period_ms
+    c.gate, c.noise = 5.0 * motor.emf, 0.05
+    c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
+    c.dead = p.dead_volts
+    c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
+    luenberger.prepare(c.luenberger, motor, period)
+    reduced_luenberger.prepare(c.reduced, motor, period)
+    ekf_dq.prepare(c.dq, motor, period, load=True)
+    ekf_alpha_beta.prepare(c.filter, motor, period, slow=p.slow)
+    feedforward.prepare(c.forward, motor, period)
 
 
 @kernel
@@ -162,11 +188,11 @@ def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool
     s.e_d += c.share * (way * e_d - s.e_d)
     s.e_q += c.share * (way * e_q - s.e_q)
     size, current = hypot(s.e_d, s.e_q), hypot(s.i_alpha, s.i_beta)
-    s.angle = atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else float("nan")
+    s.angle = atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else nan
     s.strict = 1 if size > c.gate + c.resistance_error * s.filter.resistance * current else 0
-    s.odd_d, s.odd_q, s.middle = e_d, e_q - c.emf * s.speed, middle
-    s.r_d += c.share * (s.odd_d - s.r_d)
-    s.r_q += c.share * (s.odd_q - s.r_q)
+    s.residual_d, s.residual_q, s.middle = e_d, e_q - c.emf * s.speed, middle
+    s.r_d += c.share * (s.residual_d - s.r_d)
+    s.r_q += c.share * (s.residual_q - s.r_q)
     allowed = (
         c.noise
         + c.dead
@@ -174,6 +200,100 @@ def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool
         + c.flux_error * c.emf * abs(s.speed)
     )
     s.balance = hypot(s.r_d, s.r_q) / allowed
+
+
+@kernel
+def _begin(s: State, c: Const, theta: float, i_alpha: float, i_beta: float) -> None:
+    """Begin with a pair of frames: nothing is known of the motor's speed."""
+    f = s.filter
+    s.started = 1
+    s.frames = 0
+    ekf_alpha_beta.begin(f, c.filter, theta / c.pole_pairs)
+    f.p[2 * c.filter.n + 2] = MOVING * MOVING
+    s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
+    s.forward.alpha, s.forward.beta = i_alpha, i_beta
+    s.angle = nan
+
+
+@kernel
+def _predict(s: State, c: Const, u_d: float, u_q: float, periods: float) -> None:
+    """Predict the filter to the end of the frame, by steps of one length; lost frames are taken like the one that came."""
+    count = int(periods)
+    for k in range(count):
+        share = s.turned / count
+        ekf_alpha_beta.predict(s.filter, c.filter, u_d, u_q, s.theta + k * share, share)
+
+
+@kernel
+def _unexplained(s: State, c: Const, before: float, dt: float) -> float:
+    """Return the sensor's step less the one that the filter's mean speed makes [rad, electrical].
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        before: the filter's speed when the step began [rad/s].
+        dt: its length [s].
+    """
+    return wrap(s.turned - 0.5 * (before + s.filter.x[2]) * c.pole_pairs * dt, 2.0 * pi)
+
+
+@kernel
+def _blur(s: State, c: Const, u_d: float, u_q: float, jump: float, current: float) -> None:
+    """Let the filter doubt its currents as far as voltages and resistance are not known.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        jump: step of the sensor that the filter does not explain [rad, electrical].
+        current: magnitude [A].
+    """
+    f, n = s.filter, c.filter.n
+    # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
+    blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(jump), pi))
+    # What a wrong resistance makes of the current, taken for noise.
+    warm = c.input_gain * c.resistance_error * f.resistance * current
+    f.p[0] += blur * blur + SHARE * warm * warm
+    f.p[n + 1] += blur * blur + SHARE * warm * warm
+
+
+@kernel
+def _filter(
+    s: State,
+    c: Const,
+    theta: float,
+    u_d: float,
+    u_q: float,
+    i_alpha: float,
+    i_beta: float,
+    periods: float,
+    trusted: bool,
+) -> None:
+    """Step the alpha-beta filter, and find the sensor's increment and speed.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        theta: electrical angle of the sensor [rad].
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        i_alpha: current [A].
+        i_beta: likewise.
+        periods: frames since the last pair.
+        trusted: nothing is known against the sensor.
+    """
+    f = s.filter
+    s.turned = wrap(theta - s.theta, 2.0 * pi)
+    dt = periods * c.period
+    before = f.x[2]
+    _predict(s, c, u_d, u_q, periods)
+    _blur(s, c, u_d, u_q, _unexplained(s, c, before, dt), hypot(i_alpha, i_beta))
+    ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
+    s.nis = f.nis
+    ekf_alpha_beta.hold(f, c.filter, theta / c.pole_pairs, 1.0 if trusted else DOUBT)
+    s.increment = _unexplained(s, c, before, dt) / c.pole_pairs
+    s.speed = s.turned / (c.pole_pairs * dt)
 
 
 @kernel
@@ -203,50 +323,26 @@ def step(
         periods: frames since the last pair, 1 if none was lost.
         trusted: nothing is known against the sensor that anchors the filter at standstill.
     """
-    f = s.filter
     i_alpha, i_beta = clarke(i_u, i_v)
-    mechanical = theta / c.pole_pairs
     if s.started == 0 or periods > GAP:
-        s.started = 1
-        s.frames = 0
-        ekf_alpha_beta.begin(f, c.filter, mechanical)
-        f.p[2 * c.filter.n + 2] = MOVING * MOVING
-        s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
-        s.forward.alpha, s.forward.beta = i_alpha, i_beta
-        s.angle = float("nan")
+        _begin(s, c, theta, i_alpha, i_beta)
         return
     if c.warm == 1:
-        f.resistance = warm_resistance(c.resistance, celsius)
+        s.filter.resistance = warm_resistance(c.resistance, celsius)
     s.frames += 1
-    s.turned = wrap(theta - s.theta, 2.0 * pi)
-    dt = periods * c.period
-    before = f.x[2]
-    # The filter's steps have one length; frames that were lost are taken like the one that came.
-    count = int(periods)
-    for k in range(count):
-        share = s.turned / count
-        ekf_alpha_beta.predict(f, c.filter, u_d, u_q, s.theta + k * share, share)
-    # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
-    odd = wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi)
-    blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(odd), pi))
-    # What a wrong resistance makes of the current, taken for noise.
-    warm = c.input_gain * c.resistance_error * f.resistance * hypot(i_alpha, i_beta)
-    n = c.filter.n
-    f.p[0] += blur * blur + SHARE * warm * warm
-    f.p[n + 1] += blur * blur + SHARE * warm * warm
-    ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
-    s.nis = f.nis
-    ekf_alpha_beta.hold(f, c.filter, mechanical, 1.0 if trusted else DOUBT)
-    s.increment = (
-        wrap(s.turned - 0.5 * (before + f.x[2]) * c.pole_pairs * dt, 2.0 * pi) / c.pole_pairs
-    )
-    s.speed = s.turned / (c.pole_pairs * dt)
+    _filter(s, c, theta, u_d, u_q, i_alpha, i_beta, periods, trusted)
     _listen(s, c)
     s.i_alpha, s.i_beta = i_alpha, i_beta
-    middle = s.theta + 0.5 * s.turned
-    _emf(s, c, u_d, u_q, middle, periods == 1.0)
-    _watch(s, c, mechanical)
+    _emf(s, c, u_d, u_q, s.theta + 0.5 * s.turned, periods == 1.0)
+    _watch(s, c, theta / c.pole_pairs)
     if c.compare == 1 and periods == 1.0:
         d, q = park(i_alpha, i_beta, theta)
         _compare(s, c, u_d, u_q, d, q)
     s.theta = theta
+
+
+@kernel
+def silent(s: State, c: Const) -> bool:
+    """Tell whether the sensor repeats itself for longer than ever before, though it is known to be lively."""
+    for_long = s.repeated >= max(c.silent, 3 * s.longest)
+    return bool(for_long and 5 * s.lively > s.slow and s.slow >= LEARNED)

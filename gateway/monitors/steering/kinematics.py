@@ -10,6 +10,7 @@ from typing import Annotated
 
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors.steering import clock
+from gateway.monitors.steering.params import Params
 
 #: History of the frames with motor and pinion.
 KEPT = 32
@@ -56,6 +57,20 @@ class State(Record):
     watched: i8
     angle_clock: clock.Clock
     wheel_clock: clock.Clock
+
+
+def prepare(c: Const, p: Params) -> None:
+    """Fill constants.
+
+    Args:
+        c: record of Const.
+        p: parameters of the monitor.
+    """
+    c.motor_ratio, c.wheel_ratio = p.motor_ratio, p.wheel_ratio
+    c.delay_ns, c.age_ns, c.leak = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
+    c.jitter = 1e-3 * p.wheel_jitter_ms
+    c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
+    c.stale_ns = c.age_ns + 3 * c.wheel_ns
 
 
 @kernel
@@ -115,8 +130,8 @@ def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
     """Compare the steering wheel's step [deg] with its rate [deg/s]."""
     if s.started == 1:
         dt = (t_ns - s.wheel_ns) * 1e-9
-        odd = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
-        s.wheel += odd - min(c.leak * dt, 1.0) * s.wheel
+        error = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
+        s.wheel += error - min(c.leak * dt, 1.0) * s.wheel
     s.started = 1
     s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns
 
@@ -126,3 +141,9 @@ def now(s: State, c: Const, t_ns: int) -> float:
     """Return the steering wheel's angle at a time, continued with its rate [deg]."""
     age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
     return float(s.last_wheel + s.last_rate * age)
+
+
+@kernel
+def tested(s: State, c: Const, t_ns: int) -> bool:
+    """Tell whether (1) is tested at present: the last time is not long ago."""
+    return bool(s.fitted_ns > 0 and t_ns - s.fitted_ns <= c.stale_ns)

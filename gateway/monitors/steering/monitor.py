@@ -12,19 +12,9 @@ next current frame is paired with the one that it belongs to.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import exp, isnan, nan, pi
+from math import isnan, pi
 
-from gateway.fdi import stopping
-from gateway.fdi.filters import (
-    ekf_alpha_beta,
-    ekf_dq,
-    feedforward,
-    luenberger,
-    reduced_luenberger,
-)
-from gateway.fdi.filters.transforms import inverse_park
-from gateway.jit import Record, f8, i8, kernel, means
-from gateway.monitors import contract
+from gateway.jit import kernel
 from gateway.monitors.contract import (
     TIMER,
     Calibration,
@@ -38,13 +28,19 @@ from gateway.monitors.contract import (
     Warnings,
     report,
 )
-from gateway.monitors.steering import clock, decision, electrics, kinematics, road_wheel
+from gateway.monitors.steering import (
+    clock,
+    decision,
+    electrics,
+    kinematics,
+    road_wheel,
+    symptoms,
+)
 from gateway.monitors.steering.decision import NONE
 from gateway.monitors.steering.faults import (
     ANGLES,
     FAULTS,
     IMPLAUSIBLE,
-    OFFSET,
     PAIRING,
     PINION,
     RATIO,
@@ -52,6 +48,7 @@ from gateway.monitors.steering.faults import (
     Evidence,
 )
 from gateway.monitors.steering.params import Params, Thresholds
+from gateway.monitors.steering.records import Const, Inputs, Outputs, State
 
 #: Quality of the motor's angle that is sent.
 STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
@@ -64,61 +61,6 @@ SETTLES = 100.0
 #: From this period on the current's time constant is missed [ms].
 COARSE = 5.0
 
-
-class Const(Record):
-    """Constants."""
-
-    period_ns: i8
-    settled: i8
-    degraded: i8
-    electrics: electrics.Const
-    kinematics: kinematics.Const
-    decision: decision.Const
-    road_wheel: road_wheel.Const
-
-
-class State(Record):
-    """State.
-
-    ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters.
-    ``pairs`` of motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the
-    newest.
-    """
-
-    value: f8
-    speed: f8
-    load: f8
-    luenberger: f8
-    reduced: f8
-    dq: f8
-    quality: i8
-    pairs: i8
-    unpaired: i8
-    found: i8
-    paired: i8
-    paired_ns: i8
-    current_counter: i8
-    voltage_counter: i8
-    angle_counter: i8
-    wheel_counter: i8
-    i_u: f8
-    i_v: f8
-    theta: f8
-    valid: i8
-    older_counter: i8
-    older_u: f8
-    older_v: f8
-    older_theta: f8
-    older_valid: i8
-    motor: f8
-    angle_ns: i8
-    parity: f8
-    electrics: electrics.State
-    kinematics: kinematics.State
-    decision: decision.State
-    road_wheel: road_wheel.State
-
-
 #: Inputs by message: field and signal.
 _MESSAGES = {
     "AFS_MotCur": ("I_U", "I_V", "Theta_park", "MC_cur", "Valid_cur"),
@@ -129,40 +71,6 @@ _MESSAGES = {
 }
 #: Messages without which it steps, too.
 _OPTIONAL = ("AFS_Angle", "SAS_Angle", "ESC_Speed")
-
-
-class Inputs(contract.Inputs):
-    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called."""
-
-    i_u: f8
-    i_v: f8
-    theta_park: f8
-    mc_cur: f8
-    valid_cur: f8
-    u_sd_mean: f8
-    u_sq_mean: f8
-    mc_vol: f8
-    t_wdg: f8
-    delta_m: f8
-    delta_g: f8
-    mc_ang: f8
-    valid_ang: f8
-    delta_s: f8
-    delta_s_dot: f8
-    mc_sas: f8
-    valid_sas: f8
-    v_x: f8
-    valid_v: f8
-
-
-class Outputs(Record):
-    """What it sends."""
-
-    value: f8 = means("motor angle", "deg")
-    speed: f8 = means("motor speed", "rad/s")
-    quality: f8
-    found: f8 = means("number of the fault found, from 1")
-    load: f8 = means("load torque", "Nm")
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
@@ -188,61 +96,18 @@ def _emits(_: Params) -> Emission:
     return Emission("GW_Steering", signals)
 
 
-def _prepare_electrics(p: Params, c: electrics.Const) -> None:
-    motor, period = p.motor.motor, p.period_ms * 1e-3
-    c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
-    c.resistance, c.warm, c.compare = motor.resistance, p.temperature, p.compare
-    c.quiet, c.silent = 2.0, max(round(35.0 / p.period_ms), 10)
-    c.share = 1.0 - (1.0 - electrics.AVERAGE) ** p.period_ms
-    c.gate, c.noise = 5.0 * motor.emf, 0.05
-    c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
-    c.dead = p.dead_volts
-    c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
-    luenberger.prepare(c.luenberger, motor, period)
-    reduced_luenberger.prepare(c.reduced, motor, period)
-    ekf_dq.prepare(c.dq, motor, period, load=True)
-    ekf_alpha_beta.prepare(c.filter, motor, period, slow=p.slow)
-    feedforward.prepare(c.forward, motor, period)
-
-
-def _prepare_decision(p: Params, c: decision.Const) -> None:
-    levels = p.thresholds.at(p.period_ms)
-    forget = {decision.RESTLESS: 0.98**p.period_ms, decision.SURPRISE: 0.8**p.period_ms}
-    for k, level in enumerate(levels):
-        if k == decision.PARITY:
-            stopping.prepare(c.rules[k], "cusum", level, drift=p.blind, most=4.0 * level)
-        elif k in forget:
-            stopping.prepare(c.rules[k], "gma", level, forget=forget[k])
-        else:
-            stopping.prepare(c.rules[k], "direct", level)
-
-    def frames(ms: float) -> int:
-        return max(round(ms / p.period_ms), 1)
-
-    c.window = max(frames(40.0), 12)
-    c.silent, c.confirm = max(frames(35.0), 10), max(frames(8.0), 4)
-    c.wait, c.hold, c.exonerate = frames(15.0), frames(1000.0), frames(60.0)
-    c.ratio = p.motor_ratio
-
-
 def _prepare(p: Params, s: State, c: Const) -> None:
     c.period_ns = round(p.period_ms * 1e6)
-    c.settled = round(SETTLES / p.period_ms)
+    c.settled = p.frames(SETTLES)
     c.degraded = p.period_ms >= COARSE
-    _prepare_electrics(p, c.electrics)
-    k = c.kinematics
-    k.motor_ratio, k.wheel_ratio = p.motor_ratio, p.wheel_ratio
-    k.delay_ns, k.age_ns, k.leak = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
-    k.jitter = 1e-3 * p.wheel_jitter_ms
-    k.angle_ns, k.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
-    k.stale_ns = k.age_ns + 3 * k.wheel_ns
-    _prepare_decision(p, c.decision)
+    electrics.prepare(s.electrics, c.electrics, p)
+    kinematics.prepare(c.kinematics, p)
+    symptoms.prepare(c.symptoms, p)
+    decision.prepare(s.decision, c.decision, p)
     road_wheel.prepare(c.road_wheel, p.ratio)
-    s.decision.found = NONE
     s.found = NONE
     s.paired = s.current_counter = s.voltage_counter = s.angle_counter = -1
     s.wheel_counter = s.older_counter = -1
-    s.electrics.angle = nan
 
 
 @kernel
@@ -263,18 +128,18 @@ def _report(
 @kernel
 def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report all tests that this pair of frames has carried out."""
-    d = s.decision
+    d, y = s.decision, s.symptoms
     s.found = d.found
     if d.found != NONE:
-        k = decision.witness(d.found)
-        level = abs(d.largest) if k == decision.JUMP else d.rules[k].level
-        _report(s, d.found, True, level, c.decision.rules[k].threshold, out)
+        k = decision.alarm_of(d.found)
+        level = abs(y.jump.largest) if k == symptoms.JUMP else y.rules[k].level
+        _report(s, d.found, True, level, c.symptoms.rules[k].threshold, out)
         for fault in (ANGLES, IMPLAUSIBLE):
             if d.found != fault:  # what was not known then is known now
                 _report(s, fault, False, 0.0, 0.0, out)
-    elif d.window == 0 and d.quiet > 0:
+    elif y.jump.left == 0 and d.quiet > 0:
         for fault in range(PAIRING):
-            if d.geared == 1 or not decision.needs_gear(fault):
+            if y.geared == 1 or not decision.needs_gear(fault):
                 _report(s, fault, False, 0.0, 0.0, out)
 
 
@@ -283,14 +148,14 @@ def _pair(
     s: State, c: Const, u: Inputs, u_frame: int, i_u: float, i_v: float, theta: float
 ) -> None:
     """Take a pair of motor frames with the counter ``u_frame``."""
-    m, d = s.electrics, s.decision
+    m, k, y, d = s.electrics, s.kinematics, s.symptoms, s.decision
     periods = float((u_frame - s.paired) % 16)
     waited = (u.t_ns - s.paired_ns) / c.period_ns
     if s.paired < 0 or waited > AMBIGUOUS:
         periods = 1.0 if s.paired < 0 else waited
     s.paired, s.paired_ns = u_frame, u.t_ns
     s.pairs += 1
-    trusted = not OFFSET <= d.found <= IMPLAUSIBLE
+    trusted = not decision.motor_angle_fault(d.found)
     electrics.step(
         m,
         c.electrics,
@@ -305,34 +170,11 @@ def _pair(
     )
     if m.frames < c.settled or periods > 1.0:
         return
-    decision.hear(d, c.decision, decision.JUMP, m.increment)
-    # A single jump is no noise.
-    usual = min(abs(m.increment), 2.0 * c.decision.rules[decision.JUMP].threshold)
-    decision.hear(d, c.decision, decision.RESTLESS, usual * usual)
-    decision.hear(d, c.decision, decision.ANGLE, 0.0 if isnan(m.angle) else m.angle)
-    decision.hear(d, c.decision, decision.BALANCE, m.balance)
-    decision.hear(d, c.decision, decision.SURPRISE, m.nis)
-    r_alpha, r_beta = inverse_park(m.odd_d, m.odd_q, m.middle)
-    decision.remember(d, r_alpha, r_beta)
-    k = s.kinematics
-    d.geared = 1 if k.fitted_ns > 0 and u.t_ns - k.fitted_ns <= c.kinematics.stale_ns else 0
-    silent = m.repeated >= max(c.decision.silent, 3 * m.longest) and 5 * m.lively > m.slow
-    if m.slow < electrics.LEARNED:
-        silent = False
-    if abs(m.still) > 2.0 * c.decision.rules[decision.JUMP].threshold:
-        silent = silent or m.repeated >= c.decision.confirm
-    decision.decide(
-        d,
-        c.decision,
-        m.increment,
-        m.angle if m.strict == 1 else nan,
-        s.parity,
-        k.wheel,
-        k.watched == 1,
-        silent,
-        i_u,
-        i_v,
-    )
+    symptoms.update_motor(y, c.symptoms, m)
+    y.geared = 1 if kinematics.tested(k, c.kinematics, u.t_ns) else 0
+    known = decision.angle_fault(d.found)
+    on = symptoms.present(y, c.symptoms, m, c.electrics, k, i_u, i_v, known)
+    decision.decide(d, c.decision, y, on)
 
 
 @kernel
@@ -376,7 +218,7 @@ def _angle_frame(s: State, c: Const, u: Inputs) -> None:
 @kernel
 def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take a frame of the steering wheel: parity and rate."""
-    k, d = s.kinematics, s.decision
+    k, y = s.kinematics, s.symptoms
     at_ns = clock.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
     if k.wheel_clock.since_ns == u.t_ns:
         kinematics.begin(k)
@@ -386,10 +228,8 @@ def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> 
     if sure and kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s):
         s.parity = k.parity
         k.fitted_ns = u.t_ns
-        decision.hear(d, c.decision, decision.RATE, k.wheel)
-        decision.hear(d, c.decision, decision.PARITY, k.sure)
-        decision.note_parity(d, k.parity, s.motor)
-        if d.alarm[decision.PARITY] == 0:
+        symptoms.update_gear(y, c.symptoms, k, s.motor)
+        if y.alarm[symptoms.PARITY] == 0:
             k.watched = 1
     # Where the pinion's angle is of long ago, nobody knows where the road wheels are.
     known = s.motor == s.motor and u.t_ns - s.angle_ns <= c.kinematics.stale_ns
@@ -410,7 +250,7 @@ def _value(s: State, c: Const, u: Inputs) -> None:
     s.quality = DEGRADED if c.degraded == 1 else MEASURED
     if isnan(u.delta_m):
         s.quality = STARTING
-    elif OFFSET <= d.found <= IMPLAUSIBLE:
+    elif decision.motor_angle_fault(d.found):
         s.quality = INVALID
         if s.kinematics.started == 1:
             wheel = kinematics.now(s.kinematics, c.kinematics, u.t_ns)
@@ -490,7 +330,7 @@ MONITOR = Monitor(
         ),
         Calibration(
             names=tuple(Thresholds.model_fields),
-            rules=lambda s: s["decision"]["rules"],
+            rules=lambda s: s["symptoms"]["rules"],
             levels=lambda p: p.thresholds.at(p.period_ms),
         ),
         Warnings(_warnings),

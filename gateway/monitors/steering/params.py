@@ -147,3 +147,7 @@ class Params(MonitorParams):
     def angle_period(self) -> float:
         """Period of the frames with motor and pinion [ms]."""
         return max(2.0, self.period_ms) if self.angle_period_ms is None else self.angle_period_ms
+
+    def frames(self, ms: float) -> int:
+        """Return how many of the motor's frames a time takes [ms], one at least."""
+        return max(round(ms / self.period_ms), 1)

@@ -2,14 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 from gateway.fdi.structure.generator.runtime import interpolate
 from gateway.jit import kernel
 from gateway.monitors.truck import dynamic, excitation, gate, observer
 from gateway.monitors.truck.excitation import FIXED
 from gateway.monitors.truck.generated import t3_icds, t3_mcds, t4_icds, t4_mcds, t7
 from gateway.monitors.truck.messages import Inputs
-from gateway.monitors.truck.records import T3_FIXED, T3_MIXED, T4_FIXED, T4_MIXED, Const, State
+from gateway.monitors.truck.records import (
+    R3,
+    R3_MIXED,
+    R4,
+    R4_MIXED,
+    R7,
+    T3_FIXED,
+    T3_MIXED,
+    T4_FIXED,
+    T4_MIXED,
+    Const,
+    State,
+)
 from gateway.monitors.truck.static import take
+
+
+class Generator(NamedTuple):
+    """A residual generator: kernels and records of a generated module."""
+
+    start: Callable[[Any, Any, Any], None]
+    step: Callable[[Any, Any, Any, float], float]
+    state: Any
+    const: Any
+
+
+class Initial(NamedTuple):
+    """What the states begin with, in the place of the measured signal: its filtered value, (37), (38) [rad/s]."""
+
+    omega_gb_sens: float
+
+
+class Places(NamedTuple):
+    """Where residuals and test quantities of T3 or T4 are; with integral causality ``first`` is that of three conditions."""
+
+    residual: int
+    mixed_residual: int
+    first: int
+    mixed_test: int
+
+
+_THREE = Places(R3, R3_MIXED, T3_FIXED, T3_MIXED)
+_FOUR = Places(R4, R4_MIXED, T4_FIXED, T4_MIXED)
+
+
+@kernel
+def _residual(g: Generator, u: Inputs, begins: bool, speed: float, dt: float) -> float:
+    """Step a residual generator; returns its residual.
+
+    Args:
+        g: the generator.
+        u: inputs.
+        begins: its states begin anew.
+        speed: that they begin with [rad/s].
+        dt: since the set before, 0 when they begin [s].
+    """
+    if begins:
+        g.start(g.state, g.const, Initial(speed))
+    return g.step(g.state, g.const, u, dt)
 
 
 @kernel
@@ -31,58 +90,57 @@ def _judge(s: State, c: Const, test: dynamic.State, first: int, residual: float)
 
 
 @kernel
-def _three(s: State, c: Const, u: Inputs, dt: float) -> None:
-    """Step T3, integral and mixed, or begin it anew."""
-    step = dt
-    if s.three.on == 0:
-        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
-        t3_icds.start(s.t3, c.t3, u)
-        t3_mcds.start(s.t3m, c.t3m, u)
-        u.omega_gb_sens = measured
-        dynamic.begin(s.three)
-        step = 0.0
-    s.residual[2] = t3_icds.step(s.t3, c.t3, u, step)
-    s.residual[4] = t3_mcds.step(s.t3m, c.t3m, u, step)
-    e = s.three.excitation
-    excitation.update(e, c.excitation, s.t3.shown_I_em, s.t3.shown_u_gb, step)
-    s.t3.omega_w += _judge(s, c, s.three, T3_FIXED, s.residual[2]) / c.t3.u_f
-    take(s, c, T3_MIXED, s.residual[4], excitation.excited(e, c.excitation, FIXED))
+def _step_test(
+    s: State,
+    c: Const,
+    u: Inputs,
+    dt: float,
+    test: dynamic.State,
+    at: Places,
+    integral: Generator,
+    mixed: Generator,
+) -> None:
+    """Step T3 or T4, integral and mixed, or begin it anew.
+
+    Args:
+        s: state.
+        c: constants.
+        u: inputs.
+        dt: since the set before [s].
+        test: of ``s``, T3 or T4.
+        at: its places.
+        integral: its generator with integral causality.
+        mixed: likewise, with mixed causality.
+    """
+    begins = test.on == 0
+    speed, step = gate.speed(s.gate), 0.0 if begins else dt
+    if begins:
+        dynamic.begin(test)
+    s.residual[at.residual] = _residual(integral, u, begins, speed, step)
+    s.residual[at.mixed_residual] = _residual(mixed, u, begins, speed, step)
+    g, e = integral.state, test.excitation
+    excitation.update(e, c.excitation, g.shown_I_em, g.shown_u_gb, step)
+    g.omega_w += _judge(s, c, test, at.first, s.residual[at.residual]) / integral.const.u_f
+    take(
+        s,
+        c,
+        at.mixed_test,
+        s.residual[at.mixed_residual],
+        excitation.excited(e, c.excitation, FIXED),
+    )
 
 
 @kernel
-def _four(s: State, c: Const, u: Inputs, dt: float) -> None:
-    """Step T4, integral and mixed, or begin it anew."""
-    step = dt
-    if s.four.on == 0:
-        # The battery is known all the time from T2; T4 runs for a while only.
-        s.t4.SoC, s.t4m.SoC = s.t2.SoC, s.t2.SoC
-        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
-        t4_icds.start(s.t4, c.t4, u)
-        t4_mcds.start(s.t4m, c.t4m, u)
-        u.omega_gb_sens = measured
-        dynamic.begin(s.four)
-        step = 0.0
-    s.residual[3] = t4_icds.step(s.t4, c.t4, u, step)
-    s.residual[5] = t4_mcds.step(s.t4m, c.t4m, u, step)
-    e = s.four.excitation
-    excitation.update(e, c.excitation, s.t4.shown_I_em, s.t4.shown_u_gb, step)
-    s.t4.omega_w += _judge(s, c, s.four, T4_FIXED, s.residual[3]) / c.t4.u_f
-    take(s, c, T4_MIXED, s.residual[5], excitation.excited(e, c.excitation, FIXED))
-
-
-@kernel
-def _seven(s: State, c: Const, u: Inputs, dt: float) -> None:
+def _step_observer(s: State, c: Const, u: Inputs, dt: float) -> None:
     """Step T7 with its observer, or begin it anew."""
-    step = dt
-    if s.watched == 0:
-        measured, u.omega_gb_sens = u.omega_gb_sens, gate.speed(s.gate)
-        t7.start(s.t7, c.t7, u)
-        u.omega_gb_sens = measured
+    begins = s.watched == 0
+    step = 0.0 if begins else dt
+    if begins:
         observer.restart(s.observer, c.observer)
         s.watched = 1
-        step = 0.0
-    s.residual[8] = t7.step(s.t7, c.t7, u, step)
-    observer.update(s.observer, c.observer, s.t7, c.t7, s.residual[8], u.T_b_ctrl, step)
+    g = Generator(t7.start, t7.step, s.t7, c.t7)
+    s.residual[R7] = _residual(g, u, begins, gate.speed(s.gate), step)
+    observer.update(s.observer, c.observer, s.t7, c.t7, s.residual[R7], u.T_b_ctrl, step)
 
 
 @kernel
@@ -96,9 +154,16 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
         way = dt * c.t7.r_w * u.omega_gb_sens / c.t7.u_f
         observer.age(s.observer, c.observer, dt, way if way == way else 0.0)  # noqa: PLR0124 - not NaN
         return
-    _three(s, c, u, dt)
-    _seven(s, c, u, dt)
+    three = Generator(t3_icds.start, t3_icds.step, s.t3, c.t3)
+    three_mixed = Generator(t3_mcds.start, t3_mcds.step, s.t3m, c.t3m)
+    _step_test(s, c, u, dt, s.three, _THREE, three, three_mixed)
+    _step_observer(s, c, u, dt)
     if u.U_em_sens < c.least_volts:
         s.four.on = 0
-    else:
-        _four(s, c, u, dt)
+        return
+    if s.four.on == 0:
+        # The battery is known all the time from T2; T4 runs for a while only.
+        s.t4.SoC, s.t4m.SoC = s.t2.SoC, s.t2.SoC
+    four = Generator(t4_icds.start, t4_icds.step, s.t4, c.t4)
+    four_mixed = Generator(t4_mcds.start, t4_mcds.step, s.t4m, c.t4m)
+    _step_test(s, c, u, dt, s.four, _FOUR, four, four_mixed)

@@ -31,6 +31,10 @@ from gateway.monitors.truck.params import QUANTITIES, Params
     T6,
 ) = range(len(QUANTITIES))
 
+#: Places of the residuals: of T1 to T4, of T3 and T4 with mixed causality, of T5 to T7.
+R1, R2, R3, R4, R3_MIXED, R4_MIXED, R5, R6, R7 = range(9)
+RESIDUALS = 9
+
 #: Systems by their place.
 SYSTEMS = tuple(isolation.TESTS)
 ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
@@ -63,8 +67,8 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``residual``: of T1, T2, T3, T4, T3 and T4 with mixed causality, T5, T6, T7; ``level``: T_norm of the tests
-    that decide.
+    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
+    T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs.
     """
 
     sets: i8
@@ -78,7 +82,7 @@ class State(Record):
     level: Annotated[f8s, isolation.MOST_TESTS]
     blanking: blanking.State
     observer: observer.State
-    residual: Annotated[f8s, 9]
+    residual: Annotated[f8s, RESIDUALS]
     norm: Annotated[f8s, len(QUANTITIES)]
     gate: gate.State
     three: dynamic.State

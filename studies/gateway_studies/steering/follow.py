@@ -129,11 +129,11 @@ def _walk(
         trace[k, 2] = s.parity
         trace[k, 3] = m.balance
         trace[k, 4] = s.kinematics.wheel
-        trace[k, 5] = s.decision.rules[5].level
+        trace[k, 5] = s.symptoms.rules[5].level
         trace[k, 6] = m.filter.x[3]
         trace[k, 7] = m.filter.x[2]
         for j in range(peaks.shape[0]):
-            level = s.decision.rules[j].level
+            level = s.symptoms.rules[j].level
             if k >= warm:
                 peaks[j] = max(peaks[j], level)
 

@@ -7,23 +7,15 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gateway.jit import zeros
-from gateway.monitors.steering import decision, kinematics, road_wheel
-from gateway.monitors.steering.faults import (
-    CURRENT,
-    DRIFT,
-    ELECTRIC,
-    FAULTS,
-    IMPLAUSIBLE,
-    SCALE,
-    VOLTAGE,
-)
+from gateway.monitors.steering import kinematics, onset, road_wheel, trend
+from gateway.monitors.steering.faults import FAULTS
 from gateway.monitors.steering.params import Params, Ratio, Thresholds
 
 
 def history(parity, motor):
-    s = zeros(1, decision.State)
+    s = zeros(1, trend.State)
     for p, m in zip(parity, motor, strict=True):
-        decision.note_parity(s[0], p, m)
+        trend.keep(s[0], p, m)
     return s[0]
 
 
@@ -34,10 +26,10 @@ def test_drift_and_scale_are_told_apart(seed):
     t = np.arange(64) * 0.01
     noise = rng.uniform(-0.05, 0.05, 64)
     motor = 600.0 * np.sin(2 * np.pi * t / 0.9 + rng.uniform(0, 6))
-    assert decision.drift_or_scale(history(0.57 * t + noise, motor)) == DRIFT
-    assert decision.drift_or_scale(history(0.02 * motor / 20 + noise, motor)) == SCALE
-    assert decision.drift_or_scale(history(0.3 + noise, 0 * t)) in (IMPLAUSIBLE, DRIFT)
-    assert decision.drift_or_scale(history(noise[:10], motor[:10])) == IMPLAUSIBLE
+    assert trend.growth(history(0.57 * t + noise, motor)) == trend.WITH_TIME
+    assert trend.growth(history(0.02 * motor / 20 + noise, motor)) == trend.WITH_ANGLE
+    assert trend.growth(history(0.3 + noise, 0 * t)) in (trend.UNKNOWN, trend.WITH_TIME)
+    assert trend.growth(history(noise[:10], motor[:10])) == trend.UNKNOWN
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -46,21 +38,24 @@ def test_a_current_sensor_shows_at_once_and_a_voltage_does_not(seed, direction):
     """First sample of a sensor's step of 8 A: (R T / 2 + L) 8 A / T = 1.04 V; then R 8 A = 0.48 V."""
     rng = np.random.default_rng(seed)
     print("seed", seed)
-    for name, first, later in ((CURRENT, 1.04, 0.48), (VOLTAGE, rng.uniform(0, 1), 1.0)):
-        s = zeros(1, decision.State)
-        onset = decision.RING + 30 + int(rng.integers(0, 150))
-        for k in range(onset + 40):
-            size = 0.0 if k < onset else first if k == onset else later
+    for shape, first, later in (
+        (onset.AT_ONCE, 1.04, 0.48),
+        (onset.DELAYED, rng.uniform(0, 1), 1.0),
+    ):
+        s = zeros(1, onset.State)
+        begin = onset.RING + 30 + int(rng.integers(0, 150))
+        for k in range(begin + 40):
+            size = 0.0 if k < begin else first if k == begin else later
             a, b = rng.normal(0, 0.04, 2)
-            decision.remember(s[0], size * np.cos(direction) + a, size * np.sin(direction) + b)
-        assert decision.current_or_voltage(s[0]) == name
+            onset.keep(s[0], size * np.cos(direction) + a, size * np.sin(direction) + b)
+        assert onset.shape(s[0]) == shape
 
 
 def test_noise_alone_names_neither():
-    s = zeros(1, decision.State)
+    s = zeros(1, onset.State)
     for _ in range(100):
-        decision.remember(s[0], 0.0, 0.0)
-    assert decision.current_or_voltage(s[0]) == ELECTRIC  # too little was kept
+        onset.keep(s[0], 0.0, 0.0)
+    assert onset.shape(s[0]) == onset.UNKNOWN  # too little was kept
 
 
 def gear(**options):
