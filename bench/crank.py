@@ -53,12 +53,8 @@ def main():
             follow = follower(method, wheel)
             follow(times[:2000])
             best = min(_timed(follow, times) for _ in range(REPEATS))
-            facts.append(
-                {"case": case, "method": method, "us": best, "times_filterpy": peer / best}
-            )
-        facts.append(
-            {"case": case, "method": "filterpy, 3 states", "us": peer, "times_filterpy": 1.0}
-        )
+            facts.append({"case": case, "method": method, "us": best, "times_filterpy": peer / best})
+        facts.append({"case": case, "method": "filterpy, 3 states", "us": peer, "times_filterpy": 1.0})
     if options.json:
         print(json.dumps(facts))
         return

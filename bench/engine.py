@@ -134,9 +134,7 @@ def engine_path(frames, monitors, *, every_signal):
     params = crank.params.model_validate({"wheel": "60-2"})
     instances = [MonitorInstance(f"m{k}", crank, params) for k in range(monitors)]
     names = [s.name for s in database.message("CTW_PT4").signals] if every_signal else []
-    engine = build_engine(
-        [(0, database)], instances, [], extra=[SignalRef(0, "CTW_PT4", n) for n in names]
-    )
+    engine = build_engine([(0, database)], instances, [], extra=[SignalRef(0, "CTW_PT4", n) for n in names])
     engine.process(frames[:1], lambda events: None)
     begun = time.perf_counter()
     for k in range(1, len(frames), 100_000):
@@ -190,15 +188,10 @@ def main():
     if options.json:
         print(json.dumps({"rows": rows, "machine": machine}, indent=2))
         return
-    print(
-        f"{machine}; {len(frames)} frames, user's loop on {len(messages)} of them; best of {options.rounds}"
-    )
+    print(f"{machine}; {len(frames)} frames, user's loop on {len(messages)} of them; best of {options.rounds}")
     print(f"{'':46}{'frames/s':>14}{'us/frame':>10}{'ratio':>9}")
     for row in rows:
-        print(
-            f"{row['name']:46}{row['per_second']:>14,.0f}{1e6 / row['per_second']:>10.3f}"
-            f"{row['ratio']:>8.0f}x"
-        )
+        print(f"{row['name']:46}{row['per_second']:>14,.0f}{1e6 / row['per_second']:>10.3f}{row['ratio']:>8.0f}x")
 
 
 if __name__ == "__main__":

@@ -137,10 +137,7 @@ def main():
         "whole gateway, a frame": gateway_us(),
     }
     peer = times["NumPy, three observers, flags"]
-    rows = [
-        {"name": name, "us": us, "ratio": peer / us, "against": "NumPy"}
-        for name, us in times.items()
-    ]
+    rows = [{"name": name, "us": us, "ratio": peer / us, "against": "NumPy"} for name, us in times.items()]
     if options.json:
         print(json.dumps({"rows": rows}))
         return

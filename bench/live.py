@@ -64,9 +64,7 @@ def write_config(folder: Path) -> Path:
         toml += f'[[bus.check]]\nmessage = "M{k}"\ntimeout_ms = 60000.0\n'
         toml += f'counter = {{ signal = "FrameCnt" }}\ncrc = {{ signal = "Crc", data_id = {k} }}\n'
         for j, name in enumerate(("timeout", "counter", "crc", "length")):
-            faults += (
-                f'[fault."b.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["M{k}.A"]\n'
-            )
+            faults += f'[fault."b.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["M{k}.A"]\n'
         faults += f'[fault."b.M{k}.crc".debounce]\n'
         faults += "failed_after = 1\npassed_after = 1\njump_down = true\n"
     toml += faults + "[output.dtc_frame]\nmin_interval_ms = 0\ncycle_ms = 1000.0\n"
@@ -82,9 +80,7 @@ def datagrams() -> list[bytes]:
         for k in range(MESSAGES):
             body = bytes([count]) + (1200 + count).to_bytes(2, "little") + bytes([k, 1, 2, 3])
             crc = crccheck.crc.Crc8SaeJ1850.calc(body + k.to_bytes(2, "little"))
-            found.append(
-                (BASE + k).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + bytes([crc]) + body
-            )
+            found.append((BASE + k).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + bytes([crc]) + body)
     return found
 
 
@@ -107,9 +103,7 @@ class StructBus(SocketCanBus):
         """Take all."""
 
 
-def our_side(
-    opener: object, config: Path, memory: Path | None, ready: object, end: object, out: object
-) -> None:
+def our_side(opener: object, config: Path, memory: Path | None, ready: object, end: object, out: object) -> None:
     """Run the gateway's live loop in this process."""
     gateway = Gateway(load_config(config), memory)
     gateway.write_beside()
@@ -149,9 +143,7 @@ class StructCan(can.BusABC):
         self.socket.send(build_can_frame(msg))
 
 
-def their_side(
-    opener: object, config: Path, memory: object, ready: object, end: object, out: object
-) -> None:
+def their_side(opener: object, config: Path, memory: object, ready: object, end: object, out: object) -> None:
     """What one writes with the libraries: a Notifier, a listener that checks, decodes and sends."""
     database = cantools.database.load_file(config.with_suffix(".dbc"))
     by_id = {message.frame_id: message for message in database.messages}
@@ -172,9 +164,7 @@ def their_side(
             failing[k] = wrong
             values = {signal.name: 0 for signal in dtc.signals}
             values |= {"Dtc": 0xD20000 | k << 8, "Status": 0x2F if wrong else 0x2E}
-            bus.send(
-                can.Message(arbitration_id=DTC_ID, is_extended_id=False, data=dtc.encode(values))
-            )
+            bus.send(can.Message(arbitration_id=DTC_ID, is_extended_id=False, data=dtc.encode(values)))
         if wrong:
             return
         values = known.decode(data, decode_choices=False)
@@ -193,7 +183,7 @@ def their_side(
 
 
 def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes]) -> dict:
-    """Send so many frames a second; returns how many, how many found the queue full, and the times to DTC frames [ms]."""
+    """Send frames at a rate; returns how many, how many found the queue full, and the times to DTC frames [ms]."""
     sock.setblocking(False)
     begun = time.perf_counter()
     sent = full = 0
@@ -246,11 +236,7 @@ def measure(side: object, interface: str | None, memory: bool, rate: float, seco
                     sock.setsockopt(socket.SOL_SOCKET, 32, BUFFER)  # SO_SNDBUFFORCE
                 except PermissionError:
                     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
-            opener = (
-                partial(StructCan, ours)
-                if side is their_side
-                else lambda uri, index: StructBus(ours, index)
-            )
+            opener = partial(StructCan, ours) if side is their_side else lambda uri, index: StructBus(ours, index)
         else:
             theirs = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
             theirs.bind((interface,))

@@ -76,9 +76,7 @@ def engine_us(samples):
         gateway = Gateway(load_config(shipped("configs/pedal.toml")))
         gateway.start(0)
         begun = time.perf_counter()
-        sent = sum(
-            len(gateway.feed(part)) for part in np.array_split(many, max(len(many) // 100_000, 1))
-        )
+        sent = sum(len(gateway.feed(part)) for part in np.array_split(many, max(len(many) // 100_000, 1)))
         best = min(best, time.perf_counter() - begun)
         gateway.close()
         assert sent >= len(many)
@@ -125,10 +123,7 @@ def main():
         print(json.dumps({"rows": rows}))
         return
     for row in rows:
-        print(
-            f"{row['case']:20s} {row['name']:22s} {row['us']:9.4f} us a sample"
-            f"  {row['ratio']:9.1f} x filterpy"
-        )
+        print(f"{row['case']:20s} {row['name']:22s} {row['us']:9.4f} us a sample  {row['ratio']:9.1f} x filterpy")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """How long a start takes and how much it weighs, beside the commands of python-can and cantools, in one run.
 
-CPU seconds (user and system), wall time and largest resident memory of one process each; the least of several runs, with
-bytecode and kernels there. The peers run as one installs them, without asammdf and matplotlib, which they load where they find
-them; ours runs with what is installed here. Then a start on an empty cache of kernels, what an import of each spends its time
-on, and what is to be installed. Nothing here imports the gateway: a child's memory begins with its parent's.
+CPU seconds (user and system), wall time and largest resident memory of one process each; the least of several runs,
+with bytecode and kernels there. The peers run as one installs them, without asammdf and matplotlib, which they load
+where they find them; ours runs with what is installed here. Then a start on an empty cache of kernels, what an import
+of each spends its time on, and what is to be installed. Nothing here imports the gateway: a child's memory begins with
+its parent's.
 
     python bench/start.py [--runs 5] [--no-cold] [--no-wheel] [--json]
 """
@@ -238,9 +239,7 @@ def show(found):
     print(f"{'warm start':30s} {'CPU s':>7s} {'wall s':>7s} {'RSS MB':>7s}")
     for row in found["warm"]:
         beside = f"  {row['ratio']:5.1f} x {row['against']}" if row["against"] else ""
-        print(
-            f"{row['name']:30s} {row['cpu_s']:7.2f} {row['wall_s']:7.2f} {row['rss_mb']:7.0f}{beside}"
-        )
+        print(f"{row['name']:30s} {row['cpu_s']:7.2f} {row['wall_s']:7.2f} {row['rss_mb']:7.0f}{beside}")
     if "demo" in found:
         demo = found["demo"]
         for name, which in (("cold", "an empty cache"), ("again", "the next time")):

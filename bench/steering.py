@@ -119,9 +119,7 @@ def filterpy_us(rows):
         theta = 4.0 * row["sensor"]
         i_a, i_b = row["i_u"], (row["i_u"] + 2 * row["i_v"]) / np.sqrt(3)
         c, s = np.cos(theta), np.sin(theta)
-        u = np.array(
-            [row["u_alpha"] * c + row["u_beta"] * s, row["u_beta"] * c - row["u_alpha"] * s]
-        )
+        u = np.array([row["u_alpha"] * c + row["u_beta"] * s, row["u_beta"] * c - row["u_alpha"] * s])
         kf.predict(u)
         kf.update(np.array([i_a * c + i_b * s, i_b * c - i_a * s]), lambda _: h, lambda x: h @ x)
     return (time.perf_counter() - begun) / len(rows) * 1e6
@@ -135,9 +133,7 @@ def numpy_us(rows):
         theta = 4.0 * row["sensor"]
         i_a, i_b = row["i_u"], (row["i_u"] + 2 * row["i_v"]) / np.sqrt(3)
         c, s = np.cos(theta), np.sin(theta)
-        u = np.array(
-            [row["u_alpha"] * c + row["u_beta"] * s, row["u_beta"] * c - row["u_alpha"] * s]
-        )
+        u = np.array([row["u_alpha"] * c + row["u_beta"] * s, row["u_beta"] * c - row["u_alpha"] * s])
         y = np.array([i_a * c + i_b * s, i_b * c - i_a * s])
         x, f = model(x, u, T)
         p = f @ p @ f.T + q
@@ -188,14 +184,9 @@ def main():
         "EKF5 ab, 8 sub-steps": kernel_us(ekf_alpha_beta, run_ab, x),
     }
     peer = times["filterpy, EKF3 dq, 1 sub-step"]
-    rows = [
-        {"name": name, "us": us, "ratio": peer / us, "against": "filterpy"}
-        for name, us in times.items()
-    ]
+    rows = [{"name": name, "us": us, "ratio": peer / us, "against": "filterpy"} for name, us in times.items()]
     us, speed = gateway_us()
-    rows.append(
-        {"name": "whole gateway, a frame", "us": us, "ratio": peer / us, "against": "filterpy"}
-    )
+    rows.append({"name": "whole gateway, a frame", "us": us, "ratio": peer / us, "against": "filterpy"})
     if options.json:
         print(json.dumps({"rows": rows, "times_real_time": speed}))
         return

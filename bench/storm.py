@@ -1,8 +1,8 @@
 """A storm of verdicts on the live daemon, beside an earlier state of this repository: does a tester get its answers?
 
 16 messages, 4000 frames a second, every other CRC of each message wrong, debounce 1 and 1: each frame changes a status
-byte, on disk before it is told. A tester sends 3E 00 every 20 ms and wants each answer within P2. The peer is the gateway
-of an earlier commit (``--peer``), with the same frames over the same kind of socket, in the same run.
+byte, on disk before it is told. A tester sends 3E 00 every 20 ms and wants each answer within P2. The peer is the
+gateway of an earlier commit (``--peer``), with the same frames over the same kind of socket, in the same run.
 
     python bench/storm.py [--seconds 60] [--rate 4000] [--peer cd117c2] [--random] [--json]
 
@@ -234,9 +234,7 @@ def measure(name: str, tree: Path, options: argparse.Namespace) -> dict:
 def earlier(ref: str, folder: Path) -> Path:
     """Unpack an earlier commit of this repository."""
     root = Path(__file__).resolve().parent.parent
-    found = subprocess.run(
-        ["git", "-C", str(root), "archive", ref], capture_output=True, check=False
-    )
+    found = subprocess.run(["git", "-C", str(root), "archive", ref], capture_output=True, check=False)
     if found.returncode:
         raise SystemExit(
             f"--peer {ref}: not in this repository ({found.stderr.decode().strip()});"
@@ -271,9 +269,7 @@ def main() -> None:
     if options.json:
         print(json.dumps({"rows": rows, "machine": machine, "seed": SEED}, indent=2))
     else:
-        print(
-            f"{machine}; {options.rate:g} frames/s for {options.seconds:g} s; ids from 0x{BASE:X}"
-        )
+        print(f"{machine}; {options.rate:g} frames/s for {options.seconds:g} s; ids from 0x{BASE:X}")
         for row in rows:
             print(row["name"])
             for key, value in row.items():

@@ -41,8 +41,7 @@ def best(work):
 
 def toolbox(model):
     rows = [
-        [*(v if v in model.variables else v[4:-1] for v in e.variables), *e.knowns, *e.faults]
-        for e in model.equations
+        [*(v if v in model.variables else v[4:-1] for v in e.variables), *e.knowns, *e.faults] for e in model.equations
     ]
     named = {"type": "VarStruc", "x": list(model.variables), "f": list(model.faults)}
     return fdt.DiagnosisModel({**named, "z": list(model.knowns), "rels": rows}, name=model.name)
@@ -50,10 +49,7 @@ def toolbox(model):
 
 def msos_in_python(model):
     """The same algorithm on sets of names, as one would write it first (Krysander et al. 2008, without lumping)."""
-    variables = {
-        e.name: {v if v in model.variables else v[4:-1] for v in e.variables}
-        for e in model.equations
-    }
+    variables = {e.name: {v if v in model.variables else v[4:-1] for v in e.variables} for e in model.equations}
 
     def overdetermined(equations):
         owner = {}
@@ -117,9 +113,7 @@ def classified_in_python():
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument(
-        "--sensors", type=int, default=12, help="most sensors of the truck, 5 to 12"
-    )
+    parser.add_argument("--sensors", type=int, default=12, help="most sensors of the truck, 5 to 12")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--classify", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -137,18 +131,14 @@ def main():
         ours, msos = best(partial(find_msos, counted(model)))
         other = toolbox(model)
         theirs, sets = best(other.MSO)
-        assert {frozenset(map(int, row)) for row in sets} == {
-            frozenset(row.nonzero()[0].tolist()) for row in msos
-        }
+        assert {frozenset(map(int, row)) for row in sets} == {frozenset(row.nonzero()[0].tolist()) for row in msos}
         row = {"name": f"MSO sets, truck with {count} sensors", "msos": len(msos), "seconds": ours}
         row |= {"ratio": theirs / ours, "against": "faultdiagnosistoolbox", "peer_seconds": theirs}
         rows.append(row)
         if count <= 6:
             slow, found = best(partial(msos_in_python, model))
             assert len(found) == len(msos)
-            rows.append(
-                {**row, "ratio": slow / ours, "against": "plain Python", "peer_seconds": slow}
-            )
+            rows.append({**row, "ratio": slow / ours, "against": "plain Python", "peer_seconds": slow})
     msos = find_msos(counted(truck))
     seconds, found = best(partial(classify, truck, msos))
     slow = classified_in_python()

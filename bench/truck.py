@@ -1,8 +1,8 @@
-"""One FTP75 of the hybrid truck (187 400 sets of four frames) through the engine, beside the loop one would write, in one run.
+"""One FTP75 of the hybrid truck (187 400 sets of four frames) through the engine, beside a user's loop, in one run.
 
-The peer does less: it decodes the four frames with cantools, adds up T1's CUSUM, and steps T7's filter of seven states with
-filterpy. The gateway also checks CRCs and counters, steps ten residual generators and thirteen test quantities, keeps the
-fault memory's debounce and sends FDI_STATUS.
+The peer does less: it decodes the four frames with cantools, adds up T1's CUSUM, and steps T7's filter of seven states
+with filterpy. The gateway also checks CRCs and counters, steps ten residual generators and thirteen test quantities,
+keeps the fault memory's debounce and sends FDI_STATUS.
 
     python bench/truck.py [--sets 3000] [--json]
 """
@@ -95,9 +95,7 @@ def main():
     else:
         for row in rows:
             print(f"{row['name']:20s} {row['us']:9.3f} us a set  {row['ratio']:7.1f} x the peer")
-        print(
-            f"FTP75, {sets} sets of 4 frames: {whole:.2f} s, {speed:.0f} x real time (asked for: {LEAST:.0f} x)"
-        )
+        print(f"FTP75, {sets} sets of 4 frames: {whole:.2f} s, {speed:.0f} x real time (asked for: {LEAST:.0f} x)")
     raise SystemExit(0 if speed >= LEAST else 1)
 
 

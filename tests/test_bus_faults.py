@@ -66,9 +66,7 @@ def test_a_cause_of_ones_own_takes_the_place_of_the_bus(tmp_path):
 
 def test_settings_of_a_bus_fault_are_those_of_any_fault(tmp_path):
     def own(text):
-        return (
-            text + '\n[fault."chassis.bus_off"]\ndtc = "U0073-88"\npriority = 1\nindicator = true\n'
-        )
+        return text + '\n[fault."chassis.bus_off"]\ndtc = "U0073-88"\npriority = 1\nindicator = true\n'
 
     gateway = gateway_of(tmp_path, own)
     gateway.start(0)
@@ -81,9 +79,7 @@ def test_settings_of_a_bus_fault_are_those_of_any_fault(tmp_path):
 def test_a_wrong_setting_is_named(tmp_path):
     path = write_config(tmp_path)
     text = path.read_text()
-    path.write_text(
-        text.replace("[[bus.check]]", 'health = { code = "X0001", errors = 0 }\n[[bus.check]]')
-    )
+    path.write_text(text.replace("[[bus.check]]", 'health = { code = "X0001", errors = 0 }\n[[bus.check]]'))
     with pytest.raises(InputErrors) as error:
         load_config(path)
     assert "bus[0].health.code" in str(error.value)
@@ -199,9 +195,7 @@ def test_a_long_gap_says_of_the_clock_what_its_windows_say_one_by_one(passes, tm
     """A silence that was let pass in ticks, and the same as a gap in a recording."""
 
     def own(text):
-        return (
-            f'{text}\n[fault."gateway.clock_stepped"]\ndebounce = {{ passed_after = {passes} }}\n'
-        )
+        return f'{text}\n[fault."gateway.clock_stepped"]\ndebounce = {{ passed_after = {passes} }}\n'
 
     told = []
     for tick_ms in (100, 10**7):

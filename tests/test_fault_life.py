@@ -94,9 +94,7 @@ ends = { signal = "M2.Value", max = 1.0 }
     assert rig.status(0) & 0x42 == 0x40
     rig.gateway.stop(rig.now)
     assert rig.gateway.memory.cycle_number("driving") == 3
-    assert not any(c.open for c in rig.gateway.store.cycles().values()), (
-        "the gateway's end ends all"
-    )
+    assert not any(c.open for c in rig.gateway.store.cycles().values()), "the gateway's end ends all"
 
 
 DRIVING = """
@@ -339,15 +337,11 @@ def test_a_catalogue_in_a_file_of_its_own(tmp_path):
     text = (tmp_path / "rig.toml").read_text()
     with pytest.raises(GatewayError, match="no monitor reports this fault"):
         Rig(tmp_path / "rig.toml")
-    (tmp_path / "rig.toml").write_text(
-        text.replace('message = "M0"\n', 'message = "M0"\ntimeout_ms = 9.0\n')
-    )
+    (tmp_path / "rig.toml").write_text(text.replace('message = "M0"\n', 'message = "M0"\ntimeout_ms = 9.0\n'))
     config = load_config(tmp_path / "rig.toml")
     assert config.fault["b.M0.timeout"].dtc == "U0100-00"
     (tmp_path / "faults.toml").write_text('[fault."b.M0.length"]\ndtc = "U0100-00"\n')
-    with pytest.raises(
-        GatewayError, match=r'faults\.toml: fault\."b\.M0\.length": this fault is set elsewhere'
-    ):
+    with pytest.raises(GatewayError, match=r'faults\.toml: fault\."b\.M0\.length": this fault is set elsewhere'):
         load_config(tmp_path / "rig.toml")
     (tmp_path / "faults.toml").write_text('[fault."b.M0.timeout"]\ndtc = "Q0100"\n')
     with pytest.raises(GatewayError, match=r"faults\.toml.*dtc"):

@@ -64,10 +64,7 @@ def replayed(config, batches):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=CHAIN if name == "crank_missed_tooth" else pytest.mark.long)
-        for name in SCENARIOS
-    ],
+    [pytest.param(name, marks=CHAIN if name == "crank_missed_tooth" else pytest.mark.long) for name in SCENARIOS],
 )
 def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_path):
     """Event for event, time stamp for time stamp, whatever the chunks of the replay."""
@@ -175,9 +172,7 @@ def test_a_hundred_thousand_random_frames(config):
         gateway.feed(part)
     counters = gateway.engine.counters()
     assert counters["frames"] == 100_000
-    told = sum(
-        counters[k] for k in ("unknown", "remote", "error", "too_short", "crc_failed", "repeated")
-    )
+    told = sum(counters[k] for k in ("unknown", "remote", "error", "too_short", "crc_failed", "repeated"))
     assert told + counters["decoded"] == 100_000
     assert counters["decoded"] > 100
     assert counters["events_lost"] == counters["results_lost"] == 0

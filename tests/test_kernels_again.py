@@ -10,7 +10,12 @@ import pytest
 TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
-ENGINE = ("engine", "bus/test_adapters.py", "signals/test_random_databases.py", "signals/test_crc_and_codec.py")  # fmt: skip
+ENGINE = (
+    "engine",
+    "bus/test_adapters.py",
+    "signals/test_random_databases.py",
+    "signals/test_crc_and_codec.py",
+)
 MONITORS = ("monitors", "--ignore=monitors/crank")
 
 # Whether something hangs is seen by the limit of each test inside.

@@ -14,12 +14,8 @@ from gateway.common.resources import shipped
 from gateway.vecu.pedal.strokes import driving
 
 CONFIG = shipped("configs/pedal_comma.toml")
-MESSAGE = cantools.database.load_file(shipped("dbc/pedal_comma.dbc")).get_message_by_name(
-    "GAS_SENSOR"
-)
-VOTED = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name(
-    "GW_AcceleratorPedal"
-)
+MESSAGE = cantools.database.load_file(shipped("dbc/pedal_comma.dbc")).get_message_by_name("GAS_SENSOR")
+VOTED = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name("GW_AcceleratorPedal")
 
 
 def log_of(path, change=lambda k, a, b: (a, b), seconds=40.0, seed=6):

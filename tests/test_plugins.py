@@ -1,4 +1,6 @@
-"""A stranger's packages: found by entry point or by place, from folders of their own, with the installed gateway only."""
+"""A stranger's packages: found by entry point or by place, from folders of their own, with the installed
+gateway only.
+"""
 
 import json
 import os
@@ -13,14 +15,12 @@ from gateway.common.resources import shipped
 
 EXAMPLES = sorted(path for path in shipped("examples").iterdir() if path.is_dir())
 GATEWAY = [str(Path(sys.executable).parent / "gateway")]
-COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0] = 'gateway'; sys.exit(main())"]  # fmt: skip
+COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0]='gateway'; sys.exit(main())"]
 
 
 def run(*arguments, cwd, path=None, **environment):
     """Run the gateway as a stranger does; returns what ended."""
-    kept = {
-        k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "COVERAGE_PROCESS_START")
-    }
+    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "COVERAGE_PROCESS_START")}
     if path is not None:
         kept["PYTHONPATH"] = str(path)
     return subprocess.run(
@@ -108,9 +108,7 @@ def test_an_entry_point_of_another_package_is_a_type_like_ours(tmp_path):
     made = run("demo", "drained.toml", "--speed", "0", cwd=folder, path=site)
     assert made.returncode == 0, made.stdout + made.stderr
     schema = json.loads(run("check", "--schema", cwd=folder, path=site).stdout)
-    types = [
-        case["properties"]["type"]["const"] for case in schema["$defs"]["MonitorConfig"]["anyOf"]
-    ]
+    types = [case["properties"]["type"]["const"] for case in schema["$defs"]["MonitorConfig"]["anyOf"]]
     assert "my_battery" in types
     assert "crank_sync" in types
     known = json.loads(run("doctor", "--json", cwd=folder, path=site).stdout)["plugins"]
@@ -134,9 +132,7 @@ def test_a_broken_one_is_one_clear_line_and_the_rest_runs(tmp_path, case):
     site = package(tmp_path, "mine", points, battery_of_mine=text)
     made = run("demo", "drained.toml", "--speed", "0", cwd=folder, path=site)
     assert made.returncode == 0, "who does not name it is not concerned"
-    (line,) = [
-        line for line in run("doctor", cwd=folder, path=site).stdout.splitlines() if "my_b" in line
-    ]
+    (line,) = [line for line in run("doctor", cwd=folder, path=site).stdout.splitlines() if "my_b" in line]
     assert told in line
     assert run("check", "--schema", cwd=folder, path=site).returncode == 0
     (folder / "gateway.toml").write_text(
@@ -151,23 +147,16 @@ def test_a_broken_one_is_one_clear_line_and_the_rest_runs(tmp_path, case):
 
 def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path):
     folder = copy("battery_voltage", tmp_path)
-    points = (
-        "[gateway.monitors]\ncrank_sync = battery_of_mine:MONITOR\nboth = battery_of_mine:MONITOR\n"
-    )
+    points = "[gateway.monitors]\ncrank_sync = battery_of_mine:MONITOR\nboth = battery_of_mine:MONITOR\n"
     package(tmp_path, "mine", points, battery_of_mine=battery())
-    site = package(
-        tmp_path, "theirs", "[gateway.monitors]\nboth = other:MONITOR\n", other=battery()
-    )
+    site = package(tmp_path, "theirs", "[gateway.monitors]\nboth = other:MONITOR\n", other=battery())
     told = "from gateway.monitors.registry import MONITORS; print(MONITORS['crank_sync'].type); MONITORS['both']"
     made = subprocess.run(
         [sys.executable, "-c", told], cwd=folder, env={**os.environ, "PYTHONPATH": str(site)},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert made.stdout == "crank_sync\n"
-    assert (
-        "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR"
-        in made.stderr
-    )
+    assert "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR" in made.stderr
 
 
 def test_a_misspelt_field_is_one_line_compiled_or_not(tmp_path):

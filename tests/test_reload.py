@@ -80,9 +80,7 @@ def test_what_changed_starts_anew_and_the_rest_goes_on():
 
     def with_other_wheel(config):
         (monitor,) = config.monitor
-        return config.model_copy(
-            update={"monitor": (monitor.model_copy(update={"name": "other"}),), "fault": {}}
-        )
+        return config.model_copy(update={"monitor": (monitor.model_copy(update={"name": "other"}),), "fault": {}})
 
     cut = len(frames) // 2
     _, _, last = play(config, frames, [cut], with_other_wheel)

@@ -92,9 +92,7 @@ def test_help_imports_no_work():
 
 
 def test_the_module_runs_the_command_line_and_types_are_shipped():
-    said = subprocess.run(
-        [sys.executable, "-m", "gateway", "--help"], capture_output=True, text=True, check=False
-    )
+    said = subprocess.run([sys.executable, "-m", "gateway", "--help"], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
     assert "faults" in said.stdout
     assert (Path(gateway.__file__).parent / "py.typed").exists()
@@ -104,9 +102,7 @@ def test_the_module_runs_the_command_line_and_types_are_shipped():
 def test_help_of_a_group_imports_no_work(group):
     said, modules = command(group, "--help")
     assert "Commands" in said
-    assert not loaded(
-        modules, ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config")
-    )
+    assert not loaded(modules, ("numpy", "numba", "cantools", "gateway.runtime.app", "gateway.config"))
 
 
 def test_check_imports_what_the_configuration_names():
@@ -316,9 +312,7 @@ def test_the_package_offers_the_extras_that_are_named_to_people():
 
 def test_variables_that_are_no_keys_of_the_configuration_load_nothing():
     code = "import sys; from gateway.config.load import load_config; from pathlib import Path\n"
-    code += (
-        "c = load_config(Path('gateway.toml')); print(c.name, 'pydantic_settings' in sys.modules)"
-    )
+    code += "c = load_config(Path('gateway.toml')); print(c.name, 'pydantic_settings' in sys.modules)"
     assert run(code, GATEWAY_CACHE_DIR_="x").stdout.split() == ["bench", "False"]
     assert run(code, gateway_name="other").stdout.split() == ["other", "True"]
 

@@ -77,9 +77,7 @@ def test_a_fault_met_by_a_full_disk_is_told_and_stored_when_there_is_room(make, 
     assert int(rig.gateway.memory.status(NOT_WRITTEN)) == 0, "tested, and good"
     disk["broken"] = True
     rig.fail(0)
-    assert told(rig)[-2:] == [("U3000-44", True), ("P1000-11", True)], (
-        "how far it can be trusted first"
-    )
+    assert told(rig)[-2:] == [("U3000-44", True), ("P1000-11", True)], "how far it can be trusted first"
     dtcs = {e["fault"]: e for e in of(rig, "dtc")}
     assert dtcs["b.M0.length"]["stored"] is False
     (event,) = of(rig, "memory")
@@ -121,8 +119,8 @@ def test_events_are_told_after_they_are_stored(make):
 
 def test_testers_are_not_told_that_something_was_stored_or_cleared_that_was_not(make, disk):
     rig = make(
-        extra=FRAMES
-        + '[output.uds]\n[output.obd]\n[output.j1939]\naddress = 0x80\n[[did]]\nid = 0xF190\nname = "vin"\ntext = "ABC"\nwritable = true\n'
+        extra=FRAMES + "[output.uds]\n[output.obd]\n[output.j1939]\naddress = 0x80\n[[did]]\nid = 0xF190\n"
+        'name = "vin"\ntext = "ABC"\nwritable = true\n'
     )
     tester = Tester(rig)
 
@@ -160,9 +158,7 @@ def test_a_deleted_file_is_noticed_without_any_change(make):
     assert set(stored(rig)) == {"b.M0.length", DAMAGED}
     assert [e["state"] for e in of(rig, "memory")] == ["deleted"]
     assert ("U3000-42", True) in told(rig)
-    assert stored(rig)["b.M0.length"]["description"], (
-        "what faults are called is in the new file too"
-    )
+    assert stored(rig)["b.M0.length"]["description"], "what faults are called is in the new file too"
 
 
 def test_a_damaged_file_is_put_aside_recovered_and_told(make, tmp_path):

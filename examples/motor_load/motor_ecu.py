@@ -21,9 +21,7 @@ class Params(EcuParams):
     """Keys of the table ``[[ecu]]``."""
 
     name: str = "motor"
-    asked: float = Field(
-        200.0, description="speed that its controller holds, rising and falling [rad/s]"
-    )
+    asked: float = Field(200.0, description="speed that its controller holds, rising and falling [rad/s]")
     load: float = Field(0.1, description="torque [N m]")
     noise: float = Field(1.0, ge=0, description="of the speed sensor, standard deviation [rad/s]")
 
@@ -59,9 +57,7 @@ def frames(params: Params, faults: Sequence[Fault], run: Run) -> tuple[Frames, l
         for _ in range(FINE):
             torque = CONSTANT * current - FRICTION * speed - load * np.sign(speed or 1.0)
             speed += PERIOD_S / FINE * torque / INERTIA
-    truth = [
-        Truth(round(f.from_s * 1e9), f.kind, round((f.to_s - f.from_s) / PERIOD_S)) for f in faults
-    ]
+    truth = [Truth(round(f.from_s * 1e9), f.kind, round((f.to_s - f.from_s) / PERIOD_S)) for f in faults]
     return made, truth
 
 

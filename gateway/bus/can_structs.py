@@ -210,9 +210,7 @@ class RawReceiver:
         self._headers = self._messages.ctypes.data
         self._into = 0
         # Compiled before traffic, and for one kind of batch.
-        self._settle = bound(
-            settle, self._messages, self._control, self._gaps, rest=(empty(1), 0, 0, 0, 0)
-        )
+        self._settle = bound(settle, self._messages, self._control, self._gaps, rest=(empty(1), 0, 0, 0, 0))
         for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
             try:
                 sock.setsockopt(_SOL_SOCKET, option, 1)
@@ -235,9 +233,7 @@ class RawReceiver:
         if address != self._into:
             self._vectors["base"] = address + self._steps
             self._into = address
-        count = _libc.recvmmsg(
-            self._sock.fileno(), ctypes.c_void_p(self._headers), most, socket.MSG_DONTWAIT, None
-        )
+        count = _libc.recvmmsg(self._sock.fileno(), ctypes.c_void_p(self._headers), most, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             error = OSError(code, os.strerror(code))

@@ -193,8 +193,7 @@ class CandumpWriter:
     def write(self, frames: Frames) -> None:
         """Append a batch."""
         lines = [
-            format_frame(frame, self._interfaces.get(int(frame["bus"]), f"can{int(frame['bus'])}"))
-            for frame in frames
+            format_frame(frame, self._interfaces.get(int(frame["bus"]), f"can{int(frame['bus'])}")) for frame in frames
         ]
         if lines:
             self._file.write(("\n".join(lines) + "\n").encode("ascii"))

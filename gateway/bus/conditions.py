@@ -6,8 +6,8 @@ gateway makes error frames of **no class**, which the kernel never sends. They t
 recordings too, so that a replay judges the bus as the live run did.
 
 Data of a frame without class: byte 0 the condition, bytes 4 to 7 the number of frames lost (little endian). STEPPED is
-of the wall clock that stamps the frames rather than of a bus: bytes 1 to 7 are its step in microseconds, signed. Its own
-stamp, and those of all frames after it, are of the clock after the step.
+of the wall clock that stamps the frames rather than of a bus: bytes 1 to 7 are its step in microseconds, signed. Its
+own stamp, and those of all frames after it, are of the clock after the step.
 """
 
 from __future__ import annotations

@@ -53,10 +53,7 @@ class Contents:
             "state": self.state,
             "frames": self.frames,
             "left_out": self.left_out,
-            "channels": {
-                name: {"bus": self.bus_of[name], "frames": count}
-                for name, count in self.channels.items()
-            },
+            "channels": {name: {"bus": self.bus_of[name], "frames": count} for name, count in self.channels.items()},
             "notes": self.notes,
             "reasons": [str(error) for error in self.wrong],
         }

@@ -195,9 +195,7 @@ class Records:
             whole = f": {size} bytes of {reader.file_size}" if missing > 0 else ""
             return CutOffError(f"cut off after frame {frames}{whole}", file=path)
         if frames and not reader.object_count and reader.file_size <= _BLF_FILE_HEADER:
-            return CutOffError(
-                f"cut off after frame {frames}: its recorder did not finish the file", file=path
-            )
+            return CutOffError(f"cut off after frame {frames}: its recorder did not finish the file", file=path)
         return None
 
 

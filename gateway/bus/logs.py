@@ -85,9 +85,7 @@ class LogReader:
         problems: damage that did not end reading; none in a single file.
     """
 
-    def __init__(
-        self, path: Path, *, chunk: int = 100_000, channels: Mapping[str, int] | None = None
-    ) -> None:
+    def __init__(self, path: Path, *, chunk: int = 100_000, channels: Mapping[str, int] | None = None) -> None:
         self._suffix = _checked_suffix(path, read=True)
         self.path = path
         self._chunk = chunk
@@ -106,11 +104,7 @@ class LogReader:
     def __iter__(self) -> Iterator[Frames]:
         with ExitStack() as stack:
             stream, raw = open_log(self.path, stack)
-            yield from (
-                self._candump(stream, raw)
-                if self._suffix == ".log"
-                else self._python_can(stream, raw)
-            )
+            yield from (self._candump(stream, raw) if self._suffix == ".log" else self._python_can(stream, raw))
         self.bytes_done = self.bytes_total
 
     def _candump(self, stream: BinaryIO, raw: BinaryIO) -> Iterator[Frames]:
@@ -213,9 +207,7 @@ class LogReader:
             if not cut:
                 raise
             text = " ".join(str(error).split()) or type(error).__name__
-            raise CutOffError(
-                f"cut off after frame {self.seen.total()}: {text}", file=self.path
-            ) from None
+            raise CutOffError(f"cut off after frame {self.seen.total()}: {text}", file=self.path) from None
         if cut:
             raise CutOffError(f"cut off after frame {self.seen.total()}", file=self.path)
 
@@ -246,9 +238,7 @@ class LogReader:
             raise CutOffError(text, file=self.path)
 
 
-def read_log(
-    path: Path, *, chunk: int = 100_000, channels: Mapping[str, int] | None = None
-) -> LogReader:
+def read_log(path: Path, *, chunk: int = 100_000, channels: Mapping[str, int] | None = None) -> LogReader:
     """Open a log for reading (see :class:`LogReader`).
 
     Raises:
@@ -292,9 +282,7 @@ class LogWriter:
         suffix = _checked_suffix(path, read=False)
         try:
             self._sink: _Sink = (
-                CandumpWriter(path.open("wb"), interfaces)
-                if suffix == ".log"
-                else _PythonCanWriter(path)
+                CandumpWriter(path.open("wb"), interfaces) if suffix == ".log" else _PythonCanWriter(path)
             )
         except OSError as error:
             raise InputError(error.strerror or str(error), file=path) from error

@@ -118,9 +118,7 @@ class LoopbackBus(Bus):
     def send(self, frames: Frames) -> int:
         """Send frames to all others on the bus; waits a while until the hub takes them."""
         data = b"".join(
-            extended_frame(
-                (0, int(frame["can_id"]), int(frame["flags"]), payload(frame)), stamped=False
-            )
+            extended_frame((0, int(frame["can_id"]), int(frame["flags"]), payload(frame)), stamped=False)
             for frame in frames
         )
         limit = time.monotonic() + SEND_PATIENCE_S

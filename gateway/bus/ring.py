@@ -34,15 +34,9 @@ class RingParams(StrictModel):
     """An always-on recording of all frames."""
 
     folder: Path = Field(description="where the segments are; relative to the work folder")
-    keep_mb: float = Field(
-        256.0, gt=0, le=1e7, allow_inf_nan=False, description="size of all segments [MB]"
-    )
-    segment_mb: float = Field(
-        16.0, gt=0, le=1e5, allow_inf_nan=False, description="size of a segment [MB]"
-    )
-    segment_s: float = Field(
-        600.0, gt=0, le=1e6, allow_inf_nan=False, description="longest time of a segment [s]"
-    )
+    keep_mb: float = Field(256.0, gt=0, le=1e7, allow_inf_nan=False, description="size of all segments [MB]")
+    segment_mb: float = Field(16.0, gt=0, le=1e5, allow_inf_nan=False, description="size of a segment [MB]")
+    segment_s: float = Field(600.0, gt=0, le=1e6, allow_inf_nan=False, description="longest time of a segment [s]")
     format: Literal["log", "blf"] = Field(
         "log", description="log: candump, nothing lost at kill -9; blf: a third of the size"
     )
@@ -156,9 +150,7 @@ class Ring:
             params.folder.mkdir(parents=True, exist_ok=True)
             old = [path for path in params.folder.iterdir() if _NAME.match(path.name)]
         except OSError as error:
-            raise InputError(
-                f"not usable for recordings: {error.strerror}", file=params.folder
-            ) from error
+            raise InputError(f"not usable for recordings: {error.strerror}", file=params.folder) from error
         self._next = max(map(_number, old), default=0) + 1
 
     def write(self, frames: Frames) -> None:

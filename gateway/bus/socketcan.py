@@ -45,16 +45,12 @@ class SocketCanBus(Bus):
         BusError: there is no such interface, or it is down.
     """
 
-    def __init__(
-        self, uri: str, index: int, interface: str, *, fd: bool = True, rcvbuf: int = RCVBUF
-    ) -> None:
+    def __init__(self, uri: str, index: int, interface: str, *, fd: bool = True, rcvbuf: int = RCVBUF) -> None:
         super().__init__(uri, index)
         self._gone: str | None = None  # why nothing will come any more
         family = getattr(socket, "AF_CAN", None)
         if family is None:
-            raise UnsupportedError(
-                f"{uri}: this system has no SocketCAN: use loopback: or virtual:"
-            )
+            raise UnsupportedError(f"{uri}: this system has no SocketCAN: use loopback: or virtual:")
         try:
             self._socket = socket.socket(family, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:

@@ -75,9 +75,7 @@ def parse_extended(words: list[str]) -> Parts:
 
 
 def _checked(can_id: int) -> int:
-    if not 0 <= can_id <= 0xFFFFFFFF or (
-        not can_id & (EXTENDED | ERROR) and can_id & ID_MASK > 0x7FF
-    ):
+    if not 0 <= can_id <= 0xFFFFFFFF or (not can_id & (EXTENDED | ERROR) and can_id & ID_MASK > 0x7FF):
         raise ValueError("identifier")
     return can_id & _KNOWN_BITS
 

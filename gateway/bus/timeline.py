@@ -35,7 +35,8 @@ def spans(frames: Frames, offset_ns: int) -> Iterator[tuple[Frames, int]]:
     Yields:
         frames and their offset [ns]; a frame that tells a step is the first of its part.
     """
-    # A small batch, as a live bus brings, is told by its identifiers: NumPy takes longer to begin than it to be looked through.
+    # A small batch, as a live bus brings, is told by its identifiers: NumPy takes longer to begin than it to be looked
+    # through.
     if len(frames) <= FEW and ERROR not in frames["can_id"].tolist():
         if len(frames):
             yield frames, offset_ns
@@ -71,9 +72,7 @@ class LogTime:
     """
 
     def __init__(self) -> None:
-        self._offsets: dict[
-            int, int
-        ] = {}  # by bus: a step may reach one bus's frames before another's
+        self._offsets: dict[int, int] = {}  # by bus: a step may reach one bus's frames before another's
         self._latest: dict[int, int] = {}
         self._now_ns = 0
         self._told_ns = 0  # offset that frames in the log, or ours, have told

@@ -39,9 +39,7 @@ def loopback_address(text: str) -> tuple[str, int]:
     except ValueError:
         local = False
     if not local:
-        raise InputError(
-            "the bus between processes stays on this machine: 127.0.0.1 or ::1", value=host
-        )
+        raise InputError("the bus between processes stays on this machine: 127.0.0.1 or ::1", value=host)
     return ("127.0.0.1" if host == "localhost" else host), port
 
 
@@ -93,9 +91,7 @@ def parse_uri(uri: str) -> BusUri:
     if scheme == "socketcan":
         unknown = set(options) - {"fd", "rcvbuf"}
         if unknown:
-            raise InputError(
-                "socketcan takes fd=true and rcvbuf=bytes", key="uri", value=", ".join(unknown)
-            )
+            raise InputError("socketcan takes fd=true and rcvbuf=bytes", key="uri", value=", ".join(unknown))
         rcvbuf = options.setdefault("rcvbuf", RCVBUF)
         if not isinstance(rcvbuf, int) or isinstance(rcvbuf, bool) or rcvbuf <= 0:
             raise InputError("rcvbuf is a number of bytes", key="uri", value=rcvbuf)
@@ -149,9 +145,7 @@ def _python_can_bus(uri: str, index: int, found: BusUri) -> Bus:
     try:
         opened = can.Bus(channel=place, interface=found.scheme, **options)  # type: ignore[arg-type]
     except (can.CanInterfaceNotImplementedError, ImportError) as error:
-        raise UnsupportedError(
-            f"{uri}: this machine has no library for {found.scheme}: {error}"
-        ) from error
+        raise UnsupportedError(f"{uri}: this machine has no library for {found.scheme}: {error}") from error
     except (TypeError, ValueError) as error:
         raise InputError(f"{found.scheme}: {error}", key="uri", value=uri) from error
     except Exception as error:  # each interface of python-can raises its own

@@ -151,7 +151,7 @@ def _rows(
 
 
 def _typical(chosen: Chosen[CusumCalibration], states: list[Any]) -> dict[str, float]:
-    """Return nu of each residual: the largest of its quantities', that of the parameters where there are too few samples."""
+    """Return nu of each residual: the largest of its quantities', or the parameters' where samples are too few."""
     calibration, now = chosen.calibration, cast(Any, chosen.params)
     keys = ("samples", "total", "squares")
     sums = np.sum([[calibration.sums(s)[key] for key in keys] for s in states], axis=0)

@@ -68,9 +68,7 @@ def digest(logs: Iterable[Path]) -> str:
     return total.hexdigest()[:12]
 
 
-def batches(
-    config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()
-) -> Iterator[Frames]:
+def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:
     """Yield a log's frames in even time, batch by batch, without empty ones.
 
     Raises:

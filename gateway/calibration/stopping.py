@@ -2,8 +2,8 @@
 
 Each stopping rule keeps the largest level it has seen. Read once a second of recorded time, these maxima tell for any
 threshold how many alarms there would have been: seconds beyond it that follow each other are one. If the logs are
-longer than the target, the threshold is where the alarms are as rare as asked for. If they are not, the maxima's tail is
-continued as an exponential (mean excess over the 90 % quantile), and the result says by how much the target lies
+longer than the target, the threshold is where the alarms are as rare as asked for. If they are not, the maxima's tail
+is continued as an exponential (mean excess over the 90 % quantile), and the result says by how much the target lies
 beyond the data. What the data assure, with 95 %, is chi-square: T / 3.0 without an alarm in the time T.
 """
 
@@ -135,10 +135,7 @@ def levels(
     for path in logs:
         gateway = Gateway(config, None, file=file)
         watch(gateway, failed)
-        rules = [
-            (each.name, each.calibration.rules(gateway.engine.state_of(each.place)[0]))
-            for each in chosen
-        ]
+        rules = [(each.name, each.calibration.rules(gateway.engine.state_of(each.place)[0])) for each in chosen]
         begun = 0
         end_ns = 0
         try:

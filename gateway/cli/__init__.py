@@ -33,28 +33,18 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-faults_app = typer.Typer(
-    help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None
-)
-convert_app = typer.Typer(
-    help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None
-)
+faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
+convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
 
-Json = Annotated[
-    bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")
-]
-JsonEvents = Annotated[
-    bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")
-]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")]
+JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")]
 FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with 1 if a DTC was set.")]
 ConfigArgument = Annotated[
     Path | None, typer.Argument(help="Configuration; default: gateway.toml here, else the shipped.")
 ]
-MemoryOption = Annotated[
-    Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")
-]
+MemoryOption = Annotated[Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")]
 Maps = Annotated[
     list[str] | None,
     typer.Option(
@@ -64,9 +54,7 @@ Maps = Annotated[
     ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
-ScenarioArgument = Annotated[
-    Path, typer.Argument(help="Scenario file, or the name of a shipped one.")
-]
+ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
 
 
 def _version(wanted: bool) -> None:
@@ -82,9 +70,7 @@ def _main(
     ] = False,
     debug: Annotated[
         bool,
-        typer.Option(
-            "--debug", help="Show the traceback of an error of the gateway; or GATEWAY_DEBUG=1."
-        ),
+        typer.Option("--debug", help="Show the traceback of an error of the gateway; or GATEWAY_DEBUG=1."),
     ] = False,
 ) -> None:
     from gateway.cli.progress import tell_of_kernels
@@ -98,9 +84,7 @@ def _main(
 @app.command()
 def demo(
     scenario: ScenarioArgument = Path("crank_missed_tooth"),
-    speed: Annotated[
-        float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")
-    ] = 2.0,
+    speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")] = 2.0,
     seed: Seed = None,
     json: JsonEvents = False,
 ) -> None:
@@ -113,16 +97,10 @@ def demo(
 @app.command()
 def run(
     config: ConfigArgument = None,
-    bus: Annotated[
-        str | None, typer.Option(help="URI instead of the configured one (one bus only).")
-    ] = None,
+    bus: Annotated[str | None, typer.Option(help="URI instead of the configured one (one bus only).")] = None,
     memory: MemoryOption = None,
-    record: Annotated[
-        Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0, help="End after so many seconds.")
-    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")] = None,
+    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -152,12 +130,8 @@ def simulate(
             "with a gateway of its own, in this process, as fast as it goes."
         ),
     ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Exit with 1 unless the expected DTCs come.")
-    ] = False,
-    wait: Annotated[
-        float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")
-    ] = 60.0,
+    check: Annotated[bool, typer.Option("--check", help="Exit with 1 unless the expected DTCs come.")] = False,
+    wait: Annotated[float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")] = 60.0,
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
     json: JsonEvents = False,
@@ -165,20 +139,14 @@ def simulate(
     """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
-    raise typer.Exit(
-        work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json)
-    )
+    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json))
 
 
 @app.command()
 def structure(
-    model: Annotated[
-        Path, typer.Argument(help="Structural model, or the name of a shipped one: truck.")
-    ],
+    model: Annotated[Path, typer.Argument(help="Structural model, or the name of a shipped one: truck.")],
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")] = None,
     limit: Annotated[int, typer.Option(min=1, help="Stop at more MSO sets than this.")] = 1_000_000,
     residual: Annotated[
         str | None,
@@ -186,35 +154,23 @@ def structure(
     ] = None,
     sensors: Annotated[
         str | None,
-        typer.Option(
-            help="Which of these unknowns to measure (a,b,c or all) so that faults are found."
-        ),
+        typer.Option(help="Which of these unknowns to measure (a,b,c or all) so that faults are found."),
     ] = None,
 ) -> None:
     """Find which residual generators a model has, and what they tell."""
     from gateway.cli.structure import structure as work
 
-    raise typer.Exit(
-        work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors)
-    )
+    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors))
 
 
 @app.command()
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration.")],
     logs: Annotated[list[Path], typer.Argument(help="Logs of healthy drives.")],
-    mtfa: Annotated[
-        float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")
-    ] = 3600.0,
-    margin: Annotated[
-        float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")
-    ] = 0.5,
-    floor: Annotated[
-        float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")
-    ] = 25.0,
-    into: Annotated[
-        bool, typer.Option("--write", help="Put the thresholds into the configuration.")
-    ] = False,
+    mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
+    margin: Annotated[float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")] = 0.5,
+    floor: Annotated[float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")] = 25.0,
+    into: Annotated[bool, typer.Option("--write", help="Put the thresholds into the configuration.")] = False,
     maps: Maps = None,
     json: Json = False,
 ) -> None:
@@ -241,9 +197,7 @@ def calibrate(
 @app.command()
 def bus(
     address: Annotated[str, typer.Argument(help="Loopback address and port.")] = "127.0.0.1:29536",
-    duration: Annotated[
-        float | None, typer.Option(min=0, help="End after so many seconds.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
     json: JsonEvents = False,
 ) -> None:
     """Run a CAN bus between processes, where the kernel has none.
@@ -258,18 +212,12 @@ def bus(
 @app.command()
 def record(
     buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv.")
-    ] = None,
-    ring: Annotated[
-        Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv.")] = None,
+    ring: Annotated[Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")] = None,
     keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments [MB].")] = 256.0,
     segment_mb: Annotated[float, typer.Option(help="With --ring: size of a segment [MB].")] = 16.0,
     form: Annotated[str, typer.Option("--format", help="With --ring: log or blf.")] = "log",
-    duration: Annotated[
-        float | None, typer.Option(min=0, help="End after so many seconds.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
     json: JsonEvents = False,
 ) -> None:
     """Record buses without monitoring them.
@@ -303,24 +251,18 @@ def replay(
     ],
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."
-        ),
+        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
     ] = None,
     maps: Maps = None,
     memory: MemoryOption = None,
     allow_empty: Annotated[
         bool,
-        typer.Option(
-            "--allow-empty", help="A log without a frame of a configured bus is no error."
-        ),
+        typer.Option("--allow-empty", help="A log without a frame of a configured bus is no error."),
     ] = False,
     allow_cut: Annotated[
         bool, typer.Option("--allow-cut", help="A log that is cut off at its end is no error.")
     ] = False,
-    only: Annotated[
-        str | None, typer.Option("--only", metavar="MONITOR", help="This monitor alone, by name.")
-    ] = None,
+    only: Annotated[str | None, typer.Option("--only", metavar="MONITOR", help="This monitor alone, by name.")] = None,
     trace: Annotated[
         bool,
         typer.Option("--trace", help="With --only: print inputs, state and results of each step."),
@@ -354,9 +296,7 @@ def replay(
 @app.command()
 def check(
     config: ConfigArgument = None,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON Schema of the configuration.")
-    ] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of the configuration.")] = False,
     json: Json = False,
 ) -> None:
     """Check a configuration; say all that is wrong at once."""
@@ -368,9 +308,7 @@ def check(
 @app.command("new-monitor")
 def new_monitor(
     name: Annotated[str, typer.Argument(help="A name for a module of Python, e.g. coolant.")],
-    folder: Annotated[
-        Path | None, typer.Option("--folder", help="Where to write it.  [default: NAME]")
-    ] = None,
+    folder: Annotated[Path | None, typer.Option("--folder", help="Where to write it.  [default: NAME]")] = None,
 ) -> None:
     """Write a folder with a monitor of your own.
 
@@ -405,9 +343,7 @@ def doctor(
 
 
 @faults_app.command("list")
-def faults_list(
-    memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False
-) -> None:
+def faults_list(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List the DTCs of a fault memory."""
     from gateway.cli.faults import list_faults as work
 
@@ -441,9 +377,7 @@ def faults_clear(
 
 
 @faults_app.command("near-misses")
-def faults_near_misses(
-    memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False
-) -> None:
+def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List how often faults came near a failure, and how near."""
     from gateway.cli.faults import near_misses as work
 
@@ -482,12 +416,8 @@ def faults_export(
 def convert_teeth(
     capture: Annotated[Path, typer.Argument(help="Logic-analyser CSV: time [s], level[, ...].")],
     log: Annotated[Path, typer.Argument(help="CAN log to write, e.g. engine.log.")],
-    channel: Annotated[
-        str, typer.Option(help="Channel: number from 0, or its name in the header.")
-    ] = "0",
-    edge: Annotated[str, typer.Option(help="Edge that a tooth makes: rising or falling.")] = (
-        "falling"
-    ),
+    channel: Annotated[str, typer.Option(help="Channel: number from 0, or its name in the header.")] = "0",
+    edge: Annotated[str, typer.Option(help="Edge that a tooth makes: rising or falling.")] = ("falling"),
     frame: Annotated[str, typer.Option(help="classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
     json: Json = False,
 ) -> None:

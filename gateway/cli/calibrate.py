@@ -166,9 +166,7 @@ def _learn(asked: _Asked) -> _Learned:
             bar.advance(task, count)
 
         if rules:
-            levels = stopping.levels(
-                config, asked.logs, file=asked.config, maps=asked.maps, progress=progress
-            )
+            levels = stopping.levels(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
         if tests:
             found = cusum.learn(
                 config,
@@ -216,9 +214,7 @@ def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
         console.print(_table(learned.proposals))
         lines = _claim(learned.levels.seconds, asked.mtfa) + lines
         if any(p.beyond > 1.0 for p in learned.proposals):
-            lines.append(
-                "* extrapolated: this symptom's share of the target is longer than the logs"
-            )
+            lines.append("* extrapolated: this symptom's share of the target is longer than the logs")
     if learned.tests:
         console.print(_cusum_table(learned.tests.rows))
         lines = _cusum_claim(learned.tests, asked.margin, asked.floor) + lines

@@ -43,9 +43,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             }
         )
         return 2
-    faults = [
-        {"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue
-    ]
+    faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     gateway.close()
     warnings = [
         f"{entry.name}: {text}"

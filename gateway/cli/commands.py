@@ -14,9 +14,7 @@ from gateway.common.plugins import Registry
 from gateway.errors import InputError
 
 #: Commands that packages of this project bring -> how to get them.
-ELSEWHERE = {
-    "evaluate": "the studies are a package of their own; in a checkout: pip install ./studies"
-}
+ELSEWHERE = {"evaluate": "the studies are a package of their own; in a checkout: pip install ./studies"}
 
 
 def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
@@ -25,9 +23,7 @@ def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
     return found
 
 
-_OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry(
-    "gateway.commands", _accepted, own={}
-)
+_OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands", _accepted, own={})
 
 
 def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:

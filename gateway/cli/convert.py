@@ -11,9 +11,7 @@ from gateway.vecu.crank.capture import read_capture
 from gateway.vecu.crank.tooth_frames import Format, tooth_frames
 
 
-def convert_teeth(
-    capture: Path, log: Path, *, channel: str, edge: str, frame: str, json: bool
-) -> int:
+def convert_teeth(capture: Path, log: Path, *, channel: str, edge: str, frame: str, json: bool) -> int:
     """Convert a crank sensor's capture; returns the exit code."""
     if edge not in ("rising", "falling"):
         raise InputError("the edges are rising and falling", key="--edge", value=edge)
@@ -28,8 +26,5 @@ def convert_teeth(
     if json:
         print_json(facts)
     else:
-        print(
-            f"{capture}: {teeth.edges} {edge} edges in {teeth.duration_s:.3f} s"
-            f" -> {log}: {len(frames)} frames"
-        )
+        print(f"{capture}: {teeth.edges} {edge} edges in {teeth.duration_s:.3f} s -> {log}: {len(frames)} frames")
     return 0

@@ -25,9 +25,7 @@ _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
 
 def _extras() -> dict[str, str | None]:
     """Return the version of each extra's package; None where it is not installed."""
-    return {
-        extra: version(package) if installed(extra) else None for extra, package in EXTRAS.items()
-    }
+    return {extra: version(package) if installed(extra) else None for extra, package in EXTRAS.items()}
 
 
 def no_socketcan() -> str:
@@ -75,19 +73,14 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
     if not daemon["stored"]:
         print("  it cannot write its fault memory: free the disk, or see its log for the reason")
     for bus in daemon["buses"]:
-        print(
-            f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received,"
-            f" {bus['sent']} sent"
-        )
+        print(f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received, {bus['sent']} sent")
         if bus["overflow"]:
             print(
                 f"    {bus['overflow']} frames lost before they were read: give it a larger buffer"
                 " (?rcvbuf=bytes in the URI, sysctl net.core.rmem_max), or less to do"
             )
         if bus["unsent"] or bus["refused"]:
-            print(
-                f"    {bus['unsent']} frames never sent, {bus['refused']} that the bus cannot carry"
-            )
+            print(f"    {bus['unsent']} frames never sent, {bus['refused']} that the bus cannot carry")
         if bus["losses"]:
             print(f"    lost {bus['losses']} times {bus['reason']}".rstrip())
 
@@ -109,7 +102,9 @@ def _kernels() -> dict[str, Any]:
 def _told(kernels: dict[str, Any]) -> str:
     """Return one line about the kernels."""
     if not COMPILED:
-        return "kernels run as plain Python (NUMBA_DISABLE_JIT is set, or llvmlite is missing): hundreds of times slower"
+        return (
+            "kernels run as plain Python (NUMBA_DISABLE_JIT is set, or llvmlite is missing): hundreds of times slower"
+        )
     text = f"kernels: {kernels['shipped']} shipped"
     if kernels["changed"]:
         text += f" ({kernels['changed']} with changed sources: compiled when needed)"
@@ -128,10 +123,8 @@ def _plugins() -> dict[str, dict[str, str]]:
     return found
 
 
-def doctor(
-    config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool
-) -> int:
-    """Report; returns the exit code: with ``running`` 1 unless a gateway runs, its buses are open and its memory written."""
+def doctor(config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool) -> int:
+    """Report; returns the exit code: with ``running`` 1 unless a gateway runs, buses open, memory written."""
     daemon = _daemon(config, memory)
     healthy = (
         daemon is not None

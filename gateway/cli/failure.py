@@ -34,9 +34,7 @@ def report_to() -> str:
         links = metadata(PACKAGE).get_all("Project-URL") or []
     except PackageNotFoundError:
         links = []
-    found = {
-        name.strip().lower(): url.strip() for name, _, url in (x.partition(",") for x in links)
-    }
+    found = {name.strip().lower(): url.strip() for name, _, url in (x.partition(",") for x in links)}
     return next((found[name] for name in LINKS if name in found), "where you have it from")
 
 

@@ -116,17 +116,13 @@ def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
         return 0
     table = table_of("DTC", "fault", "near misses", "greatest detection counter")
     for entry in found:
-        table.add_row(
-            entry["dtc"], entry["fault"], str(entry["near_misses"]), str(entry["peak_fdc"])
-        )
+        table.add_row(entry["dtc"], entry["fault"], str(entry["near_misses"]), str(entry["peak_fdc"]))
     table.columns[0].no_wrap = True
     wide_console().print(table if found else "nothing came near a failure")
     return 0
 
 
-def recordings(
-    dtc: str, config: Path | None, *, memory: Path | None, folder: Path, json: bool
-) -> int:
+def recordings(dtc: str, config: Path | None, *, memory: Path | None, folder: Path, json: bool) -> int:
     """Write the frames recorded around a DTC's failures as logs; returns the exit code."""
     found = service.recordings(_path(config, memory), dtc)
     folder.mkdir(parents=True, exist_ok=True)

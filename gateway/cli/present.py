@@ -122,17 +122,12 @@ class EventPrinter:
             f"  occurrence {event['occurrence']}{'' if event['stored'] else '  NOT STORED'}"
         )
         if failed:
-            shown = "  ".join(
-                f"{k} {'-' if v is None else format(v, '.6g')}"
-                for k, v in event["evidence"].items()
-            )
+            shown = "  ".join(f"{k} {'-' if v is None else format(v, '.6g')}" for k, v in event["evidence"].items())
             self._console.print(f"{'':14}evidence: {shown}", style="dim", markup=False)
 
     def _clock(self, event: dict[str, Any]) -> None:
         self.start_ns += round(event["step_s"] * 1e9)  # the seconds that people see go on evenly
-        self._console.print(
-            f"{self._time(event)}  [bold red]clock set[/] by {event['step_s']:+.6f} s"
-        )
+        self._console.print(f"{self._time(event)}  [bold red]clock set[/] by {event['step_s']:+.6f} s")
 
     def _memory(self, event: dict[str, Any]) -> None:
         colour = "green" if event["state"] == "written" else "bold red"
@@ -150,9 +145,7 @@ class EventPrinter:
             text = f"{self._time(event)}  bus {event['bus']} [{colour}]{event['state']}[/]  "
             self._console.print(text + escape(event["reason"] or event["uri"]))
         elif event["overflow"]:
-            self._console.print(
-                f"{event['bus']}: {event['overflow']} frames lost before they were read"
-            )
+            self._console.print(f"{event['bus']}: {event['overflow']} frames lost before they were read")
 
     def _summary(self, event: dict[str, Any]) -> None:
         print_ = self._console.print

@@ -76,9 +76,7 @@ class _Narrator:
 
     def begin(self, scenario: Scenario) -> None:
         """Introduce the scenario and its ECUs."""
-        self._console.print(
-            f"[bold]{scenario.name}[/]: {scenario.description} (seed {self._player.seed})"
-        )
+        self._console.print(f"[bold]{scenario.name}[/]: {scenario.description} (seed {self._player.seed})")
         for ecu in scenario.ecu:
             self._console.print(
                 f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
@@ -91,8 +89,7 @@ class _Narrator:
             fact = self._truth.pop(0)
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             self._console.print(
-                f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]:"
-                f" {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
+                f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]: {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
             )
 
     def on_report(self, report: DtcReport) -> None:
@@ -122,9 +119,7 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
     gateway = Gateway(config, file=scenario.config)
     gateway.listen(printer)
     judge = Judge(scenario)
-    narrator = (
-        None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
-    )
+    narrator = None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
     if narrator is not None:
         narrator.begin(scenario)
     begun = time.monotonic()
@@ -198,9 +193,7 @@ def simulate(
         stop.ready()
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]
         if len(uris) != len(config.bus):
-            raise InputError(
-                "the scenario has several buses; set them in its configuration", value=bus
-            )
+            raise InputError("the scenario has several buses; set them in its configuration", value=bus)
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         tester = _Tester(buses, judge)
         if check:
@@ -269,9 +262,7 @@ class _Tester:
             if stop():
                 return
             if time.monotonic() > limit:
-                raise GatewayError(
-                    f"no DTC frame (GW_DTC) within {wait_s} s: is gateway run on this bus?"
-                )
+                raise GatewayError(f"no DTC frame (GW_DTC) within {wait_s} s: is gateway run on this bus?")
         while self.listen(0.1):
             pass
 

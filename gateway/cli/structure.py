@@ -41,9 +41,7 @@ def _head(console: Console, analysis: Analysis) -> None:
         f" underdetermined: {_names([parts.under.equations])}"
     )
     shown = ", ".join(f"{count} of {size}" for size, count in analysis.sizes.items())
-    console.print(
-        f"{len(analysis.msos)} MSO sets ({shown or 'none'}), {len(analysis.candidates)} candidates"
-    )
+    console.print(f"{len(analysis.msos)} MSO sets ({shown or 'none'}), {len(analysis.candidates)} candidates")
 
 
 def _names(blocks: Iterable[Sequence[str]]) -> str:
@@ -76,10 +74,7 @@ def _counts(analysis: Analysis) -> Table:
     for algebraic in ALGEBRAIC:
         for causality in CAUSALITIES:
             ours, original = (counts[a][algebraic][causality] for a in ("modified", "original"))
-            cells = [
-                f"{a} ({b})" if ours != original else str(a)
-                for a, b in zip(ours, original, strict=True)
-            ]
+            cells = [f"{a} ({b})" if ours != original else str(a) for a, b in zip(ours, original, strict=True)]
             table.add_row(algebraic, causality, *cells, end_section=causality == CAUSALITIES[-1])
     return table
 
@@ -92,11 +87,7 @@ def _sets(analysis: Analysis) -> Table:
     table.add_column("equations", overflow="fold")
     counts = {c: [analysis.counts(c, a) for a in ALGEBRAIC] for c in CAUSALITIES}
     for k, row in enumerate(analysis.msos[:MOST_LISTED]):
-        faults = [
-            f
-            for f, there in zip(analysis.model.faults, analysis.signature[k], strict=True)
-            if there
-        ]
+        faults = [f for f, there in zip(analysis.model.faults, analysis.signature[k], strict=True) if there]
         numbers = [f"{counts[c][0][k]}/{counts[c][1][k]}" for c in CAUSALITIES]
         table.add_row(
             str(k + 1),
@@ -129,9 +120,7 @@ def _explained(found: Isolability, k: int) -> str:
     return f"[yellow]{' '.join(others)}[/]" if others else "[green]isolated[/]"
 
 
-def _tests(
-    title: str, faults: Sequence[str], rows: Mapping[str, Sequence[str]], tests: Mapping[str, Test]
-) -> Table:
+def _tests(title: str, faults: Sequence[str], rows: Mapping[str, Sequence[str]], tests: Mapping[str, Test]) -> Table:
     table = Table(title=title)
     table.add_column("test")
     for fault in faults:
@@ -179,9 +168,7 @@ def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) ->
             realised = realise(analysis.model, choice.equations, choice.consistency)
         except NotSolvableError as error:
             refused = str(error)
-            realised = realise(
-                analysis.model, choice.equations, choice.consistency, differentiate=True
-            )
+            realised = realise(analysis.model, choice.equations, choice.consistency, differentiate=True)
         source = write(name, realised).source
     except NotSolvableError as error:
         refused = str(error)
@@ -226,9 +213,7 @@ def _places(console: Console, model: Model, wanted: str, *, json: bool) -> None:
         print_json({"model": model.name, "sensors": answers})
         return
     for what, sets in answers.items():
-        console.print(
-            f"[bold]to {what} faults[/], as far as these sensors can, added to the model's own:"
-        )
+        console.print(f"[bold]to {what} faults[/], as far as these sensors can, added to the model's own:")
         for one in sets:
             console.print(f"  {', '.join(one) or 'none: the model has enough'}")
 

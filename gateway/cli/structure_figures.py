@@ -38,13 +38,9 @@ def _bars(axes: Axes, analysis: Analysis, letter: str, causality: str, words: st
     )
     for values, colour, label in layers:
         if narrow:
-            axes.stairs(
-                values, edges, fill=True, facecolor=colour, edgecolor="0.5", lw=0.3, label=label
-            )
+            axes.stairs(values, edges, fill=True, facecolor=colour, edgecolor="0.5", lw=0.3, label=label)
         else:
-            axes.bar(
-                edges[:-1] + 0.5, values, 0.85, color=colour, edgecolor="0.35", lw=0.4, label=label
-            )
+            axes.bar(edges[:-1] + 0.5, values, 0.85, color=colour, edgecolor="0.35", lw=0.4, label=label)
     table = analysis.candidates.table["modified"]
     unique, realizable = table["unique"][causality], table["realizable"][causality]
     axes.set_title(
@@ -72,17 +68,11 @@ def _decomposition(axes: Axes, analysis: Analysis) -> None:
     over = (len(rows) - len(parts.over.equations), len(columns) - len(parts.over.variables))
     if parts.over.equations:
         corner = (over[1] - 0.5, over[0] - 0.5)
-        axes.add_patch(
-            Rectangle(
-                corner, len(parts.over.variables), len(parts.over.equations), color=_OVER, lw=0
-            )
-        )
+        axes.add_patch(Rectangle(corner, len(parts.over.variables), len(parts.over.equations), color=_OVER, lw=0))
     top, left = 0, 0
     for block, colour in blocks:
         size = (len(block.variables), len(block.equations))
-        axes.add_patch(
-            Rectangle((left - 0.5, top - 0.5), *size, facecolor=colour, edgecolor="0.3", lw=0.6)
-        )
+        axes.add_patch(Rectangle((left - 0.5, top - 0.5), *size, facecolor=colour, edgecolor="0.3", lw=0.6))
         left, top = left + size[0], top + size[1]
     faulty = {e.name for e in analysis.model.equations if e.faults}
     states = set(analysis.model.lumped_states)
@@ -161,9 +151,7 @@ def draw(path: Path, analysis: Analysis) -> Path:
         axes = figure.add_subplot(bars[k])
         _bars(axes, analysis, *panel)
         if k == 0:
-            axes.legend(
-                fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False
-            )
+            axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         if k == len(_PANELS) - 1:
             axes.set_xlabel("MSO set", fontsize=8)
     low = grid[1].subgridspec(2, 2, width_ratios=[2.1, 1], wspace=0.22, hspace=0.45)

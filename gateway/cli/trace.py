@@ -29,11 +29,7 @@ def only(config: Config, name: str) -> Config:
         text = f"the monitors are {', '.join(known)}{nearest(name, known)}"
         raise InputError(text, key="--only", value=name)
     gone = {entry.name for entry in config.monitor} - {name}
-    settings = {
-        fault: override
-        for fault, override in config.fault.items()
-        if fault.split(".")[0] not in gone
-    }
+    settings = {fault: override for fault, override in config.fault.items() if fault.split(".")[0] not in gone}
     return config.model_copy(update={"monitor": kept, "fault": settings})
 
 
@@ -120,9 +116,7 @@ def text_of(event: dict[str, Any], start_ns: int) -> list[str]:
     """Return a step as lines for people."""
     seconds = (event["t_ns"] - start_ns) / 1e9
     more = f" ({event['not_shown']} before it not shown)" if event["not_shown"] else ""
-    lines = [
-        f"{seconds:10.4f} s  {event['monitor']} step {event['step']}: {event['trigger']}{more}"
-    ]
+    lines = [f"{seconds:10.4f} s  {event['monitor']} step {event['step']}: {event['trigger']}{more}"]
     lines += _fields("in", event["inputs"]) + _fields("state", event["state"])
     for result in event.get("results", ()):
         found = f"{result['fault']} {result['result']}: {_number(result['value'])} against"

@@ -31,9 +31,7 @@ def installed(extra: str) -> bool:
         return False
 
 
-def need(
-    extra: str, feature: str, *, file: str | Path | None = None, key: str | None = None
-) -> None:
+def need(extra: str, feature: str, *, file: str | Path | None = None, key: str | None = None) -> None:
     """Refuse what cannot be done without an extra.
 
     Args:

@@ -21,9 +21,7 @@ NAMES = frozenset({"can", "cantools.logreader", "cantools.tester"})
 class _Finder:
     """Finds what the other finders find, with a loader that waits."""
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         if name not in NAMES:
             return None
         for finder in sys.meta_path:

@@ -80,9 +80,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in get_args(annotation) for model in _models(part)]
 
 
-def _models_at(
-    model: type[BaseModel] | None, place: tuple[int | str, ...]
-) -> list[type[BaseModel]]:
+def _models_at(model: type[BaseModel] | None, place: tuple[int | str, ...]) -> list[type[BaseModel]]:
     """Return the models that stand at a place of a model."""
     found = [] if model is None else [model]
     for part in place:
@@ -111,9 +109,7 @@ def _missing(key: str, name: str, models: list[type[BaseModel]]) -> str:
             continue
         text = f": {field.description}" if field.description else ""
         tables = get_origin(field.annotation) is tuple and _models(field.annotation)
-        return f"this key is missing{text}" + (
-            f"; write a table [[{_toml_name(key)}]] for each" if tables else ""
-        )
+        return f"this key is missing{text}" + (f"; write a table [[{_toml_name(key)}]] for each" if tables else "")
     return "this key is missing"
 
 

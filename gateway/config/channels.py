@@ -22,9 +22,7 @@ def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | No
         return None
     names = {}
     if len(config.bus) > 1:
-        names = {
-            f"can{k}": k for k in range(len(config.bus))
-        }  # as our logs call buses without a name
+        names = {f"can{k}": k for k in range(len(config.bus))}  # as our logs call buses without a name
         names |= {str(k): k for k in range(len(config.bus))}
     for k, bus in enumerate(config.bus):
         names |= {bus.name: k, bus.channel: k}

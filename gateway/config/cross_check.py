@@ -85,6 +85,4 @@ def _cycles(config: Config) -> Iterator[InputError]:
         for key in ("cycle", "aging_cycle"):
             cycle = getattr(settings, key)
             if cycle is not None and cycle not in cycles:
-                yield InputError(
-                    f"the cycles are {known}", key=f'fault."{fault}".{key}', value=cycle
-                )
+                yield InputError(f"the cycles are {known}", key=f'fault."{fault}".{key}', value=cycle)

@@ -66,9 +66,7 @@ def _with_catalogues(config: Config, folder: Path) -> Config:
 def _environment_says_something() -> bool:
     """Tell whether a variable of the environment overrides a key of the configuration."""
     names = (name.upper() for name in os.environ)
-    keys = {
-        name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)
-    }
+    keys = {name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)}
     return any(name.upper() in keys for name in Config.model_fields)
 
 
@@ -129,7 +127,6 @@ def load_config(path: Path) -> Config:
     if wrong:
         raise InputErrors(wrong)
     buses = tuple(
-        bus.model_copy(update={"database": tuple(folder / file for file in bus.database)})
-        for bus in config.bus
+        bus.model_copy(update={"database": tuple(folder / file for file in bus.database)}) for bus in config.bus
     )
     return config.model_copy(update={"bus": buses})

@@ -28,12 +28,8 @@ class BusConfig(StrictModel):
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how other parts refer to it")
     uri: str = Field(description="socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, ...")
-    database: tuple[Path, ...] = Field(
-        (), description="DBC, KCD, SYM or ARXML files; relative to this configuration"
-    )
-    match: Literal["id", "pgn"] = Field(
-        "id", description="pgn: extended identifiers match by J1939 PGN"
-    )
+    database: tuple[Path, ...] = Field((), description="DBC, KCD, SYM or ARXML files; relative to this configuration")
+    match: Literal["id", "pgn"] = Field("id", description="pgn: extended identifiers match by J1939 PGN")
     check: tuple[communication.Params, ...] = Field((), description="communication checks")
     health: bus_health.Params = Field(
         bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
@@ -77,9 +73,7 @@ class MonitorConfig(BaseModel):
 class MemoryConfig(StrictModel):
     """The fault memory."""
 
-    path: Path = Field(
-        Path("faults.sqlite"), description="SQLite file; relative to the work folder"
-    )
+    path: Path = Field(Path("faults.sqlite"), description="SQLite file; relative to the work folder")
     entries: int | None = Field(
         None, ge=1, le=10_000, description="entries there is room for; default: for every fault"
     )

@@ -120,18 +120,14 @@ def load_databases(config: Config) -> tuple[Database, ...]:
     return tuple(loaded)
 
 
-def _monitor(
-    config: Config, entry: MonitorConfig, databases: tuple[Database, ...]
-) -> MonitorInstance:
+def _monitor(config: Config, entry: MonitorConfig, databases: tuple[Database, ...]) -> MonitorInstance:
     monitor, params = monitor_of(entry)
     bus = config.bus_index(entry.bus)
     sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
     return MonitorInstance(entry.name, monitor, params, bus, entry.priority, entry.signals, sent)
 
 
-def _emission(
-    entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database
-) -> Message:
+def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database) -> Message:
     """Find the message that a monitor sends: in its bus's database, else among the gateway's own.
 
     Raises:
@@ -157,11 +153,7 @@ def _emission(
 
 def _freeze_frames(config: Config, names: Names) -> dict[str, tuple[str, ...]]:
     """Return the signals that the faults' freeze frames ask for."""
-    asked = {
-        fault: settings.freeze_frame
-        for fault, settings in config.fault.items()
-        if settings.freeze_frame
-    }
+    asked = {fault: settings.freeze_frame for fault, settings in config.fault.items() if settings.freeze_frame}
     for fault, wanted in asked.items():
         for k, name in enumerate(wanted):
             names.find(name, f'fault."{fault}".freeze_frame[{k}]')
@@ -198,8 +190,7 @@ def _gate(names: Names, fault: str, settings: FaultOverride, cycles: tuple[str, 
     at = settings.freeze_frame_at
     return Gate(
         tuple(
-            names.condition(condition, f'fault."{fault}".enable[{k}]')
-            for k, condition in enumerate(settings.enable)
+            names.condition(condition, f'fault."{fault}".enable[{k}]') for k, condition in enumerate(settings.enable)
         ),
         settings.caused_by,
         settings.when_disabled == "reset",
@@ -211,9 +202,7 @@ def _gate(names: Names, fault: str, settings: FaultOverride, cycles: tuple[str, 
 def _caused_by_buses(config: Config) -> dict[str, Gate]:
     """Return the gates of the timeouts: a bus that is off or lost is the fault, not each silent message."""
     return {
-        f"{bus.name}.{check.message}.timeout": Gate(
-            roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost")
-        )
+        f"{bus.name}.{check.message}.timeout": Gate(roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost"))
         for bus in config.bus
         if bus.health.watched
         for check in bus.check

@@ -1,4 +1,4 @@
-"""From configured monitors, checks and buses to the engine's tables: each table is made by one function, top to bottom."""
+"""From configured monitors, checks and buses to the engine's tables: one function a table, top to bottom."""
 
 from __future__ import annotations
 
@@ -107,9 +107,7 @@ def build_engine(
         ring=table(ring, EVENT),
     )
     assert_consistent(tables)
-    return Engine(
-        plan, tables, tuple(faults), tuple(monitors), tuple(made.states), tuple(made.consts)
-    )
+    return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(made.states), tuple(made.consts))
 
 
 def _signals(
@@ -244,9 +242,7 @@ def _checks(
     return rows
 
 
-def _health(
-    buses: Sequence[BusInstance], clock: ClockParams | None, faults: list[FaultSlot]
-) -> Any:
+def _health(buses: Sequence[BusInstance], clock: ClockParams | None, faults: list[FaultSlot]) -> Any:
     """Return the table of the buses' health, the gateway's own last; their faults are appended to ``faults``."""
     rows = table(len(buses) + 1, Health)
     codes = bus_health.codes_of([bus.params for bus in buses])

@@ -69,9 +69,7 @@ class Emitted:
     bus: int
 
 
-def fill(
-    emitted: Sequence[Emitted], local: Sequence[bool]
-) -> tuple[NDArray[np.void], NDArray[np.void]]:
+def fill(emitted: Sequence[Emitted], local: Sequence[bool]) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return the tables Emit and SIGNAL of the messages to be sent.
 
     Args:
@@ -99,9 +97,7 @@ def fill(
             rows += encode_rows(message, [COUNTER])
         if CRC in names:
             signal = names[CRC]
-            if signal.length != 8 or signal.start % 8 != (
-                7 if signal.byte_order == "big_endian" else 0
-            ):
+            if signal.length != 8 or signal.start % 8 != (7 if signal.byte_order == "big_endian" else 0):
                 raise InputError(
                     "a CRC signal has 8 bits on a byte boundary",
                     key=f"{message.name}.{CRC}",

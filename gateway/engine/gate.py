@@ -129,9 +129,7 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     return False
 
 
-def fill_gates(
-    gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan
-) -> tuple[Any, Any]:
+def fill_gates(gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan) -> tuple[Any, Any]:
     """Fill the gates of all faults; returns the tables of conditions and of roots."""
     conditions: list[Condition] = []
     roots: list[int] = []

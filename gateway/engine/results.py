@@ -43,9 +43,7 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
 
 
 @kernel
-def announce(
-    T: Any, t_ns: int, kind: int, index: int, bus: int, value: float, limit: float
-) -> None:
+def announce(T: Any, t_ns: int, kind: int, index: int, bus: int, value: float, limit: float) -> None:
     """Append an event that is no test result, and leave the loop after it."""
     clock = T.clock[0]
     clock.stop = 1

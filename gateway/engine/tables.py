@@ -29,9 +29,7 @@ MOST_REPORTS = 16
 class VectorPlace(Record):
     """What a message does, for each message of the decode plan."""
 
-    first: i4 = means(
-        "of the monitors that it triggers, handlers[first:first + count], by priority"
-    )
+    first: i4 = means("of the monitors that it triggers, handlers[first:first + count], by priority")
     count: i4
     check: i4 = means("its communication check; -1: none")
     first_watch: i4 = means("of the operation cycles that it may begin or end")
@@ -58,9 +56,7 @@ class HandlerPlace(Record):
     inputs: i4 = means("first of its cells in the pool")
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
     slots: i4
-    first_source: i4 = means(
-        "sources[first_source:+sources]: the messages that its inputs come from"
-    )
+    first_source: i4 = means("sources[first_source:+sources]: the messages that its inputs come from")
     sources: i4
     fault: i4
     faults: i4

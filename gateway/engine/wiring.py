@@ -41,9 +41,7 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     try:
         for name in m.signals:
             if name not in known:
-                raise InputError(
-                    f"the monitor has no such signal{nearest(name, known)}", value=name
-                )
+                raise InputError(f"the monitor has no such signal{nearest(name, known)}", value=name)
         for _, signal in connected.inputs:
             if signal is None:
                 inputs.append(None)

@@ -185,7 +185,5 @@ def as_dict(definition: FaultDefinition) -> dict[str, Any]:
     """Return a definition for JSON."""
     shown = asdict(definition)
     shown["dtc"] = str(definition.dtc)
-    shown["debounce"] = {
-        name: value for name, value in shown["debounce"].items() if value is not None
-    }
+    shown["debounce"] = {name: value for name, value in shown["debounce"].items() if value is not None}
     return shown

@@ -9,9 +9,7 @@ from gateway.faults.records import Record
 from gateway.faults.status import Status
 
 
-def victim(
-    newcomer: FaultDefinition, stored: Iterable[tuple[FaultDefinition, Record]]
-) -> Record | None:
+def victim(newcomer: FaultDefinition, stored: Iterable[tuple[FaultDefinition, Record]]) -> Record | None:
     """Return the entry that gives way to a new one, None if none may.
 
     Never a more important one; never an emission related one that asks for the indicator, unless for another of

@@ -147,9 +147,7 @@ class KeptStore(Store):
         except StoreError as error:
             self._suspect = not error.full
             raise
-        if (
-            whole is not None and not self._is_in_place()
-        ):  # written, but into a file that nobody will find
+        if whole is not None and not self._is_in_place():  # written, but into a file that nobody will find
             self._restore(self.path, whole())
 
     def _restore(self, path: Path, everything: Changes) -> None:

@@ -18,7 +18,8 @@ from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.store import Store, StoreError
 
-#: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be given up.
+#: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be
+#: given up.
 SEQUENCE, OVERFLOW = "sequence", "overflow"
 
 

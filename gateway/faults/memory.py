@@ -108,9 +108,7 @@ class FaultMemory(Readable):
             for view in (self._records, self._held.shown):
                 view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
-            self._definitions.setdefault(
-                record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored")
-            )
+            self._definitions.setdefault(record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored"))
 
     def succeed(self, old: FaultMemory) -> None:
         """Go on with what another memory of the same store knows, written or not."""
@@ -171,17 +169,13 @@ class FaultMemory(Readable):
             definition = self._definitions[record.id]
             rules = definition.rules
             if definition.aging_cycle == name and record.occurrence:
-                status, cycles, aged = transition.on_aging_cycle_end(
-                    STATUS[record.status], _cycles(record), rules
-                )
+                status, cycles, aged = transition.on_aging_cycle_end(STATUS[record.status], _cycles(record), rules)
                 _set(record, status, cycles)
                 self._held.touch(record.id)
                 if aged:
                     self._remove_entry(record)
             if definition.cycle == name:
-                status, cycles = transition.on_cycle_end(
-                    STATUS[record.status], _cycles(record), rules
-                )
+                status, cycles = transition.on_cycle_end(STATUS[record.status], _cycles(record), rules)
                 _set(record, status, cycles)
                 self._held.touch(record.id)
                 self._held.note_permanent(self._held.permanent.on_cycle_end(definition, status))
@@ -394,9 +388,7 @@ class FaultMemory(Readable):
 
     def note_descriptions(self) -> None:
         """Keep what the faults are called, with the next commit, for readers without the configuration."""
-        self._held.describe(
-            {d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue}
-        )
+        self._held.describe({d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue})
 
     def write_identifier(self, did: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.
@@ -444,9 +436,7 @@ class FaultMemory(Readable):
 
     def knows(self, group: int) -> bool:
         """Tell whether a clear of this DTC or group would mean any fault."""
-        return group == ALL_DTCS or any(
-            self._is_in(record, group) for record in self._records.values()
-        )
+        return group == ALL_DTCS or any(self._is_in(record, group) for record in self._records.values())
 
     def _is_in(self, record: Record, group: int) -> bool:
         related = self._definitions[record.id].emission_related

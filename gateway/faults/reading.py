@@ -26,11 +26,7 @@ class Readable:
 
     def supported(self) -> list[Entry]:
         """Return every DTC of the catalogue, and those that are still stored, in order of DTC."""
-        found = [
-            entry_of(r)
-            for r in self._held.shown.values()
-            if r.occurrence or self.catalogue.get(r.id) is not None
-        ]
+        found = [entry_of(r) for r in self._held.shown.values() if r.occurrence or self.catalogue.get(r.id) is not None]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
 
     def entry(self, fault: str) -> Entry:

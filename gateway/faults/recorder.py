@@ -25,12 +25,8 @@ from gateway.faults.records import Recording
 class RecorderParams(StrictModel):
     """What is recorded around a failure."""
 
-    before_ms: float = Field(
-        1000.0, ge=0, le=6e4, allow_inf_nan=False, description="time before it [ms]"
-    )
-    after_ms: float = Field(
-        500.0, ge=0, le=6e4, allow_inf_nan=False, description="time after it [ms]"
-    )
+    before_ms: float = Field(1000.0, ge=0, le=6e4, allow_inf_nan=False, description="time before it [ms]")
+    after_ms: float = Field(500.0, ge=0, le=6e4, allow_inf_nan=False, description="time after it [ms]")
     most_frames: int = Field(
         4000,
         ge=1,
@@ -93,9 +89,7 @@ class Recorder:
         if not count:
             return
         stamps = frames["t_ns"]
-        first, latest = (
-            (int(stamps[0]),) * 2 if count == 1 else (int(stamps.min()), int(stamps.max()))
-        )
+        first, latest = (int(stamps[0]),) * 2 if count == 1 else (int(stamps.min()), int(stamps.max()))
         # Not at each batch: up to twice of what can be asked for is kept. A failure in this batch may ask for
         # what was before it, so that only what came before is given up.
         window = 2 * self._before_ns + self._after_ns
@@ -171,9 +165,7 @@ class Recorder:
             nearest = np.sort(np.argsort(np.abs(times - trigger.t_ns), kind="stable")[:most])
             frames = frames[nearest]
         text = "".join(f"{format_frame(frame, self._channel(frame))}\n" for frame in frames)
-        return Recording(
-            trigger.fault, trigger.wall_ns, len(frames), dropped, zlib.compress(text.encode())
-        )
+        return Recording(trigger.fault, trigger.wall_ns, len(frames), dropped, zlib.compress(text.encode()))
 
     def _channel(self, frame: np.void) -> str:
         bus = int(frame["bus"])

@@ -111,10 +111,7 @@ def _write_record(db: sqlite3.Connection, r: Record) -> None:
     db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
     db.executemany(
         "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
-        [
-            (r.id, frame.number, frame.t_ns, json.dumps(frame.content))
-            for frame in r.freeze_frames.values()
-        ],
+        [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in r.freeze_frames.values()],
     )
     if r.occurrence == 0:
         db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))

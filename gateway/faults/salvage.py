@@ -103,9 +103,7 @@ def salvage(path: Path) -> Salvage:
             with suppress(FileNotFoundError):
                 shutil.copyfile(f"{path}{suffix}", f"{copy}{suffix}")
         db = sqlite3.connect(copy, isolation_level=None)
-        db.execute(
-            "PRAGMA writable_schema = ON"
-        )  # a definition that is damaged hides no other table
+        db.execute("PRAGMA writable_schema = ON")  # a definition that is damaged hides no other table
         try:
             return _read(db)
         finally:
@@ -129,9 +127,7 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.records = list(records.values())
     cycles = "SELECT name, number, open, t_ns FROM operation_cycle"
     found.cycles = dict(_rows(db, found, cycles, "operation_cycle", _cycle))
-    found.permanent = list(
-        _rows(db, found, "SELECT fault, dtc, t_ns FROM permanent", "permanent", _permanent)
-    )
+    found.permanent = list(_rows(db, found, "SELECT fault, dtc, t_ns FROM permanent", "permanent", _permanent))
     found.recordings = [
         recording
         for recording in _rows(db, found, rows.SELECT_RECORDINGS, "recording", _recording)
@@ -143,9 +139,7 @@ def _read(db: sqlite3.Connection) -> Salvage:
     return found
 
 
-def _rows(
-    db: sqlite3.Connection, found: Salvage, select: str, table: str, read: Callable[..., T]
-) -> Iterator[T]:
+def _rows(db: sqlite3.Connection, found: Salvage, select: str, table: str, read: Callable[..., T]) -> Iterator[T]:
     """Give the rows of a table that can be read and make sense, counting both kinds."""
     for row in _raw_rows(db, found, select, table):
         try:
@@ -157,9 +151,7 @@ def _rows(
             yield made
 
 
-def _raw_rows(
-    db: sqlite3.Connection, found: Salvage, select: str, table: str
-) -> Iterator[tuple[Any, ...]]:
+def _raw_rows(db: sqlite3.Connection, found: Salvage, select: str, table: str) -> Iterator[tuple[Any, ...]]:
     """Give the rows from the front up to the damage, from the back up to it, and one by one between."""
     select = select.replace("SELECT ", "SELECT rowid, ", 1)
     seen: set[int] = set()
@@ -220,9 +212,7 @@ def _numbers_by_name(text: object) -> dict[str, float | None]:
 
 def _record(*row: Any) -> Record:
     values = dict(zip(rows.COLUMNS, row, strict=True))
-    record = Record(
-        _name(values["id"]), _whole(values["dtc"], 0, 0xFFFFFF), _whole(values["status"], 0, 0xFF)
-    )
+    record = Record(_name(values["id"]), _whole(values["dtc"], 0, 0xFFFFFF), _whole(values["status"], 0, 0xFF))
     for name in _COUNTERS:
         setattr(record, name, _whole(values[name], 0, 2**62))
     for name in _NUMBERS:
@@ -234,16 +224,12 @@ def _record(*row: Any) -> Record:
 
 
 def _frame(fault: Any, number: Any, t_ns: Any, content: Any) -> tuple[str, FreezeFrame]:
-    frame = FreezeFrame(
-        _whole(number, 1, 255), _whole(t_ns, -(2**63), 2**63 - 1), _numbers_by_name(content)
-    )
+    frame = FreezeFrame(_whole(number, 1, 255), _whole(t_ns, -(2**63), 2**63 - 1), _numbers_by_name(content))
     return _name(fault), frame
 
 
 def _cycle(name: Any, number: Any, is_open: Any, t_ns: Any) -> tuple[str, Cycle]:
-    cycle = Cycle(
-        _whole(number, 0, 2**62), bool(_whole(is_open, 0, 1)), _whole(t_ns, -(2**63), 2**63 - 1)
-    )
+    cycle = Cycle(_whole(number, 0, 2**62), bool(_whole(is_open, 0, 1)), _whole(t_ns, -(2**63), 2**63 - 1))
     return _name(name), cycle
 
 

@@ -30,8 +30,7 @@ def as_dict(entry: Entry) -> dict[str, Any]:
         "first_ns": entry.first_ns,
         "last_ns": entry.last_ns,
         "freeze_frames": [
-            {"record": frame.number, "t_ns": frame.t_ns, "signals": frame.content}
-            for frame in entry.freeze_frames
+            {"record": frame.number, "t_ns": frame.t_ns, "signals": frame.content} for frame in entry.freeze_frames
         ],
         "evidence": dict(entry.evidence),
         "inputs": dict(entry.inputs),

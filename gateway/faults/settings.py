@@ -39,24 +39,14 @@ Readiness = Literal[
 class DebounceOverride(StrictModel):
     """How test results qualify a verdict: by their number, or by time (``failed_ms``, ``passed_ms``)."""
 
-    failed_after: int | None = Field(
-        None, ge=1, le=32767, description="counter that qualifies a failure"
-    )
-    passed_after: int | None = Field(
-        None, ge=1, le=32768, description="counter, below zero, that qualifies a pass"
-    )
+    failed_after: int | None = Field(None, ge=1, le=32767, description="counter that qualifies a failure")
+    passed_after: int | None = Field(None, ge=1, le=32768, description="counter, below zero, that qualifies a pass")
     failed_step: int | None = Field(None, ge=1, le=32767, description="count of a failed result")
     passed_step: int | None = Field(None, ge=1, le=32767, description="count of a passed result")
     jump_up: bool | None = Field(None, description="a failed result leaves the passed side at once")
-    jump_down: bool | None = Field(
-        None, description="a passed result leaves the failed side at once"
-    )
-    jump_up_to: int | None = Field(
-        None, ge=-32768, le=32767, description="counter from which a jump up counts"
-    )
-    jump_down_to: int | None = Field(
-        None, ge=-32768, le=32767, description="counter from which a jump down counts"
-    )
+    jump_down: bool | None = Field(None, description="a passed result leaves the failed side at once")
+    jump_up_to: int | None = Field(None, ge=-32768, le=32767, description="counter from which a jump up counts")
+    jump_down_to: int | None = Field(None, ge=-32768, le=32767, description="counter from which a jump down counts")
     failed_ms: float | None = Field(
         None, gt=0, le=3.6e6, allow_inf_nan=False, description="time that qualifies a failure [ms]"
     )
@@ -86,9 +76,7 @@ class ConditionSettings(StrictModel):
 
     signal: str = Field(description='"Message.Signal" or "bus.Message.Signal"')
     min: float | None = Field(None, allow_inf_nan=False, description="least value, signal's unit")
-    max: float | None = Field(
-        None, allow_inf_nan=False, description="greatest value, signal's unit"
-    )
+    max: float | None = Field(None, allow_inf_nan=False, description="greatest value, signal's unit")
     rise: float = Field(
         0.0,
         ge=0,
@@ -118,29 +106,19 @@ class FaultOverride(StrictModel):
 
     dtc: DtcText | None = Field(None, description='e.g. "P0336-29"')
     description: str | None = Field(None, description="one line for people")
-    remedy: str | None = Field(
-        None, description="what to do about it, for people; default: by its failure type"
-    )
+    remedy: str | None = Field(None, description="what to do about it, for people; default: by its failure type")
     spn: int | None = Field(None, ge=0, le=0x7FFFF, description="J1939 suspect parameter number")
     fmi: int | None = Field(None, ge=0, le=31, description="J1939 failure mode identifier")
     severity: Literal["none", "maintenance", "next_halt", "immediately"] = Field(
         "none", description="when to have it checked (ISO 14229-1, DTC severity)"
     )
-    dtc_class: Literal["unclassified", "a", "b1", "b2", "c"] = Field(
-        "unclassified", description="class of WWH-OBD"
-    )
+    dtc_class: Literal["unclassified", "a", "b1", "b2", "c"] = Field("unclassified", description="class of WWH-OBD")
     functional_unit: int = Field(0, ge=0, le=255, description="DTC functional unit")
-    priority: int = Field(
-        100, ge=1, le=255, description="1 most important: what a full memory keeps"
-    )
+    priority: int = Field(100, ge=1, le=255, description="1 most important: what a full memory keeps")
     emission_related: bool = Field(True, description="shown by OBD; legislation knows it")
-    readiness: Readiness = Field(
-        "components", description="monitor whose readiness it belongs to (J1979, J1939 DM5)"
-    )
+    readiness: Readiness = Field("components", description="monitor whose readiness it belongs to (J1979, J1939 DM5)")
     debounce: DebounceOverride = DebounceOverride()
-    enable: tuple[ConditionSettings, ...] = Field(
-        (), description="its test results count while all of these are met"
-    )
+    enable: tuple[ConditionSettings, ...] = Field((), description="its test results count while all of these are met")
     when_disabled: Literal["freeze", "reset"] = Field(
         "freeze", description="what becomes of its detection counter while they are not"
     )
@@ -148,16 +126,10 @@ class FaultOverride(StrictModel):
         (), description="faults that may cause it: while one is there, its results do not count"
     )
     cycle: str = Field(POWER, description="operation cycle of its status byte")
-    confirm_cycles: int = Field(
-        1, ge=1, le=255, description="operation cycles with a failure that confirm the DTC"
-    )
-    healing_cycles: int = Field(
-        3, ge=1, le=255, description="passed operation cycles that end the warning indicator"
-    )
+    confirm_cycles: int = Field(1, ge=1, le=255, description="operation cycles with a failure that confirm the DTC")
+    healing_cycles: int = Field(3, ge=1, le=255, description="passed operation cycles that end the warning indicator")
     aging_cycle: str | None = Field(None, description="cycle that ages it; default: its own")
-    aging_cycles: int = Field(
-        40, ge=1, le=255, description="cycles without a failure, after healing, that delete it"
-    )
+    aging_cycles: int = Field(40, ge=1, le=255, description="cycles without a failure, after healing, that delete it")
     indicator: bool = Field(False, description="a confirmed DTC asks for the warning indicator")
     lamp: Literal["malfunction", "stop", "warning", "protect"] = Field(
         "malfunction", description="which lamp the indicator is (J1939-73)"
@@ -168,12 +140,9 @@ class FaultOverride(StrictModel):
     )  # fmt: skip
     freeze_frame: tuple[str, ...] = Field(
         (),
-        description='signals ("Message.Signal", "bus.Message.Signal") or names of identifiers'
-        " stored at a failure",
+        description='signals ("Message.Signal", "bus.Message.Signal") or names of identifiers stored at a failure',
     )
-    freeze_frames: int = Field(
-        2, ge=1, le=16, description="records kept: the first failure, then the latest ones"
-    )
+    freeze_frames: int = Field(2, ge=1, le=16, description="records kept: the first failure, then the latest ones")
     freeze_frame_at: Literal["failed", "pending", "confirmed"] | int = Field(
         "failed",
         description="what stores a freeze frame: a status bit, or a fault detection counter 1..126",
@@ -185,9 +154,7 @@ class FaultOverride(StrictModel):
             raise ValueError("spn and fmi are given together")
         at = self.freeze_frame_at
         if isinstance(at, int) and not 1 <= at <= 126:
-            raise ValueError(
-                "freeze_frame_at: a fault detection counter before the verdict, 1..126"
-            )
+            raise ValueError("freeze_frame_at: a fault detection counter before the verdict, 1..126")
         if any(condition.rise for condition in self.enable):
             raise ValueError("rise is for operation cycles, not for enable conditions")
         return self

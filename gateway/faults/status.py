@@ -33,15 +33,10 @@ NOT_COMPLETED = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYC
 #: Status at the first start and after a clear.
 CLEARED = NOT_COMPLETED
 
-#: Every status byte as a :class:`Status`. Flags are slow to make and to combine, and a storm changes thousands a second:
-#: the transitions count in plain numbers.
+#: Every status byte as a :class:`Status`. Flags are slow to make and to combine, and a storm changes thousands a
+#: second: the transitions count in plain numbers.
 STATUS = tuple(Status(value) for value in range(256))
-_FAILED_BITS = int(
-    Status.TEST_FAILED
-    | Status.TEST_FAILED_THIS_CYCLE
-    | Status.PENDING_DTC
-    | Status.FAILED_SINCE_CLEAR
-)
+_FAILED_BITS = int(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE | Status.PENDING_DTC | Status.FAILED_SINCE_CLEAR)
 _CONFIRMED, _LIT = int(Status.CONFIRMED_DTC), int(Status.WARNING_INDICATOR)
 _FAILED_THIS_CYCLE = int(Status.TEST_FAILED_THIS_CYCLE)
 _COMPLETE = 0xFF & ~int(NOT_COMPLETED)

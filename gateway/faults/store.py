@@ -83,9 +83,7 @@ class Store:
         InUseError: it has a writer already.
     """
 
-    def __init__(
-        self, path: Path | None, *, write: bool = True, connect: Connect = sqlite3.connect
-    ) -> None:
+    def __init__(self, path: Path | None, *, write: bool = True, connect: Connect = sqlite3.connect) -> None:
         self.path = path
         self._open_database = connect
         self._write = write
@@ -152,8 +150,7 @@ class Store:
                 raise InputError("there is no fault memory in this file", file=self.path)
             if version < len(MIGRATIONS):
                 raise OutdatedError(
-                    f"written by an earlier gateway: version {version}, this one knows"
-                    f" {len(MIGRATIONS)}",
+                    f"written by an earlier gateway: version {version}, this one knows {len(MIGRATIONS)}",
                     file=self.path,
                 )
             return
@@ -324,18 +321,12 @@ class Store:
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""
         with self._reading():
-            return list(
-                self._db.execute(
-                    "SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"
-                )
-            )
+            return list(self._db.execute("SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"))
 
     def request(self, kind: str, argument: str) -> int:
         """Ask the writer for something; returns the request's id."""
         with self.transaction():
-            cursor = self._db.execute(
-                "INSERT INTO request (kind, argument) VALUES (?, ?)", (kind, argument)
-            )
+            cursor = self._db.execute("INSERT INTO request (kind, argument) VALUES (?, ?)", (kind, argument))
         return int(cursor.lastrowid or 0)
 
     def answer(self, request: int) -> int | None:

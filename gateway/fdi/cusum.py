@@ -1,10 +1,10 @@
-"""Test quantities: the CUSUM of a residual, paper 004, (26), normalised, (46), and what makes nu and J of healthy residuals.
+"""CUSUM of a residual, paper 004, (26), normalised, (46), and what makes nu and J of healthy residuals.
 
     T := max(0, T + |r| - nu)          fires above J
 
-nu is a healthy residual's mean and standard deviation; J is the largest healthy T over the margin Phi, and at least 25 nu
-over it: (46) as printed divides by a largest T that may be zero, or a few nu by chance. Beyond a limit T does not grow, so
-that it comes down again when a fault is gone.
+nu is a healthy residual's mean and standard deviation; J is the largest healthy T over the margin Phi, and at least 25
+nu over it: (46) as printed divides by a largest T that may be zero, or a few nu by chance. Beyond a limit T does not
+grow, so that it comes down again when a fault is gone.
 """
 
 from __future__ import annotations

@@ -49,9 +49,7 @@ class Wheel:
         """Pulses after which the pattern repeats: fewer than ``pulses`` for a wheel of equal parts."""
         count = self.pulses
         return next(
-            k
-            for k in range(1, count + 1)
-            if count % k == 0 and self.pitches == self.pitches[k:] + self.pitches[:k]
+            k for k in range(1, count + 1) if count % k == 0 and self.pitches == self.pitches[k:] + self.pitches[:k]
         )
 
     @property
@@ -89,18 +87,13 @@ class Wheel:
                 run = _RUN.fullmatch(part)
                 if run is None:
                     raise ValueError(
-                        f'{text!r} is not a wheel: write "60-2", "36-2-1", "12+1", '
-                        'or its pitches as "57*1,3"'
+                        f'{text!r} is not a wheel: write "60-2", "36-2-1", "12+1", or its pitches as "57*1,3"'
                     )
                 pitches += [float(run[2])] * int(run[1] or 1)
         if not 4 <= len(pitches) <= MOST_TEETH or min(pitches) <= 0:
-            raise ValueError(
-                f"{text!r}: a wheel has 4 to {MOST_TEETH} pulses, all pitches above zero"
-            )
+            raise ValueError(f"{text!r}: a wheel has 4 to {MOST_TEETH} pulses, all pitches above zero")
         if len(set(pitches)) == 1:
-            raise ValueError(
-                f"{text!r}: all pitches are equal, so no place on the wheel can be told"
-            )
+            raise ValueError(f"{text!r}: all pitches are equal, so no place on the wheel can be told")
         largest = max(range(len(pitches)), key=lambda k: pitches[k])
         turned = pitches[largest + 1 :] + pitches[: largest + 1]
         return cls(text, tuple(turned))
@@ -111,9 +104,7 @@ def _wheel(value: object) -> Wheel:
 
 
 #: A wheel in TOML, written as :meth:`Wheel.parse` reads it.
-WheelText = Annotated[
-    Wheel, PlainValidator(_wheel, json_schema_input_type=str), PlainSerializer(str)
-]
+WheelText = Annotated[Wheel, PlainValidator(_wheel, json_schema_input_type=str), PlainSerializer(str)]
 
 
 def _with_gaps(text: str, teeth: int, missing: list[int]) -> list[float]:

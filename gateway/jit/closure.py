@@ -143,9 +143,7 @@ class Closure:
             return self._module(value, used)
         if isinstance(value, type):
             return f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
-        return (
-            f"{type(value).__module__}.{type(value).__qualname__} {getattr(value, '__name__', '')}"
-        )
+        return f"{type(value).__module__}.{type(value).__qualname__} {getattr(value, '__name__', '')}"
 
     def _module(self, module: types.ModuleType, used: set[str]) -> str:
         """Return what a function may read of a module: of NumPy and the standard library the name says it."""

@@ -164,10 +164,7 @@ def dtype_text(dtype: np.dtype[Any]) -> str:
         base, shape = dtype.subdtype
         return f"{dtype_text(base)}{list(shape)}"
     if dtype.fields is not None:
-        fields = (
-            f"{name}:{dtype.fields[name][1]}:{dtype_text(dtype.fields[name][0])}"
-            for name in dtype.names or ()
-        )
+        fields = (f"{name}:{dtype.fields[name][1]}:{dtype_text(dtype.fields[name][0])}" for name in dtype.names or ())
         return f"{{{','.join(fields)};{dtype.itemsize}}}"
     return dtype.str
 

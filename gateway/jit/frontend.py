@@ -185,9 +185,7 @@ class _Cells:
         strides = [self.word() for _ in range(form.ndim)]
         if form.contiguous and form.ndim:
             strides[-1] = item
-        arrayobj.populate_array(
-            made, data=data, shape=shape, strides=strides, itemsize=item, meminfo=None
-        )
+        arrayobj.populate_array(made, data=data, shape=shape, strides=strides, itemsize=item, meminfo=None)
         return made._getvalue()
 
 
@@ -225,16 +223,12 @@ def _store(context: Any, builder: Any, pointer: Any, kind: Any, value: Any, at: 
     elif isinstance(kind, types.Boolean):
         value = builder.zext(value, word)
     else:
-        value = context.cast(
-            builder, value, kind, types.uint64 if kind == types.uint64 else types.int64
-        )
+        value = context.cast(builder, value, kind, types.uint64 if kind == types.uint64 else types.int64)
     builder.store(value, builder.gep(pointer, [ir.Constant(word, at)]))
     return at + 1
 
 
-def _wrapper(
-    context: Any, described: Any, arguments: tuple[Form, ...], kinds: Any, symbol: str
-) -> Any:
+def _wrapper(context: Any, described: Any, arguments: tuple[Form, ...], kinds: Any, symbol: str) -> Any:
     """Return the module with the entry's C function."""
     module = ir.Module(symbol)
     module.triple, module.data_layout = "", ""
@@ -244,9 +238,7 @@ def _wrapper(
     read = _Cells(context, builder, function.args[0])
     values = [read.value(form, kind) for form, kind in zip(arguments, kinds, strict=True)]
     target = context.declare_function(module, described)
-    status, result = context.call_conv.call_function(
-        builder, target, described.restype, described.argtypes, values
-    )
+    status, result = context.call_conv.call_function(builder, target, described.restype, described.argtypes, values)
     with builder.if_then(status.is_error, likely=False):
         builder.ret(status.code)
     _store(context, builder, function.args[1], described.restype, result, 0)
@@ -314,9 +306,7 @@ def lower(
     except Exception as error:
         code = kernel.py_func.__code__
         where = f"{code.co_filename}:{code.co_firstlineno}"
-        raise KernelError(
-            f"the kernel {kernel.__qualname__} ({where}) cannot be compiled: {_reason(error)}"
-        ) from error
+        raise KernelError(f"the kernel {kernel.__qualname__} ({where}) cannot be compiled: {_reason(error)}") from error
     finally:
         if on_lowered is not None:
             _on_lowered.remove(on_lowered)

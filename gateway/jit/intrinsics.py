@@ -93,9 +93,7 @@ def _build_call_entry() -> Any:
 
 
 #: Calls the entry at an address with the addresses of its four records; returns 0, or what went wrong.
-call_entry: Callable[[int, int, int, int, int], int] = cast(
-    Any, Intrinsic(_call_entry, _build_call_entry)
-)
+call_entry: Callable[[int, int, int, int, int], int] = cast(Any, Intrinsic(_call_entry, _build_call_entry))
 
 
 def _lowest_bit(word: int) -> int:

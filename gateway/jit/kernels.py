@@ -284,8 +284,8 @@ def symbol_of(key: str) -> str:
 def kernel(function: F) -> F:
     """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy.
 
-    A kernel allocates nothing, reads no clock, and returns numbers or tuples of them. Kernels that it calls are inlined,
-    so that tables handed down in a tuple cost nothing.
+    A kernel allocates nothing, reads no clock, and returns numbers or tuples of them. Kernels that it calls are
+    inlined, so that tables handed down in a tuple cost nothing.
     """
     return cast(F, Kernel(function)) if COMPILED else function
 

@@ -60,8 +60,8 @@ class Record:
     """Base of records: each annotation is a field, in this order, those of a base class first.
 
     A field is a number (``f8``), an array (``Annotated[f8s, 3]``), another record, or an array of these
-    (``Annotated[list[Other], 3]``). With ``class Union(Record, overlay=True)`` all fields lie in the same place: only one of
-    them is in use at a time.
+    (``Annotated[list[Other], 3]``). With ``class Union(Record, overlay=True)`` all fields lie in the same place: only
+    one of them is in use at a time.
 
     Attributes:
         dtype: of NumPy, aligned as in C.
@@ -80,19 +80,9 @@ class Record:
         for base in cls.__bases__:
             for other in cls.__bases__:
                 both = set(_names(base)) & set(_names(other))
-                if (
-                    base is not other
-                    and both
-                    and not (issubclass(base, other) or issubclass(other, base))
-                ):
-                    raise TypeError(
-                        f"{cls.__qualname__}: two of its bases have {', '.join(sorted(both))}"
-                    )
-        forms = {
-            name: _form(cls, name, hint)
-            for name, hint in hints.items()
-            if get_origin(hint) is not ClassVar
-        }
+                if base is not other and both and not (issubclass(base, other) or issubclass(other, base)):
+                    raise TypeError(f"{cls.__qualname__}: two of its bases have {', '.join(sorted(both))}")
+        forms = {name: _form(cls, name, hint) for name, hint in hints.items() if get_origin(hint) is not ClassVar}
         cls.dtype = record(**forms)
         if overlay:
             parts = [cls.dtype[name] for name in forms]
@@ -105,12 +95,7 @@ class Record:
                 },
                 align=True,
             )
-        told = {
-            name: vars(base)[name]
-            for base in reversed(cls.__mro__)
-            for name in forms
-            if name in vars(base)
-        }
+        told = {name: vars(base)[name] for base in reversed(cls.__mro__) for name in forms if name in vars(base)}
         cls.meanings = {name: told[name] for name in forms if isinstance(told.get(name), Meaning)}
 
 

@@ -19,7 +19,8 @@ def _on(name: str) -> bool:
     return os.environ.get(name, "") not in ("", "0")
 
 
-#: Whether the loader of machine code is there. Without it kernels run as plain Python: right, but hundreds of times slower.
+#: Whether the loader of machine code is there. Without it kernels run as plain Python: right, but hundreds of times
+#: slower.
 LOADABLE: bool = importlib.util.find_spec("llvmlite") is not None
 
 if not LOADABLE:

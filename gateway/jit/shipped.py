@@ -1,8 +1,9 @@
 """Compiled kernels that come with the package: nobody compiles who does not write kernels.
 
-``precompiled/index.json`` of a package names for each entry the key of the closure that it was made from, and the digests of
-the files in which this closure can lie. While these files are as they were, the key need not be computed; if one has
-changed, it is, and the shipped code is used if the kernels themselves have not. ``scripts/precompile`` makes all of it.
+``precompiled/index.json`` of a package names for each entry the key of the closure that it was made from, and the
+digests of the files in which this closure can lie. While these files are as they were, the key need not be computed; if
+one has changed, it is, and the shipped code is used if the kernels themselves have not. ``scripts/precompile`` makes
+all of it.
 """
 
 from __future__ import annotations

@@ -132,9 +132,7 @@ class Daemon:
         if self._bus is None:
             return config
         if len(config.bus) > 1:
-            raise InputError(
-                "the configuration has several buses; set their URIs there", value=self._bus
-            )
+            raise InputError("the configuration has several buses; set their URIs there", value=self._bus)
         (entry,) = config.bus
         return config.model_copy(update={"bus": (entry.model_copy(update={"uri": self._bus}),)})
 

@@ -1,7 +1,8 @@
 """A bus that comes and goes: opened, lost, opened again, without anybody else noticing more than a frame.
 
-Its frames come in the engine's time (see ``gateway.live.stamps``). What happened to it goes among them (see ``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING
-when it can again, LOSS where frames were lost in a queue.
+Its frames come in the engine's time (see ``gateway.live.stamps``). What happened to it goes among them (see
+``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING when it can again, LOSS where frames were lost in a
+queue.
 """
 
 from __future__ import annotations

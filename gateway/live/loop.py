@@ -306,10 +306,7 @@ class Live:
         self._gateway.note_buses(self._states())
 
     def _states(self) -> list[dict[str, Any]]:
-        return [
-            bus_event(link, "open" if link.running else "lost", self._clock.wall())
-            for link in self._links
-        ]
+        return [bus_event(link, "open" if link.running else "lost", self._clock.wall()) for link in self._links]
 
 
 def _settle() -> None:

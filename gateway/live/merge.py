@@ -26,9 +26,7 @@ class Merger:
         """Whether frames wait for the next :meth:`take`."""
         return bool(len(self._held))
 
-    def take(
-        self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False
-    ) -> Frames:
+    def take(self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> Frames:
         """Return the frames that are due, in order of time.
 
         Args:

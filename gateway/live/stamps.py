@@ -67,9 +67,7 @@ class Stamps:
                 self._align(frames, now)
         self.drained = not more
         if self.drained:
-            while (
-                self._steps and not self._own_clock and now > self._steps[0].noticed_ns + FLIGHT_NS
-            ):
+            while self._steps and not self._own_clock and now > self._steps[0].noticed_ns + FLIGHT_NS:
                 del self._steps[0], self._offsets[0]
             self._settled = True
             self._floor_ns = now

@@ -24,9 +24,7 @@ class Transmitter:
     """
 
     def __init__(self) -> None:
-        self._waiting: dict[int, deque[Frames]] = {
-            rank: deque() for rank in (URGENT, ANSWER, CYCLIC)
-        }
+        self._waiting: dict[int, deque[Frames]] = {rank: deque() for rank in (URGENT, ANSWER, CYCLIC)}
         self._count = 0
         self.given_up = 0
 

@@ -1,7 +1,7 @@
 """Does a monitor keep the contract? All of it is checked once, when the engine is built.
 
-Compiled code checks nothing: a wired signal too many would be written beyond its array, a fault's number too large would be
-another monitor's fault. Each error here names the monitor, the field and the file.
+Compiled code checks nothing: a wired signal too many would be written beyond its array, a fault's number too large
+would be another monitor's fault. Each error here names the monitor, the field and the file.
 """
 
 from __future__ import annotations
@@ -134,9 +134,7 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     for k, fault in enumerate(faults):
         key = f'monitor type "{monitor.type}".faults[{k}]'
         if fault.name in names[:k]:
-            raise InputError(
-                "this name is taken", file=monitor.file, key=f"{key}.name", value=fault.name
-            )
+            raise InputError("this name is taken", file=monitor.file, key=f"{key}.name", value=fault.name)
         if len(fault.evidence) > most:
             raise InputError(
                 f"{len(fault.evidence)} names of evidence; a result has room for {most}",
@@ -220,9 +218,7 @@ def _of_field(
     if not is_array:
         raise InputError(f"one signal, not {len(given)}", file=monitor.file, key=key)
     if len(given) != count:
-        raise InputError(
-            f"{len(given)} signals for an array of {count}", file=monitor.file, key=key
-        )
+        raise InputError(f"{len(given)} signals for an array of {count}", file=monitor.file, key=key)
     return [(f"{name}[{k}]", signal) for k, signal in enumerate(given)]
 
 

@@ -1,10 +1,11 @@
 """The contract between a monitor and the engine: parameters, records, inputs, kernel, faults, what it sends.
 
-A monitor steps when its event arrives (a frame that carries its inputs, or a timer that it asked for) and reports **test
-results**, never DTCs. Debounce and the fault memory decide what becomes of them.
+A monitor steps when its event arrives (a frame that carries its inputs, or a timer that it asked for) and reports
+**test results**, never DTCs. Debounce and the fault memory decide what becomes of them.
 
-Its kernel is ``step(s, c, u, out)`` over four records: state, constants, inputs of this event, and :class:`Out`. It never
-reads a clock; ``u.t_ns`` is the event's own time. It need not report each time: debounce holds while nothing is reported.
+Its kernel is ``step(s, c, u, out)`` over four records: state, constants, inputs of this event, and :class:`Out`. It
+never reads a clock; ``u.t_ns`` is the event's own time. It need not report each time: debounce holds while nothing is
+reported.
 
 :mod:`gateway.monitors.conformance` checks all of it once, when the engine is built.
 """
@@ -133,17 +134,12 @@ def report(out: Out[E, V], fault: int, failed: bool, value: float, threshold: fl
 
 def results_of(evidence: np.dtype[Any], outputs: np.dtype[Any] | None) -> np.dtype[np.void]:
     """Return RESULTS with evidence and values as records of a monitor's own, in the same places."""
-    of_result = {
-        name: (RESULT[name], int(cast(Any, RESULT.fields)[name][1])) for name in RESULT.names or ()
-    }
+    of_result = {name: (RESULT[name], int(cast(Any, RESULT.fields)[name][1])) for name in RESULT.names or ()}
     cells, at = of_result["evidence"]
     of_result["cells"] = (cells, at)
     of_result["evidence"] = (evidence, at)
     one = _laid_out(of_result, RESULT.itemsize)
-    whole = {
-        name: (RESULTS[name], int(cast(Any, RESULTS.fields)[name][1]))
-        for name in RESULTS.names or ()
-    }
+    whole = {name: (RESULTS[name], int(cast(Any, RESULTS.fields)[name][1])) for name in RESULTS.names or ()}
     if outputs is not None:
         whole["values"] = (outputs, whole["values"][1])
     whole["results"] = (np.dtype((one, (MAX_RESULTS + 1,))), whole["results"][1])

@@ -161,9 +161,7 @@ class Gateway:
         self._upkeep.succeed(old._upkeep)
         self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
-        buses = {
-            k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices
-        }
+        buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self.controls.go_on()
         self.servers.succeed(old.servers, buses)
@@ -204,9 +202,7 @@ class Gateway:
         """Whether all that is known is in the fault memory's file."""
         return not self.memory.unsaved
 
-    def write_beside(
-        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
-    ) -> None:
+    def write_beside(self, executor: Executor | None = None, patience_s: float = PATIENCE_S) -> None:
         """Have a thread write the fault memory: frames come whether a disk is slow or not.
 
         Args:
@@ -302,9 +298,7 @@ class Gateway:
             changes = self.memory.apply(event, self._observe)
             told = self._note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._untold.append(
-                    monitor_event(event, self.catalogue, self._bus_name(int(event["bus"])))
-                )
+                self._untold.append(monitor_event(event, self.catalogue, self._bus_name(int(event["bus"]))))
 
     def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
         """Keep changes to be told when they are stored; returns whether there are any worth it."""
@@ -317,10 +311,7 @@ class Gateway:
         return bool(told)
 
     def _record(self, change: DtcChange) -> None:
-        if (
-            self._recorder is not None
-            and change.new_status & ~change.old_status & Status.TEST_FAILED
-        ):
+        if self._recorder is not None and change.new_status & ~change.old_status & Status.TEST_FAILED:
             t_ns = change.t_ns - self.engine.offset_ns
             self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
 
@@ -418,8 +409,7 @@ class Gateway:
             "faults": [as_dict(definition) for definition in self.catalogue],
             "identifiers": self.identifiers.describe(),
             "extended_data": [
-                {"record": number, "name": kind.name, "length": kind.length}
-                for number, kind in EXTENDED_DATA.items()
+                {"record": number, "name": kind.name, "length": kind.length} for number, kind in EXTENDED_DATA.items()
             ],
         }
 

@@ -97,9 +97,7 @@ def assemble(resolved: Resolved) -> Parts:
         engine,
         catalogue,
         {
-            definition.id: _unique(
-                [*asked.get(definition.id, ()), *(shown if definition.emission_related else ())]
-            )
+            definition.id: _unique([*asked.get(definition.id, ()), *(shown if definition.emission_related else ())])
             for definition in catalogue
         },
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
@@ -160,15 +158,11 @@ def _unique(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def identifiers_of(
-    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl
-) -> Identifiers:
+def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: TesterControl) -> Identifiers:
     """Return the table of data identifiers, with those of the freeze frames' signals."""
     named = {did.name for did in config.did}
     frozen = {name for names in parts.frozen.values() for name in names} - named
-    return Identifiers(
-        config.did, frozen, control.value, memory.identifiers, memory.write_identifier
-    )
+    return Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
 
 
 def servers_of(

@@ -127,9 +127,7 @@ def drive(
             for sent in (gateway.feed(batch), gateway.advance(until)):
                 for report in wires.reports(sent):
                     if judge is not None and report.dtc is not None:
-                        judge.report(
-                            report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence
-                        )
+                        judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
                     if on_report is not None:
                         on_report(report)
             if on_step is not None:

@@ -122,9 +122,7 @@ class Upkeep:
         """Attempts to write that failed."""
         return self._memory.outage.failures
 
-    def write_beside(
-        self, executor: Executor | None = None, patience_s: float = PATIENCE_S
-    ) -> None:
+    def write_beside(self, executor: Executor | None = None, patience_s: float = PATIENCE_S) -> None:
         """Have a thread write from now on, for a gateway whose frames do not wait.
 
         Args:
@@ -140,9 +138,7 @@ class Upkeep:
             self._executor.shutdown()
             self._executor = None
 
-    def settle(
-        self, t_ns: int, noted: Noted, sink: Sink, *, asked: bool = False, final: bool = False
-    ) -> Noted:
+    def settle(self, t_ns: int, noted: Noted, sink: Sink, *, asked: bool = False, final: bool = False) -> Noted:
         """Write what waits, if it is time; returns how much of what was noted may be told.
 
         Args:
@@ -231,9 +227,7 @@ class Upkeep:
         self._store.note_unsaved(down)
         return news
 
-    def _report(
-        self, fault: Fault, failed: bool, value: float, evidence: Sequence[float], sink: Sink
-    ) -> None:
+    def _report(self, fault: Fault, failed: bool, value: float, evidence: Sequence[float], sink: Sink) -> None:
         place = self._places[fault]
         if place is not None:
             self._engine.report(place, failed, value, 0.0, evidence, sink)
@@ -268,9 +262,7 @@ class Upkeep:
         else:
             since_ns = outage.since_ns or t_ns  # 0: before the first frame
             seconds = max(t_ns - since_ns, 0) / 1e9
-            log.warning(
-                "fault memory written again", file=str(self._store.path), after_s=round(seconds, 3)
-            )
+            log.warning("fault memory written again", file=str(self._store.path), after_s=round(seconds, 3))
             self._event(t_ns, "written", "")
 
     def _event(self, t_ns: int, state: str, reason: str, **more: object) -> None:

@@ -1,4 +1,4 @@
-"""The contract of what is on a bus beside the monitors: it takes frames, durable changes and time; gives frames to send."""
+"""Contract of what is on a bus beside the monitors: takes frames, durable changes, time; gives frames."""
 
 from __future__ import annotations
 

@@ -26,9 +26,7 @@ class BusServers:
         may_send: whether normal communication is on at present (ISO 14229-1, 0x28).
     """
 
-    def __init__(
-        self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool]
-    ) -> None:
+    def __init__(self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool]) -> None:
         self.all = tuple(servers)
         self._may_send = may_send
         self._due = [server.next_ns for server in self.all]

@@ -27,9 +27,7 @@ class DiagnosticServer(BusServer):
     normal = False
     prompt = True
 
-    def __init__(
-        self, transport: IsoTpEndpoint, uds: Application | None, obd: Application | None
-    ) -> None:
+    def __init__(self, transport: IsoTpEndpoint, uds: Application | None, obd: Application | None) -> None:
         self._transport = transport
         self._uds = uds
         self._obd = obd

@@ -27,12 +27,8 @@ class DtcFrameParams(StrictModel):
     """Settings of the DTC frame."""
 
     bus: str | None = Field(None, description="name of the bus it is sent on")
-    cycle_ms: float = Field(
-        1000.0, ge=10, allow_inf_nan=False, description="time between two cyclic lists [ms]"
-    )
-    status_mask: int = Field(
-        0x0D, ge=1, le=0xFF, description="DTCs with any of these status bits are in the list"
-    )
+    cycle_ms: float = Field(1000.0, ge=10, allow_inf_nan=False, description="time between two cyclic lists [ms]")
+    status_mask: int = Field(0x0D, ge=1, le=0xFF, description="DTCs with any of these status bits are in the list")
     min_interval_ms: float = Field(
         10.0,
         ge=0,

@@ -132,9 +132,7 @@ class Identifiers:
         if did.signal is not None:
             return did.encode(self._read(did.signal))
         written = self._written.get(number)
-        return (
-            written if written is not None and len(written) == len(did.constant) else did.constant
-        )
+        return written if written is not None and len(written) == len(did.constant) else did.constant
 
     def write(self, number: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.
@@ -178,9 +176,7 @@ def check_unique(params: Sequence[DidParams]) -> list[InputError]:
     wrong = []
     for k, did in enumerate(params):
         if did.id in [other.id for other in params[:k]]:
-            wrong.append(
-                InputError("this identifier is taken", key=f"did[{k}].id", value=f"0x{did.id:04X}")
-            )
+            wrong.append(InputError("this identifier is taken", key=f"did[{k}].id", value=f"0x{did.id:04X}"))
         if did.name in [other.name for other in params[:k]]:
             wrong.append(InputError("this name is taken", key=f"did[{k}].name", value=did.name))
     return wrong

@@ -40,9 +40,7 @@ def crc8_table(name: str) -> NDArray[np.uint8]:
 
 
 @kernel
-def crc8(
-    words: Any, length: int, crc_byte: int, data_id: int, table: Any, init: int, xorout: int
-) -> int:
+def crc8(words: Any, length: int, crc_byte: int, data_id: int, table: Any, init: int, xorout: int) -> int:
     """Return the CRC over a payload without its CRC byte, then the data id.
 
     Args:

@@ -157,7 +157,7 @@ def extract(words: Any, s: Any) -> float:
 @kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
     """Tell whether a value is one of ``ids[first:first + count]``."""
-    for k in range(first, first + count):  # noqa: SIM110 - numba has no any() over a generator
+    for k in range(first, first + count):
         if ids[k] == value:
             return True
     return False
@@ -194,9 +194,7 @@ def decode(
         return TOO_SHORT
     for j in range(m.count):
         s = signals[m.first + j]
-        if s.parent >= 0 and (
-            present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)
-        ):
+        if s.parent >= 0 and (present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)):
             present[j] = 0
             continue
         present[j] = 1

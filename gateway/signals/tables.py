@@ -192,9 +192,7 @@ def _hash(
         while rows[at] >= 0:
             if keys[at] == key:
                 other = messages[rows[at]][1].name
-                raise InputError(
-                    f"has the identifier of {other}: 0x{message.frame_id:X}", key=message.name
-                )
+                raise InputError(f"has the identifier of {other}: 0x{message.frame_id:X}", key=message.name)
             at = (at + 1) % capacity
         keys[at], rows[at] = key, row
     return keys, rows

@@ -91,9 +91,7 @@ class Judge:
             inside = [t for t in times if line.after_s <= t <= limit]
             early = [t for t in times if t < line.after_s]
             if early:
-                found.append(
-                    Finding(False, f"{line.dtc} set at {early[0]:.3f} s, before {line.after_s} s")
-                )
+                found.append(Finding(False, f"{line.dtc} set at {early[0]:.3f} s, before {line.after_s} s"))
             elif not inside:
                 late = f", but at {times[0]:.3f} s" if times else ""
                 found.append(Finding(False, f"{line.dtc} not set by {limit} s{late}"))
@@ -102,11 +100,7 @@ class Judge:
             if line.healed_by_s is not None and inside and seen is not None:
                 healed = [t for t in seen.healed_s if inside[0] <= t <= line.healed_by_s]
                 good = bool(healed) and not (seen.failed and seen.set_s[-1] > healed[-1])
-                text = (
-                    f"healed at {healed[0]:.3f} s"
-                    if good
-                    else (f"not healed by {line.healed_by_s} s")
-                )
+                text = f"healed at {healed[0]:.3f} s" if good else (f"not healed by {line.healed_by_s} s")
                 found.append(Finding(good, f"{line.dtc} {text}"))
         if self._scenario.unexpected == "fail":
             for dtc, seen in sorted(self._seen.items()):

@@ -54,9 +54,7 @@ class Player:
             elif ecu.bus is not None and ecu.bus in buses:
                 bus = buses[ecu.bus]
             else:
-                raise InputError(
-                    f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or ""
-                )
+                raise InputError(f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or "")
             mine = [fault for fault in scenario.fault if fault.ecu == ecu.name]
             rng = np.random.default_rng([self.seed, k])
             run = Run(scenario.duration_s, bus, rng, (databases or {}).get(bus, ()))
@@ -66,9 +64,7 @@ class Player:
                 if error.key is None:
                     raise
                 key = f"ecu[{k}].{error.key}"
-                raise InputError(
-                    error.message, file=error.file, key=key, value=error.value
-                ) from error
+                raise InputError(error.message, file=error.file, key=key, value=error.value) from error
             runs.append(frames)
             self.truth += truth
         frames = np.concatenate(runs)
@@ -80,9 +76,7 @@ class Player:
         self.frames, done = apply_wire_faults(frames, scenario.wire, rng, known)
         self.truth += done
 
-    def batches(
-        self, step_ns: int = 10_000_000, *, start_ns: int = 0
-    ) -> Iterator[tuple[int, Frames]]:
+    def batches(self, step_ns: int = 10_000_000, *, start_ns: int = 0) -> Iterator[tuple[int, Frames]]:
         """Yield (end of the step [ns], its frames), the time from ``start_ns`` on, empty steps too.
 
         Args:

@@ -57,7 +57,5 @@ def protect(message: Message, values: dict[str, Any], crc: str = "Crc") -> bytes
     words = np.frombuffer(bytes(data).ljust(64, b"\0"), "<u8")
     at = place.start // 8
     algorithm = ALGORITHMS[_CRC]
-    data[at] = crc8(
-        words, len(data), at, message.frame_id, _table(), algorithm.init, algorithm.xorout
-    )
+    data[at] = crc8(words, len(data), at, message.frame_id, _table(), algorithm.init, algorithm.xorout)
     return bytes(data)

@@ -1,7 +1,7 @@
 """The types of virtual ECU that a scenario can name; one that no scenario names is not imported.
 
-Ours are the folders here: ``gateway/vecu/NAME`` with an ``ECU`` is type NAME. Those of other packages are entry points of
-the group ``gateway.vecu``, or ``"package.module:NAME"``.
+Ours are the folders here: ``gateway/vecu/NAME`` with an ``ECU`` is type NAME. Those of other packages are entry points
+of the group ``gateway.vecu``, or ``"package.module:NAME"``.
 """
 
 from __future__ import annotations

@@ -166,9 +166,7 @@ class Scenario(StrictModel):
         return self
 
 
-def _all(
-    entries: Sequence[Any], name: str, read: Callable[[Any, str], T], wrong: list[InputError]
-) -> list[T]:
+def _all(entries: Sequence[Any], name: str, read: Callable[[Any, str], T], wrong: list[InputError]) -> list[T]:
     """Read all entries of a table; what is wrong is collected."""
     found = []
     for k, entry in enumerate(entries):
@@ -191,8 +189,7 @@ def load_scenario(path: Path) -> Scenario:
     try:
         scenario = load(path, Scenario)
         ecus = tuple(
-            _of_type(ecu.type, f"ecu[{k}]").locate(ecu, path.parent, f"ecu[{k}]")
-            for k, ecu in enumerate(scenario.ecu)
+            _of_type(ecu.type, f"ecu[{k}]").locate(ecu, path.parent, f"ecu[{k}]") for k, ecu in enumerate(scenario.ecu)
         )
     except InputErrors as errors:
         raise InputErrors([error.within(path) for error in errors.errors]) from errors

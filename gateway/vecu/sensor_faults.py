@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 Readings = NDArray[np.float64]
 
 
-def impulses(
-    shape: int | tuple[int, ...], rate: float, size: float, rng: np.random.Generator
-) -> Readings:
+def impulses(shape: int | tuple[int, ...], rate: float, size: float, rng: np.random.Generator) -> Readings:
     """Return transient and intermittent faults to be added (paper 002, Fig. 7).
 
     Args:

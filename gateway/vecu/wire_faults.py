@@ -50,9 +50,7 @@ def concerned(fault: WireFault, key: str, databases: Mapping[int, Database]) -> 
             key=f"{key}.message",
             value=text,
         )
-    return can_id | (
-        EXTENDED if can_id > LAST_STANDARD or len(digits) == EXTENDED_DIGITS else 0
-    ), None
+    return can_id | (EXTENDED if can_id > LAST_STANDARD or len(digits) == EXTENDED_DIGITS else 0), None
 
 
 def apply_wire_faults(

@@ -32,17 +32,11 @@ evaluate = typer.Typer(
 
 @evaluate.command("crank")
 def crank(
-    seeds: Annotated[
-        int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")
-    ] = 20,
-    pulses: Annotated[
-        int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")
-    ] = 200_000,
+    seeds: Annotated[int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")] = 20,
+    pulses: Annotated[int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")] = 200_000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")] = None,
 ) -> None:
     """Crankshaft: missed and added pulses.
 
@@ -61,9 +55,7 @@ def pedal(
         typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
     ] = 100_000,
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")] = None,
 ) -> None:
     """Pedal: voters with faulty sensors.
 
@@ -82,13 +74,9 @@ def steering(
         int,
         typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
     ] = 100_000,
-    rules: Annotated[
-        bool, typer.Option("--rules", help="Also all filters, distances and stopping rules.")
-    ] = False,
+    rules: Annotated[bool, typer.Option("--rules", help="Also all filters, distances and stopping rules.")] = False,
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")] = None,
 ) -> None:
     """Steering: the motor's angle, and faults of its sensors.
 
@@ -102,13 +90,9 @@ def steering(
 @evaluate.command("truck")
 def truck(
     seeds: Annotated[int, typer.Option(min=1, help="Noises of each case.")] = 1,
-    seed: Annotated[
-        int, typer.Option(min=0, help="First seed; nothing was chosen on those from 30000 on.")
-    ] = 30_000,
+    seed: Annotated[int, typer.Option(min=0, help="First seed; nothing was chosen on those from 30000 on.")] = 30_000,
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")] = None,
 ) -> None:
     """Hybrid powertrain: which system isolates which fault.
 
@@ -128,9 +112,7 @@ def linear(
         typer.Option(min=0, help="First seed; nothing was chosen on those from 100000 on."),
     ] = 100_000,
     json: Json = False,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")
-    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")] = None,
 ) -> None:
     """Bank of PI observers: actuators and sensors of a linear plant.
 

@@ -12,9 +12,7 @@ Row = TypeVar("Row")
 Progress = Callable[[], None]
 
 
-def run(
-    work: Callable[[Job], list[Row]], jobs: Sequence[Job], progress: Progress = lambda: None
-) -> list[Row]:
+def run(work: Callable[[Job], list[Row]], jobs: Sequence[Job], progress: Progress = lambda: None) -> list[Row]:
     """Return the rows of all jobs, in their order.
 
     Args:

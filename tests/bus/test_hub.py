@@ -134,9 +134,7 @@ def _flood(address, count):
 def test_many_frames_between_processes_keep_their_order(hub):
     count = 10_000
     with join(hub) as ours:
-        process = multiprocessing.get_context("spawn").Process(
-            target=_flood, args=(hub.address, count)
-        )
+        process = multiprocessing.get_context("spawn").Process(target=_flood, args=(hub.address, count))
         process.start()
         got = take(ours, count, 60)
         process.join(20)

@@ -137,9 +137,7 @@ def test_they_are_written_and_the_diagnosis_works_with_them(healthy, truck, tmp_
 @compiled
 def test_the_command_states_the_margin(healthy):
     path, logs = healthy
-    said = CliRunner().invoke(
-        app, ["calibrate", str(path), *map(str, logs)], env={"COLUMNS": "200"}
-    )
+    said = CliRunner().invoke(app, ["calibrate", str(path), *map(str, logs)], env={"COLUMNS": "200"})
     assert said.exit_code == 0, said.output
     assert "With these thresholds no test fires in them: the largest healthy T is 0." in said.output
     assert "0.5 at most was asked for" in said.output

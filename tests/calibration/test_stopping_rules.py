@@ -127,9 +127,7 @@ def test_the_command_says_how_far_the_data_carry(healthy):
     assert "lies beyond the data" in said
     assert "extrapolated" in said
     found = json.loads(
-        subprocess.run(
-            [*command, "--mtfa", "2", "--json"], capture_output=True, text=True, check=True
-        ).stdout
+        subprocess.run([*command, "--mtfa", "2", "--json"], capture_output=True, text=True, check=True).stdout
     )
     assert found["assured_s"] == pytest.approx(10 / 2.996, rel=0.01)
     assert found["data"] == digest(logs)
@@ -147,9 +145,7 @@ def test_logs_that_are_too_short_are_refused(healthy, tmp_path):
     path, _ = healthy
     log = tmp_path / "short.log"
     player = Player(
-        load_scenario(shipped("scenarios/steering_healthy.toml")).model_copy(
-            update={"duration_s": 1.0}
-        ),
+        load_scenario(shipped("scenarios/steering_healthy.toml")).model_copy(update={"duration_s": 1.0}),
         {"chassis": 0},
     )
     writer = open_writer(log)

@@ -31,9 +31,7 @@ def test_what_this_machine_lacks_is_warned_of(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(check_module, "no_socketcan", lambda: "no SocketCAN in this kernel")
     config = tmp_path / "c.toml"
-    config.write_text(
-        '[[bus]]\nname = "b"\nuri = "socketcan:can0"\n[memory]\npath = "none/f.sqlite"\n'
-    )
+    config.write_text('[[bus]]\nname = "b"\nuri = "socketcan:can0"\n[memory]\npath = "none/f.sqlite"\n')
     assert check(config, schema_wanted=False, json=True) == 0
     said = json.loads(capsys.readouterr().out)["warnings"]
     assert said == [

@@ -108,8 +108,8 @@ def simulate(gateway, tmp_path):
     folder.mkdir()
     (folder / "own.dbc").write_text(DBC)
     (folder / "c.toml").write_text(
-        BUS
-        + 'database = ["own.dbc"]\n[[bus.check]]\nmessage = "MyCommand"\n[output.dtc_frame]\nbus = "b"\ncycle_ms = 1000.0\n'
+        BUS + 'database = ["own.dbc"]\n[[bus.check]]\nmessage = "MyCommand"\n[output.dtc_frame]\n'
+        'bus = "b"\ncycle_ms = 1000.0\n'
     )
 
     def run(text=SCENARIO, *more):

@@ -1,4 +1,6 @@
-"""Errors of the gateway itself, of the machine, and signals while it starts: one line, and an exit code that says it."""
+"""Errors of the gateway itself, of the machine, and signals while it starts: one line, and an exit code that
+says it.
+"""
 
 import importlib
 import io
@@ -141,9 +143,7 @@ main()
         (("simulate", "crank_healthy", "--bus", "inside", "--check"), "cli.simulate", "Gateway", 143),
     ],
 )  # fmt: skip
-def test_a_signal_while_it_compiles_ends_it_at_once(
-    tmp_path, arguments, module, name, code, number
-):
+def test_a_signal_while_it_compiles_ends_it_at_once(tmp_path, arguments, module, name, code, number):
     started = subprocess.Popen(
         [sys.executable, "-c", COMPILING.format(module=module, name=name), *arguments],
         cwd=tmp_path,
@@ -156,9 +156,7 @@ def test_a_signal_while_it_compiles_ends_it_at_once(
         while "compiling" not in (line := started.stderr.readline()):
             assert line
         started.send_signal(number)
-        assert started.wait(200) == code, (
-            "not when the compiler is done, a quarter of an hour later"
-        )
+        assert started.wait(200) == code, "not when the compiler is done, a quarter of an hour later"
     finally:
         started.kill()
         started.wait(10)

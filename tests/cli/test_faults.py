@@ -67,14 +67,10 @@ def test_near_misses(run, tmp_path):
 
 def test_recordings_are_logs_that_can_be_read(run, tmp_path):
     out = tmp_path / "logs"
-    (entry,) = json.loads(
-        run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out, "--json")
-    )
+    (entry,) = json.loads(run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out, "--json"))
     frames = [frame for batch in read_log(out / "P1000-11-1.log") for frame in batch]
     assert len(frames) == entry["frames"] > 2
-    assert "P1000-11-1.log" in run(
-        "recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out
-    )
+    assert "P1000-11-1.log" in run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out)
 
 
 def test_export(run, tmp_path):
@@ -105,16 +101,11 @@ def test_a_reader_without_the_configuration_learns_what_a_fault_is(run, tmp_path
 
 
 def test_what_the_configuration_says_of_a_fault(tmp_path):
-    own = (
-        'severity = "immediately"\ndtc_class = "a"\ndescription = "Brake ECU silent"\n'
-        'remedy = "check fuse F7"\n'
-    )
+    own = 'severity = "immediately"\ndtc_class = "a"\ndescription = "Brake ECU silent"\nremedy = "check fuse F7"\n'
     rig = Rig(write_config(tmp_path, 1, faults={0: own}), tmp_path / "f.sqlite")
     rig.fail(0)
     rig.close()
-    made = CliRunner().invoke(
-        app, ["faults", "show", "P1000-11", "--memory", str(tmp_path / "f.sqlite")]
-    )
+    made = CliRunner().invoke(app, ["faults", "show", "P1000-11", "--memory", str(tmp_path / "f.sqlite")])
     assert "what        Brake ECU silent" in made.output
     assert "severity    immediately: stop, and have it checked at once" in made.output
     assert "what to do  check fuse F7" in made.output

@@ -68,9 +68,7 @@ def lines(*names, count=60, begin=0.0):
     made = []
     for k in range(count):
         t = begin + k / 100 + (1.0 if k > count // 2 else 0.0)
-        made += [
-            f"({t + j / 1e4:.6f}) {name} 100#0000000000000000\n" for j, name in enumerate(names)
-        ]
+        made += [f"({t + j / 1e4:.6f}) {name} 100#0000000000000000\n" for j, name in enumerate(names)]
     return "".join(made)
 
 
@@ -93,9 +91,7 @@ def test_a_log_without_a_configured_bus_is_no_good_log(replay, tmp_path):
 
 def test_channels_are_joined_to_buses(replay, tmp_path):
     (tmp_path / "a.log").write_text(lines("vcan7", "vcan8"))
-    both = replay(
-        "a.log", "--map", "vcan7=chassis", "--map", "vcan8=body", "--fail-on-dtc", "--json"
-    )
+    both = replay("a.log", "--map", "vcan7=chassis", "--map", "vcan8=body", "--fail-on-dtc", "--json")
     assert both.code == 1
     assert {e["dtc"] for e in both.events if e["event"] == "dtc"} == {"U0101-87", "U0102-87"}
     found = both.event("log")

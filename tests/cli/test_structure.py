@@ -75,10 +75,7 @@ def test_json_contract():
 
 def test_text():
     text = run("truck")
-    assert (
-        "99 MSO sets (1 of 2, 1 of 5, 2 of 6, 4 of 7, 3 of 10, 3 of 11, 5 of 27, 32 of 28, 48 of 32)"
-        in text
-    )
+    assert "99 MSO sets (1 of 2, 1 of 5, 2 of 6, 4 of 7, 3 of 10, 3 of 11, 5 of 27, 32 of 28, 48 of 32)" in text
     assert "334 (414)" in text
     assert "e1-e3 e9 e10 e12 e14-e30 e32 e35-e37" in text
     assert "not detectable" in text
@@ -169,8 +166,7 @@ def test_picture_shows_the_numbers(tmp_path):
         legend = len(bars) - len(counts)
         assert 0 <= legend <= 1
         assert any(
-            np.allclose(np.delete(bars, k) if legend else bars, scale * counts, atol=0.05)
-            for k in range(len(bars))
+            np.allclose(np.delete(bars, k) if legend else bars, scale * counts, atol=0.05) for k in range(len(bars))
         ), colour
 
 

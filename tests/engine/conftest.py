@@ -132,13 +132,9 @@ def database(tmp_path_factory):
 def build(database):
     def make(*monitors, checks=(), **options):
         instances = [
-            MonitorInstance(name, SCRIPTED, Params(**params), 0, priority)
-            for name, priority, params in monitors
+            MonitorInstance(name, SCRIPTED, Params(**params), 0, priority) for name, priority, params in monitors
         ]
-        rows = [
-            CheckInstance(communication.Params(**check), 0, f"comm.{check['message']}")
-            for check in checks
-        ]
+        rows = [CheckInstance(communication.Params(**check), 0, f"comm.{check['message']}") for check in checks]
         return build_engine([(0, database)], instances, rows, **options)
 
     return make
@@ -188,6 +184,4 @@ def beta(t_ms, value):
 
 @pytest.fixture
 def tools():
-    return SimpleNamespace(
-        Collector=Collector, batch=batch, alpha=alpha, beta=beta, EXTENDED=EXTENDED
-    )
+    return SimpleNamespace(Collector=Collector, batch=batch, alpha=alpha, beta=beta, EXTENDED=EXTENDED)

@@ -1,4 +1,6 @@
-"""An engine that takes over from another one: the same configuration changes nothing, a changed one only what changed."""
+"""An engine that takes over from another one: the same configuration changes nothing, a changed one only what
+changed.
+"""
 
 import numpy as np
 import pytest
@@ -154,9 +156,7 @@ RECORDS = {
     "health": (None, HealthState),
     "vectors": (None, VectorState),
 }
-SCRIPTS = st.fixed_dictionaries(
-    {"limit": st.sampled_from([5.0, 10.0]), "wake_ms": st.sampled_from([0.0, 70.0])}
-)
+SCRIPTS = st.fixed_dictionaries({"limit": st.sampled_from([5.0, 10.0]), "wake_ms": st.sampled_from([0.0, 70.0])})
 CONFIGURATIONS = st.fixed_dictionaries(
     {
         "monitors": st.dictionaries(st.sampled_from("mnop"), SCRIPTS, max_size=4),
@@ -171,9 +171,7 @@ CONFIGURATIONS = st.fixed_dictionaries(
 
 def built(build, configuration):
     debounce = Debounce(configuration["failed_after"], 2)
-    monitors = [
-        (name, k, params) for k, (name, params) in enumerate(configuration["monitors"].items())
-    ]
+    monitors = [(name, k, params) for k, (name, params) in enumerate(configuration["monitors"].items())]
     return build(
         *monitors, checks=[{"message": "Alpha", **configuration["check"]}], buses=[BusInstance("a")],
         debounces=everywhere(debounce),
@@ -193,20 +191,14 @@ def named(engine, table):
 
 @settings(max_examples=examples(80), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(CONFIGURATIONS, CONFIGURATIONS, st.lists(st.integers(0, 31), min_size=1, max_size=30))
-def test_between_random_configurations_all_state_is_kept_whose_constants_are_equal(
-    build, tools, before, after, values
-):
+def test_between_random_configurations_all_state_is_kept_whose_constants_are_equal(build, tools, before, after, values):
     old, new = built(build, before), built(build, after)
-    frames = [
-        tools.alpha(20.0 * k, value - 8.0, count=value % 16) for k, value in enumerate(values)
-    ]
+    frames = [tools.alpha(20.0 * k, value - 8.0, count=value % 16) for k, value in enumerate(values)]
     old.process(tools.batch(*frames), tools.Collector())
     adopt(new, old, {0: 0}, {})
     now = new.now_ns
     assert now == old.now_ns
-    same = {
-        name for name, params in after["monitors"].items() if before["monitors"].get(name) == params
-    }
+    same = {name for name, params in after["monitors"].items() if before["monitors"].get(name) == params}
     for table, (const, state) in RECORDS.items():
         theirs = named(old, table)
         for name, row in named(new, table).items():
@@ -232,9 +224,7 @@ def test_what_begins_a_cycle_remembers_how_low_its_signal_was(build, tools):
     place = SignalRef(0, "Alpha", "Value")
     watch = CycleWatch(begins=Condition(place, 5.0, rise=2.0), ends=Condition(place, high=-5.0))
     old, new = (make(build, cycles=[watch]) for _ in range(2))
-    old.process(
-        tools.batch(tools.alpha(0.0, -3.0), tools.alpha(10.0, 4.0, count=1)), tools.Collector()
-    )
+    old.process(tools.batch(tools.alpha(0.0, -3.0), tools.alpha(10.0, 4.0, count=1)), tools.Collector())
     adopt(new, old, {0: 0}, {0: 0})
     assert new.tables.watches["lowest"].tolist() == old.tables.watches["lowest"].tolist()
     new.process(tools.batch(tools.alpha(20.0, 6.0, count=2)), tools.Collector())

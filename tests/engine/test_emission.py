@@ -103,11 +103,7 @@ def made(tmp_path):
     database = load_database([path])
 
     def build(*, send=True, listen=True):
-        monitors = [
-            MonitorInstance(
-                "d", DOUBLE, Params(), emission=database.message("Output") if send else None
-            )
-        ]
+        monitors = [MonitorInstance("d", DOUBLE, Params(), emission=database.message("Output") if send else None)]
         if listen:
             monitors.append(MonitorInstance("l", LISTEN, Params()))
         return build_engine([(0, database)], monitors, [])
@@ -119,9 +115,7 @@ def made(tmp_path):
 def frames_of(values):
     frames = empty(len(values))
     for k, value in enumerate(values):
-        put(
-            frames, k, k * 1000, 0x100, int(value * 2).to_bytes(2, "little", signed=True) + bytes(6)
-        )
+        put(frames, k, k * 1000, 0x100, int(value * 2).to_bytes(2, "little", signed=True) + bytes(6))
     return frames
 
 

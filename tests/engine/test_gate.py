@@ -36,9 +36,7 @@ def gated(build, *, debounce=None, **gate):
 
 @pytest.mark.parametrize("resets", [False, True])
 def test_results_count_only_while_the_enable_condition_is_met(build, tools, resets):
-    engine = gated(
-        build, debounce=Debounce(3, 3), conditions=(Condition(BETA, 5, 10),), resets=resets
-    )
+    engine = gated(build, debounce=Debounce(3, 3), conditions=(Condition(BETA, 5, 10),), resets=resets)
     seen = tools.Collector()
     rows = [tools.beta(0, 7), tools.alpha(1, 20), tools.alpha(2, 20)]
     engine.process(tools.batch(*rows), seen)
@@ -174,9 +172,7 @@ def test_time_debounce_behind_a_closed_gate_starts_anew(build, tools):
     assert QUALIFIED_FAILED not in [kind for _, kind in kinds(seen)]
     engine.process(tools.batch(tools.beta(41, 7)), seen)
     engine.advance(200 * 10**6, seen)
-    assert kinds(seen)[-1] == (61, QUALIFIED_FAILED), (
-        "30 ms after its time came and found it closed"
-    )
+    assert kinds(seen)[-1] == (61, QUALIFIED_FAILED), "30 ms after its time came and found it closed"
 
 
 def test_a_jump_of_the_clock_by_decades_costs_one_step(build, tools):
@@ -215,9 +211,7 @@ def test_near_misses_are_counted_from_half_the_way_up(build, tools):
     engine = gated(build, debounce=Debounce(10, 1, jump_down=True))
     t = 0
     for failures in (4, 5, 9, 3, 8):
-        engine.process(
-            tools.batch(*[tools.alpha(t + k, 20) for k in range(failures)]), tools.Collector()
-        )
+        engine.process(tools.batch(*[tools.alpha(t + k, 20) for k in range(failures)]), tools.Collector())
         t += failures
         engine.process(tools.batch(tools.alpha(t, 0)), tools.Collector())
         t += 1

@@ -50,9 +50,7 @@ def test_the_mailbox_is_as_at_the_event_when_python_sees_it(build, tools):
     def sink(events):
         values.extend(engine.value(slot) for e in events if e["kind"] == QUALIFIED_FAILED)
 
-    rows = [
-        tools.alpha(k, v) for k, v in enumerate([11.0, 12.0, 0.0, 0.0, 0.0, 0.0, 13.0, 14.0, 1.0])
-    ]
+    rows = [tools.alpha(k, v) for k, v in enumerate([11.0, 12.0, 0.0, 0.0, 0.0, 0.0, 13.0, 14.0, 1.0])]
     engine.process(tools.batch(*rows), sink)
     assert values == [12.0, 14.0]
     assert engine.value(slot) == 1.0

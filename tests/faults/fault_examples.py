@@ -20,11 +20,7 @@ def catalogue(confirm=None, **settings):
         confirm: cycles that confirm each.
         settings: name -> value of each fault, by its place.
     """
-    rules = (
-        RULES
-        if confirm is None
-        else tuple(Rules(n, indicator=k == 1) for k, n in enumerate(confirm))
-    )
+    rules = RULES if confirm is None else tuple(Rules(n, indicator=k == 1) for k, n in enumerate(confirm))
     return Catalogue(
         FaultDefinition(
             f"m.f{k}",

@@ -30,9 +30,7 @@ def test_known_codes(text, data):
     assert bytes(Dtc.parse(text)).hex() == data
 
 
-@pytest.mark.parametrize(
-    "text", ["", "P", "P4000-00", "X0000-00", "P033", "P03361-29", "P0336-2", "P0336_29"]
-)
+@pytest.mark.parametrize("text", ["", "P", "P4000-00", "X0000-00", "P033", "P03361-29", "P0336-2", "P0336_29"])
 def test_wrong_text_says_the_rule(text):
     with pytest.raises(InputError, match="a letter P, C, B or U"):
         Dtc.parse(text)

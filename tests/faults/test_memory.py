@@ -58,9 +58,7 @@ def test_with_one_record_the_first_stays():
     assert [f.t_ns for f in memory.entry("m.f0").freeze_frames] == [1]
 
 
-@pytest.mark.parametrize(
-    ("at", "stored_at"), [("failed", [1, 2, 4]), ("pending", [1]), ("confirmed", [4])]
-)
+@pytest.mark.parametrize(("at", "stored_at"), [("failed", [1, 2, 4]), ("pending", [1]), ("confirmed", [4])])
 def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
     memory = AtOnce(catalogue(confirm=(2,), freeze_frame_at=(at,), freeze_frames=(9,)), Store(None))
     memory.start_cycle(0)
@@ -149,9 +147,7 @@ def test_a_full_memory_keeps_the_more_important():
     assert memory._held.store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"
     fail(memory, 3)
-    assert stored(memory) == ["m.f0", "m.f1"], (
-        "one of the same priority that failed in this cycle stays"
-    )
+    assert stored(memory) == ["m.f0", "m.f1"], "one of the same priority that failed in this cycle stays"
     assert not memory.status("m.f3") & Status.CONFIRMED_DTC, "what is not stored is not confirmed"
     assert memory.status("m.f3") & Status.TEST_FAILED
 
@@ -189,9 +185,7 @@ def test_a_displaced_fault_comes_back_when_there_is_room():
     assert memory.status("m.f1") & Status.CONFIRMED_DTC
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 7), st.sampled_from("FPc")), max_size=80), st.integers(1, 4)
-)
+@given(st.lists(st.tuples(st.integers(0, 7), st.sampled_from("FPc")), max_size=80), st.integers(1, 4))
 def test_a_bounded_memory_never_holds_more_and_never_less_important_than_it_could(steps, size):
     priority = (10, 20, 20, 30, 30, 30, 40, 50)
     memory = full(size, 8, priority=priority, emission_related=(False,) * 8)
@@ -321,9 +315,7 @@ def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
     for k in range(3):
         memory.start_cycle(8, "warm_up")
         memory.end_cycle(9, "warm_up")
-        assert memory.entry("m.f0").aged_cycles == k + 1, (
-            "warm-up cycles age it, power cycles do not"
-        )
+        assert memory.entry("m.f0").aged_cycles == k + 1, "warm-up cycles age it, power cycles do not"
 
 
 def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
@@ -387,9 +379,7 @@ def test_readiness_of_each_kind_of_monitor():
 def test_a_file_of_the_first_version_is_brought_up_to_date_and_keeps_everything(tmp_path):
     path = tmp_path / "old.sqlite"
     db = sqlite3.connect(path)
-    db.executescript(
-        f"{MIGRATIONS[0]} PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = 1;"
-    )
+    db.executescript(f"{MIGRATIONS[0]} PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = 1;")
     rows = [("m.f0", 0x030011, 0x2E, 2, 5, 100, 900), ("m.f1", 0x030111, 0xAF, 1, 1, 50, 50)]
     for row in rows:
         db.execute("INSERT INTO fault VALUES (?, ?, ?, ?, ?, ?, ?, '{\"value\": 2.5}')", row)

@@ -102,9 +102,7 @@ class MemoryAgainstModel(RuleBasedStateMachine):
         fast = Path("/dev/shm")
         self.folder = Path(tempfile.mkdtemp(dir=fast if fast.is_dir() else None))
         self.path = self.folder / "0.sqlite"
-        self.catalogue = catalogue(
-            cycle=("power", "power", "driving"), aging_cycle=("power", "power", "driving")
-        )
+        self.catalogue = catalogue(cycle=("power", "power", "driving"), aging_cycle=("power", "power", "driving"))
         self.open()
         self.models = [Model(rules) for rules in RULES]
         self.durable = [[] for _ in RULES]

@@ -1,4 +1,6 @@
-"""A memory that cannot be written, is damaged, deleted or replaced: nothing stops, nothing is lost, all of it is said."""
+"""A memory that cannot be written, is damaged, deleted or replaced: nothing stops, nothing is lost, all of it
+is said.
+"""
 
 import itertools
 import os
@@ -171,9 +173,7 @@ def test_nothing_is_cleared_and_nothing_written_that_cannot_be_made_durable(tmp_
     store.close()
 
 
-def test_another_process_that_asks_for_a_clear_that_fails_is_not_told_it_was_done(
-    tmp_path, monkeypatch
-):
+def test_another_process_that_asks_for_a_clear_that_fails_is_not_told_it_was_done(tmp_path, monkeypatch):
     store, memory = kept(tmp_path / "f.sqlite")
     memory.start_cycle(0)
     memory.apply(event(0, True), nothing)
@@ -446,9 +446,7 @@ def test_a_file_that_could_not_be_read_is_never_overwritten(tmp_path, monkeypatc
     path = tmp_path / "f.sqlite"
     fill(path)
     unwritable(monkeypatch)
-    monkeypatch.setattr(
-        "gateway.faults.salvage.shutil.copyfile", lambda *_: (_ for _ in ()).throw(OSError())
-    )
+    monkeypatch.setattr("gateway.faults.salvage.shutil.copyfile", lambda *_: (_ for _ in ()).throw(OSError()))
     store, memory = kept(path)
     assert memory.entries() == []
     memory.start_cycle(0)
@@ -506,9 +504,7 @@ def test_what_a_full_memory_refused_is_entered_when_there_is_room():
 
 
 def test_what_gave_way_comes_back_when_there_is_room():
-    memory = AtOnce(
-        catalogue((1,) * 2, emission_related=(False,) * 2, priority=(9, 1)), Store(None), size=1
-    )
+    memory = AtOnce(catalogue((1,) * 2, emission_related=(False,) * 2, priority=(9, 1)), Store(None), size=1)
     memory.start_cycle(0)
     failing(memory, 0, 1)
     assert [e.fault for e in memory.entries()] == ["m.f1"]

@@ -110,9 +110,7 @@ def test_a_load_is_taken_for_speed():
     """Bias of the reduced observer -M/(J p); of the full one about -(M/J)(p1 + p2 - b/J)/(p1 p2)."""
     load = 0.6
     s, c = pair(reduced_luenberger, M, T)
-    assert constant_load(reduced_luenberger.step, s, c, load) == pytest.approx(
-        load / M.inertia / 700, rel=1e-3
-    )
+    assert constant_load(reduced_luenberger.step, s, c, load) == pytest.approx(load / M.inertia / 700, rel=1e-3)
     s, c = pair(luenberger, M, T)
     continuous = load / M.inertia * (1500 - M.friction / M.inertia) / (700 * 800)
     assert constant_load(luenberger.step, s, c, load) == pytest.approx(continuous, rel=0.15)
@@ -311,12 +309,8 @@ def test_feedforward_finds_the_rotor_from_the_paper_s_own_equations(omega, i_q, 
         at, middle = theta0 + w * h * k, theta0 + w * h * (k - 0.5)
         flux = M.lq * i_q
         # u = R i + d/dt (L i + psi), with i = i_q (-sin, cos)
-        u_a = -M.resistance * i_q * np.sin(middle) - w * (
-            flux * np.cos(middle) + M.flux * np.sin(middle)
-        )
-        u_b = M.resistance * i_q * np.cos(middle) - w * (
-            flux * np.sin(middle) - M.flux * np.cos(middle)
-        )
+        u_a = -M.resistance * i_q * np.sin(middle) - w * (flux * np.cos(middle) + M.flux * np.sin(middle))
+        u_b = M.resistance * i_q * np.cos(middle) - w * (flux * np.sin(middle) - M.flux * np.cos(middle))
         feedforward.step(s, c, u_a, u_b, -i_q * np.sin(at), i_q * np.cos(at))
     error = s["theta_e"] - middle
     error -= pi * round(error / pi)

@@ -21,9 +21,7 @@ MOTOR = Motor()
 
 def profile(t):
     """Speed asked for [rad/s]: rest, 60, rest, -110, rest."""
-    return np.interp(
-        t, [0, 0.2, 0.6, 1.0, 1.3, 1.5, 2.0, 2.4, 2.7, 3.0], [0, 0, 60, 60, 0, 0, -110, -110, 0, 0]
-    )
+    return np.interp(t, [0, 0.2, 0.6, 1.0, 1.3, 1.5, 2.0, 2.4, 2.7, 3.0], [0, 0, 60, 60, 0, 0, -110, -110, 0, 0])
 
 
 @cache
@@ -123,9 +121,7 @@ def inverse_park_all(d, q, theta):
 
 def test_the_filter_follows_a_motor_of_other_make():
     rms = {
-        (per, noise): np.degrees(
-            np.sqrt(np.mean(follow(per, noise, np.random.default_rng(1)) ** 2))
-        )
+        (per, noise): np.degrees(np.sqrt(np.mean(follow(per, noise, np.random.default_rng(1)) ** 2)))
         for per, noise in ((1, 0.0), (10, 0.0), (10, 0.2))
     }
     print(rms)

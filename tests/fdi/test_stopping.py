@@ -125,9 +125,7 @@ def test_increments_and_leaky_sums():
     s, leak = zeros(1, distances.Increment), zeros(1, distances.Leaky)
     turn = np.pi / 2
     assert distances.increment(s[0], 1.5, 0.0, 1e-3, turn) == 0.0
-    assert distances.increment(s[0], 1.5 + 0.06 - turn, 60.0, 1e-3, turn) == pytest.approx(
-        0.0, abs=1e-12
-    )
+    assert distances.increment(s[0], 1.5 + 0.06 - turn, 60.0, 1e-3, turn) == pytest.approx(0.0, abs=1e-12)
     assert distances.increment(s[0], 1.5 + 0.06 + 0.3, 0.0, 1e-3, turn) == pytest.approx(0.3)
     for _ in range(2000):
         total = distances.leaky(leak[0], 0.01, 0.01)

@@ -64,9 +64,7 @@ def test_the_filter_is_filterpys():
         motion.correct(m, y - float(m["x"]), r)
         kf.update(y)
         np.testing.assert_allclose([m["x"], m["v"]], kf.x[:, 0], atol=1e-10)
-        np.testing.assert_allclose(
-            [m["p00"], m["p01"], m["p11"]], kf.P[[0, 0, 1], [0, 1, 1]], atol=1e-12
-        )
+        np.testing.assert_allclose([m["p00"], m["p01"], m["p11"]], kf.P[[0, 0, 1], [0, 1, 1]], atol=1e-12)
 
 
 def test_two_samples_at_once_are_two_samples():
@@ -101,9 +99,7 @@ def test_a_line_that_moves_while_another_channel_repeats_itself():
     for row in rows[1:]:
         y = np.array(row)
         habits.watch(h, 2, y, 3, 0.01, 0.1)
-        found.append(
-            (habits.outrun(h, 2, 1, y, 2, 0.03, 0.003), habits.outrun(h, 2, 0, y, 2, 0.03, 0.003))
-        )
+        found.append((habits.outrun(h, 2, 1, y, 2, 0.03, 0.003), habits.outrun(h, 2, 0, y, 2, 0.03, 0.003)))
     assert found[-1] == (0, -1)
     assert found[1] == (-1, -1), "two samples are not enough"
 

@@ -84,9 +84,7 @@ class Promises:
         """Take an event; returns what is wrong with it."""
         if event["event"] == "memory":
             self.outages += event["state"] == "not written"
-            self.down = event["state"] == "not written" or (
-                self.down and event["state"] != "written"
-            )
+            self.down = event["state"] == "not written" or (self.down and event["state"] != "written")
             return None
         if event["event"] == "clear":
             for fault in event["faults"]:

@@ -78,9 +78,7 @@ def write_config(folder, *, other=False):
                 faults += f'[fault."{name}.M{k}.{kind}"]\ndtc = "U{number:04X}-{failure:02X}"\n'
                 faults += f'freeze_frame = ["{name}.M{k}.Value"]\n'
                 if k < 2 and kind != "timeout":  # at once, and back at once
-                    faults += (
-                        "debounce = { failed_after = 1, passed_after = 1, jump_down = true }\n"
-                    )
+                    faults += "debounce = { failed_after = 1, passed_after = 1, jump_down = true }\n"
     path = folder / "ecus.toml"
     path.write_text('name = "injected"\n' + toml + MONITOR + faults + OUTPUTS)
     return path

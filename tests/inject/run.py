@@ -63,9 +63,7 @@ class Run:
         self.bench = Bench(BUSES)
         self.bench.on_sent = self._on_sent
         self._rng = np.random.default_rng(seed)
-        self._ecus = {
-            uri: Ecus(np.random.default_rng([seed, k]), plant=k == 0) for k, uri in enumerate(BUSES)
-        }
+        self._ecus = {uri: Ecus(np.random.default_rng([seed, k]), plant=k == 0) for k, uri in enumerate(BUSES)}
         self.tester = Tester(self.bench, BUSES[0], random.Random(seed))
         self.promises = Promises(folder / "f.sqlite", self.bench)
         self.tap = Tap()
@@ -109,8 +107,7 @@ class Run:
         except Exception as error:
             at_ms = self.turns * TURN_NS // MS
             raise Broken(
-                f"seed {self.seed}, at {at_ms} ms: {type(error).__name__}: {error}\n"
-                f"{text_of(self.schedule)}"
+                f"seed {self.seed}, at {at_ms} ms: {type(error).__name__}: {error}\n{text_of(self.schedule)}"
             ) from error
         return self
 

@@ -53,7 +53,9 @@ def test_the_same_seed_is_the_same_run(tmp_path):
     ],
 )
 def test_what_is_wrong_is_found(kind, says, tmp_path, monkeypatch):
-    """The checks can fail: frames that nobody counts, a store that writes nothing, a tester nobody hears, time that stops."""
+    """The checks can fail: frames that nobody counts, a store that writes nothing, a tester nobody hears, time
+    that stops.
+    """
     if kind == "uncounted":
         receive = Wire.receive
 
@@ -70,9 +72,7 @@ def test_what_is_wrong_is_found(kind, says, tmp_path, monkeypatch):
         monkeypatch.setattr(run_module, "RESPONSE", 0x7FF)
     else:
         step = Engine.process
-        monkeypatch.setattr(
-            Engine, "process", lambda e, f, sink: step(e, f[f["t_ns"] < e.now_ns + 1000], sink)
-        )
+        monkeypatch.setattr(Engine, "process", lambda e, f, sink: step(e, f[f["t_ns"] < e.now_ns + 1000], sink))
     schedule = read("500 jumps 200 50 virtual:a")
     with pytest.raises(Broken, match=says):
         Run(tmp_path, 1, 14.0, schedule).play()

@@ -77,9 +77,7 @@ class Tester:
         return self._bench.now_ns - self._asked_ns - (self._bench.stalled_ns - self._stalled_ns)
 
     def _ask(self):
-        self._request = (
-            CLEAR if self._rng.random() * 100 < self._clearing else self._rng.choice(REQUESTS)
-        )
+        self._request = CLEAR if self._rng.random() * 100 < self._clearing else self._rng.choice(REQUESTS)
         self._begun, self._excused, self._missing = False, self._kept_from, 0
         self._restart()
         self.asked += 1

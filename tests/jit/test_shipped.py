@@ -37,9 +37,7 @@ COMMAND = "import sys; from gateway.cli import main; sys.exit(main())"
 
 
 #: Prints at the end whether the compiler was loaded.
-LOADED = COMMAND.replace(
-    "sys.exit(main())", "\ntry: main()\nfinally: print('numba' in sys.modules)"
-)
+LOADED = COMMAND.replace("sys.exit(main())", "\ntry: main()\nfinally: print('numba' in sys.modules)")
 
 
 @pytest.mark.long
@@ -103,9 +101,7 @@ def test_a_comment_compiles_nothing(copy):
 
 @pytest.mark.long
 def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
-    edit(
-        copy / "gateway/monitors/linear/observer.py", "s.samples > c.start", "s.samples >= c.start"
-    )
+    edit(copy / "gateway/monitors/linear/observer.py", "s.samples > c.start", "s.samples >= c.start")
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip().endswith("['monitors.linear.observer.step']")

@@ -110,9 +110,7 @@ def run(folder, step_s=None, at="", more="[clock]\nwatched = false\n", **options
 def without_stamps(world):
     """What happened, and when it truly did."""
     return [
-        (at, {k: v for k, v in event.items() if k != "t_ns"})
-        for at, event in world.events
-        if event["event"] != "clock"
+        (at, {k: v for k, v in event.items() if k != "t_ns"}) for at, event in world.events if event["event"] != "clock"
     ]
 
 
@@ -260,9 +258,7 @@ def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_
     if step_s < 0:
         assert [d for d in dtcs if d[0] != "U3000-62"] == theirs
         (step,) = [e for e in events if e["event"] == "clock"]
-        assert step["step_s"] == pytest.approx(step_s, abs=0.021), (
-            "but for the time between two frames"
-        )
+        assert step["step_s"] == pytest.approx(step_s, abs=0.021), "but for the time between two frames"
         assert gateway.summary(1.0)["counters"]["late"] == 0
     else:
         assert not [e for e in events if e["event"] == "clock"]
@@ -277,9 +273,7 @@ def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path):
         folder.mkdir()
         world = World()
         buses = [("chassis", "virtual:a"), ("body", "virtual:b"), ("silent", "virtual:c")]
-        path = write_config(
-            folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n'
-        )
+        path = write_config(folder, buses=buses, more=more + f'[record]\nfolder = "{folder}/ring"\n')
         text = path.read_text().split("[[bus]]\n")
         text[3] = text[3].replace("U0140", "U0146").replace("U0422", "U0423")
         path.write_text("[[bus]]\n".join(text))

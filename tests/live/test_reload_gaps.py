@@ -30,9 +30,7 @@ def write(folder, buses, more=MORE):
     for k, part in enumerate(parts):
         if not part.startswith('name = "body"'):  # DTCs of their own
             part = part.replace("U0140", "U0146").replace("U0422", "U0423")
-        parts[k] = part.replace(
-            '[output.dtc_frame]\nbus = "body"', '[output.dtc_frame]\nbus = "chassis"'
-        )
+        parts[k] = part.replace('[output.dtc_frame]\nbus = "body"', '[output.dtc_frame]\nbus = "chassis"')
     path.write_text("[[bus]]\n".join([head, *parts]))
     return path
 

@@ -148,9 +148,7 @@ def test_two_buses_give_what_one_gives(tmp_path, drive):
     lagging["t_ns"] += STEP_NS
     two = config_of(tmp_path, ["chassis", "other"], "chassis.", "other.")
     for delays in ([0, 0], [100_000, 0], [0, 150_000]):
-        events, counters = run(
-            two, [drive, lagging], steps_ns=[100_000, 3_000_000, 40_000_000], delays_ns=delays
-        )
+        events, counters = run(two, [drive, lagging], steps_ns=[100_000, 3_000_000, 40_000_000], delays_ns=delays)
         assert dtcs(events, STEP_NS) == expected, delays
         assert counters["late"] == 0
         assert counters["frames"] == 2 * len(drive) + 2, "and the condition of each bus"
@@ -185,9 +183,7 @@ def test_a_signal_of_no_bus_is_named(tmp_path, second, match):
 def test_what_is_held_back_is_fed_at_the_end(tmp_path, drive):
     two = config_of(tmp_path, ["chassis", "other"], "chassis.", "other.")
     last = drive[:300].copy()
-    last["t_ns"][-1] = (
-        int(last["t_ns"].max()) + 2 * 10**8 - 1
-    )  # as the loop ends, too new to be sure of
+    last["t_ns"][-1] = int(last["t_ns"].max()) + 2 * 10**8 - 1  # as the loop ends, too new to be sure of
     _, counters = run(two, [last, empty(1)], steps_ns=[int(last["t_ns"][-1]) + 1], delays_ns=[0, 0])
     assert counters["frames"] >= 300
 
@@ -196,8 +192,6 @@ def test_an_empty_bus_holds_nobody_back(tmp_path, drive):
     two = config_of(tmp_path, ["chassis", "other"])
     silent = empty(1)
     silent["t_ns"] = 10**15
-    config_events, counters = run(
-        two, [drive[:500], silent[:1]], steps_ns=[10**9], delays_ns=[0, 0]
-    )
+    config_events, counters = run(two, [drive[:500], silent[:1]], steps_ns=[10**9], delays_ns=[0, 0])
     assert counters["frames"] >= 500
     assert config_events

@@ -232,9 +232,7 @@ def test_a_small_step_in_a_long_backlog_is_found(step_ms, at):
         error = frames["t_ns"].astype(np.int64) - c.zero - true
         assert np.abs(error).max() <= abs(step_ms) * MS
         assert (error[true > noticed] == 0).all()
-        waiting += (
-            [waiting[-1] + k * MS for k in range(1, 6)] if waiting and c.true < 10 * S else []
-        )
+        waiting += [waiting[-1] + k * MS for k in range(1, 6)] if waiting and c.true < 10 * S else []
         c.true += 5 * MS
     assert error[-1] == 0
 

@@ -26,9 +26,7 @@ class Full(Bus):
     def send(self, frames):
         count = min(len(frames), self.room)
         self.room -= count
-        self.taken += [
-            (int(f["rank"]), int(f["can_id"]), int(f["data"][0])) for f in frames[:count]
-        ]
+        self.taken += [(int(f["rank"]), int(f["can_id"]), int(f["data"][0])) for f in frames[:count]]
         return count
 
     def close(self):
@@ -81,9 +79,7 @@ def test_a_bus_that_takes_nothing_costs_bounded_memory_and_the_urgent_last():
 @given(
     st.lists(
         st.tuples(
-            st.lists(
-                st.tuples(st.sampled_from([ANSWER, URGENT, CYCLIC]), st.integers(0, 3)), max_size=6
-            ),
+            st.lists(st.tuples(st.sampled_from([ANSWER, URGENT, CYCLIC]), st.integers(0, 3)), max_size=6),
             st.integers(0, 5),
         ),
         max_size=20,

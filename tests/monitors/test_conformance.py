@@ -121,22 +121,15 @@ def database(tmp_path_factory):
 
 def run(database, *monitors, volts=(10.0, 12.0, 10.0), **signals):
     """Feed the voltages; returns the engine and the ids of the faults that failed."""
-    instances = [
-        MonitorInstance(name, monitor, Params(), signals=signals.get(name, {}))
-        for name, monitor in monitors
-    ]
+    instances = [MonitorInstance(name, monitor, Params(), signals=signals.get(name, {})) for name, monitor in monitors]
     engine = build_engine([(0, database)], instances, [])
     frames = empty(len(volts))
     for k, value in enumerate(volts):
-        put(
-            frames, k, (k + 1) * 1_000_000, 256, round(100 * value).to_bytes(2, "little") + bytes(6)
-        )
+        put(frames, k, (k + 1) * 1_000_000, 256, round(100 * value).to_bytes(2, "little") + bytes(6))
     failed = []
 
     def sink(events):
-        failed.extend(
-            engine.faults[int(e["fault"])].id for e in events if e["kind"] == QUALIFIED_FAILED
-        )
+        failed.extend(engine.faults[int(e["fault"])].id for e in events if e["kind"] == QUALIFIED_FAILED)
 
     engine.process(frames, sink)
     return engine, failed
@@ -280,9 +273,7 @@ def test_what_there_is_just_room_for_is_accepted():
 
 @pytest.mark.parametrize("name", ["volts", "amps"])
 def test_an_input_may_be_connected_to_nothing(database, name):
-    only = {**CONNECTED, name: None} | (
-        {"amps": [CONNECTED["volts"]] * 2} if name == "volts" else {}
-    )
+    only = {**CONNECTED, name: None} | ({"amps": [CONNECTED["volts"]] * 2} if name == "volts" else {})
     engine, failed = run(database, ("a", replace(GOOD, connect=lambda p: only)))
     assert failed == ([] if name == "volts" else ["a.low"])
     assert np.isnan(engine.tables.pool[2:]).sum() == (1 if name == "volts" else 2)
@@ -336,9 +327,7 @@ def test_a_misspelt_field_of_a_record_is_one_error_that_names_it(database):
 
 @pytest.mark.parametrize("number", [1, 2, -1, 2**31 - 1])
 def test_a_number_beyond_its_faults_is_counted_and_nobody_else_s_fault(database, number):
-    wrong = replace(
-        GOOD, prepare=lambda p, s, c: (setattr(c, "limit", 11.0), setattr(c, "fault", number))
-    )
+    wrong = replace(GOOD, prepare=lambda p, s, c: (setattr(c, "limit", 11.0), setattr(c, "fault", number)))
     engine, failed = run(database, ("a", wrong), ("z", GOOD))
     assert set(failed) == {"z.low"}
     assert engine.counters()["results_unknown"] == 3

@@ -153,9 +153,7 @@ class Tester:
         """Take frames that the gateway sent, as seen on the bus."""
         for can_id, data in frames:
             if can_id & 0x1FFFFFFF == self.response_id:
-                self.inbox.append(
-                    isotp.CanMessage(self.response_id, len(data), data, can_id > 0x7FF)
-                )
+                self.inbox.append(isotp.CanMessage(self.response_id, len(data), data, can_id > 0x7FF))
 
     def listen(self, patience=20):
         """Return what comes by itself."""
@@ -189,7 +187,5 @@ class Tester:
 
     def ask(self, request, **options):
         """Send a request; returns the one response."""
-        (answer,) = self.exchange(
-            bytes.fromhex(request) if isinstance(request, str) else request, **options
-        )
+        (answer,) = self.exchange(bytes.fromhex(request) if isinstance(request, str) else request, **options)
         return answer

@@ -1,7 +1,7 @@
 """Mutated requests and frames: no crash, no hang, no growth; and afterwards the server answers as before.
 
-A million inputs in all with GATEWAY_TESTS=full, from seeds that every service knows, in two parts: whole requests into the UDS and OBD
-servers, and ISO-TP frames into the transport below them. The seed is printed.
+A million inputs in all with GATEWAY_TESTS=full, from seeds that every service knows, in two parts: whole requests into
+the UDS and OBD servers, and ISO-TP frames into the transport below them. The seed is printed.
 """
 
 import random
@@ -194,9 +194,7 @@ def test_mutated_frames(rig):
         done = 0
         while done < rounds:
             frames = isotp_frames(rng)
-            frames.append(
-                bytes([0x30 | rng.randrange(4), rng.randrange(4), rng.randrange(256), 0, 0])
-            )
+            frames.append(bytes([0x30 | rng.randrange(4), rng.randrange(4), rng.randrange(256), 0, 0]))
             for frame in frames:
                 now += rng.choice((10_000, MS, 300 * MS))
                 data = mutated(rng, [frame])[:8] if rng.random() < 0.5 else frame
@@ -204,9 +202,7 @@ def test_mutated_frames(rig):
                 sent = isotp.on_frame(batch[0], now)
                 assert len(sent) <= 700
                 if done % 3 == 0:
-                    number = (
-                        rng.choice(pages) << 16 | rng.choice((0xFF, 0xF9)) << 8 | rng.randrange(254)
-                    )
+                    number = rng.choice(pages) << 16 | rng.choice((0xFF, 0xF9)) << 8 | rng.randrange(254)
                     put(batch, 0, now, 0x98000000 | number, data.ljust(8, b"\xff")[:8])
                     j1939.on_frame(batch[0], now)
                     j1939.on_time(now)
@@ -227,9 +223,7 @@ def test_mutated_frames(rig):
 def test_frames_of_a_bus_at_random_go_through_the_whole_gateway(rig):
     rng = random.Random(79)
     for _ in range(TOTAL // 250):
-        can_id = rng.choice(
-            (0x7E0, 0x7DF, 256, 0x98EAFFF9, 0x98ECF921, rng.randrange(1 << 29) | 1 << 31)
-        )
+        can_id = rng.choice((0x7E0, 0x7DF, 256, 0x98EAFFF9, 0x98ECF921, rng.randrange(1 << 29) | 1 << 31))
         rig.feed((can_id, rng.randbytes(rng.randrange(9))))
         rig.sent.clear()
     rig.wait(10_000, step=100)

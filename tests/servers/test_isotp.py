@@ -13,9 +13,7 @@ def test_can_fd_carries_an_answer_in_frames_of_64_bytes(uds):
     answer = tester.ask("190208")
     assert len(answer) == 3 + 4 * 40
     lengths = [len(data) for can_id, data in rig.sent if can_id == 0x7E8]
-    assert lengths == [64, 64, 48], (
-        "first frame, one whole, the rest padded to a length that there is"
-    )
+    assert lengths == [64, 64, 48], "first frame, one whole, the rest padded to a length that there is"
     rig.sent.clear()
     assert tester.ask("22f190") == bytes.fromhex("62f190") + b"1HGCM82633A004352"
     ((_, data),) = [frame for frame in rig.sent if frame[0] == 0x7E8]

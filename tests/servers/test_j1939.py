@@ -94,9 +94,7 @@ def make(tmp_path):
     rigs = []
 
     def build(messages=4, more="", faults=None, claimed=True, extra=""):
-        path = write_config(
-            tmp_path, messages, extra=EXTRA.format(more=more) + extra, faults=faults or {}
-        )
+        path = write_config(tmp_path, messages, extra=EXTRA.format(more=more) + extra, faults=faults or {})
         rigs.append(Bus(path))
         if claimed:
             rigs[-1].wait(260)
@@ -108,10 +106,7 @@ def make(tmp_path):
 
 
 def truck(make):
-    faults = {
-        k: coded(spn, fmi, "indicator = true\n" if k == 0 else "")
-        for k, (spn, fmi, _) in TRUCK.items()
-    }
+    faults = {k: coded(spn, fmi, "indicator = true\n" if k == 0 else "") for k, (spn, fmi, _) in TRUCK.items()}
     rig = make(more=LAMPS, faults=faults)
     for k, (_, _, occurrences) in TRUCK.items():
         for n in range(occurrences):
@@ -216,9 +211,7 @@ def test_dm2_dm6_dm12_and_dm28(make):
         rig.wait(600)  # what is under way still is of before
         data = rig.of(pgn, rig.request(pgn, destination=ALL, milliseconds=600))[-1]
         found = [struct.unpack_from("<HBB", data, at) for at in range(2, len(data) - 3, 4)]
-        return [
-            (spn, fmi, count) for spn, fmi, count in found if (spn, fmi) != (0xFFFF, 0xFF) and spn
-        ]
+        return [(spn, fmi, count) for spn, fmi, count in found if (spn, fmi) != (0xFFFF, 0xFF) and spn]
 
     assert dtcs(0xFECA) == [(100, 1, 1), (103, 4, 1)]
     assert dtcs(0xFECB) == [(101, 2, 1)]
@@ -239,7 +232,8 @@ def test_dm5_counts_and_readiness(make):
 
 
 def test_freeze_frames(make):
-    more = 'freeze_frame = [{ spn = 190, signal = "M0.Value", length = 2, scale = 0.125 }, { spn = 84, signal = "M1.Value" }]\n'
+    more = 'freeze_frame = [{ spn = 190, signal = "M0.Value", length = 2, scale = 0.125 }, { spn ='
+    ' 84, signal = "M1.Value" }]\n'
     rig = make(faults={0: coded(0x7ABCD, 3)}, more=more)
     assert rig.of(0xFDB6, rig.request(0xFDB6)) == [bytes.fromhex("BE001E02 54001E01")]
     assert rig.of(0xFDB7, rig.request(0xFDB7)) == [bytes.fromhex("0000000000FFFFFF")]

@@ -37,9 +37,7 @@ def ask(rig):
     tester = Tester(rig)
 
     def send(request, functional=True):
-        answers = tester.exchange(
-            bytes.fromhex(request), functional=FUNCTIONAL if functional else None
-        )
+        answers = tester.exchange(bytes.fromhex(request), functional=FUNCTIONAL if functional else None)
         return " ".join(answer.hex() for answer in answers)
 
     return send

@@ -34,10 +34,7 @@ def test_every_sub_function(uds):
     assert ask("1902ff") == f"5902ff{a}2f{b}27{c}50"
     assert ask("190204") == f"5902ff{a}2f{b}27"
     assert ask("1903") == f"5903{a}01{b}01"
-    assert (
-        ask(f"1904{a}01")
-        == f"5904{a}2f" + "0102" + "4000" + struct.pack(">f", 4.0).hex() + "01230014"
-    )
+    assert ask(f"1904{a}01") == f"5904{a}2f" + "0102" + "4000" + struct.pack(">f", 4.0).hex() + "01230014"
     assert ask(f"1904{a}ff") == ask(f"1904{a}01")
     assert ask(f"1904{a}02") == f"5904{a}2f", "a record that is not there"
     assert ask(f"1904{a}03") == "7f1931", "a record that cannot be"
@@ -131,9 +128,7 @@ def test_more_than_fifty_dtcs_in_one_answer(uds):
         rig.fail(k)
     answer = bytes.fromhex(ask("190208", patience=400))
     assert len(answer) == 3 + 4 * 120
-    assert answer[3:] == b"".join(
-        sorted(bytes(Dtc.parse(dtc_text(k))) + b"\x2f" for k in range(120))
-    )
+    assert answer[3:] == b"".join(sorted(bytes(Dtc.parse(dtc_text(k))) + b"\x2f" for k in range(120)))
 
 
 # 0x86

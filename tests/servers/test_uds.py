@@ -155,9 +155,7 @@ def test_communication_off_silences_what_the_gateway_says_by_itself(uds):
     rig.wait(5100)
     rig.sent.clear()
     rig.wait(1500)
-    assert {can_id for can_id, _ in rig.sent} == {0x6F0, 0x98FECAF9}, (
-        "the end of the session ends it"
-    )
+    assert {can_id for can_id, _ in rig.sent} == {0x6F0, 0x98FECAF9}, "the end of the session ends it"
 
 
 def test_ecu_reset_starts_the_next_operation_cycle(uds):
@@ -212,9 +210,7 @@ def test_a_seed_is_never_all_zero():
 
 
 def test_a_key_function_of_the_user(tmp_path, monkeypatch):
-    (tmp_path / "my_keys.py").write_text(
-        "def key(seed, secret, level): return seed[::-1] + secret\n"
-    )
+    (tmp_path / "my_keys.py").write_text("def key(seed, secret, level): return seed[::-1] + secret\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     uds = 'security = [{ level = 3, secret = "aa", key = "my_keys:key", seed_length = 2 }]'
     rig = Rig(write_config(tmp_path, extra=EXTRA.format(uds=uds)))
@@ -258,9 +254,7 @@ def test_routines(uds, tmp_path):
     assert ask("31030202") == "7f3124", "results before a start"
     assert ask("310102") == "7f3113"
     assert ask("31010202") == "7f3178 7101020200", "it takes its time, and says so"
-    assert ask("31810202") == "7f3178 7181020200"[:6] + " 7101020200", (
-        "after 0x78 the end is always told"
-    )
+    assert ask("31810202") == "7f3178 7181020200"[:6] + " 7101020200", "after 0x78 the end is always told"
     assert ask("31030202") == "7103020200"
     number = rig.gateway.memory.cycle_number()
     assert ask("31010201") == "7101020100"

@@ -142,11 +142,7 @@ def compare(database, message, rng):
             assert status != OK, (message.name, body.hex())
             continue
         assert status == OK, (message.name, body.hex())
-        ours = {
-            ref.signal: values[plan.position(*ref)]
-            for ref in wanted
-            if present[plan.position(*ref)]
-        }
+        ours = {ref.signal: values[plan.position(*ref)] for ref in wanted if present[plan.position(*ref)]}
         assert set(ours) == set(expected) - long, (message.name, body.hex())
         for name, value in ours.items():
             exact = float(expected[name])

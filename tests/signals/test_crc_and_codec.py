@@ -30,9 +30,7 @@ ORACLES = {
 def test_crc_equals_crccheck(name, data, skipped, data_id):
     words = np.frombuffer(data.ljust(64, b"\0"), "<u8")
     algorithm = ALGORITHMS[name]
-    ours = crc8(
-        words, len(data), skipped, data_id, crc8_table(name), algorithm.init, algorithm.xorout
-    )
+    ours = crc8(words, len(data), skipped, data_id, crc8_table(name), algorithm.init, algorithm.xorout)
     covered = bytes(b for k, b in enumerate(data) if k != skipped)
     if data_id >= 0:
         covered += data_id.to_bytes(2, "little")

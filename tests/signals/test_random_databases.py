@@ -43,9 +43,7 @@ def messages(draw):
 
     def add(name, free, parent=None, ids=None, multiplexer=False):
         is_float = not multiplexer and draw(st.integers(0, 5)) == 0
-        length = draw(
-            st.sampled_from([16, 32, 64]) if is_float else st.integers(1, 4 if multiplexer else 64)
-        )
+        length = draw(st.sampled_from([16, 32, 64]) if is_float else st.integers(1, 4 if multiplexer else 64))
         first = place(draw, free, length, order)
         if first is None:
             return None
@@ -114,9 +112,7 @@ def same(ours, theirs):
 @given(messages(), st.data())
 def test_decoding_equals_cantools(message, data):
     plan = compile_plan([(3, Database([(message, None)]))])
-    length = data.draw(
-        st.sampled_from([message.length] * 3 + [64, max(message.length - 1, 0)]), label="length"
-    )
+    length = data.draw(st.sampled_from([message.length] * 3 + [64, max(message.length - 1, 0)]), label="length")
     body = data.draw(st.binary(min_size=length, max_size=length), label="payload")
     frames = empty(2)
     can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
@@ -153,9 +149,7 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
     names = [signal.name for signal in message.signals]
     chosen = data.draw(st.sets(st.sampled_from(names)) if names else st.just(set()))
     whole = compile_plan([(0, database)])
-    part = compile_plan(
-        [(0, database)], {SignalRef(0, "M", n) for n in chosen}, messages=[(0, "M")]
-    )
+    part = compile_plan([(0, database)], {SignalRef(0, "M", n) for n in chosen}, messages=[(0, "M")])
     body = data.draw(st.binary(min_size=message.length, max_size=message.length))
     frames = empty(1)
     put(frames, 0, 0, message.frame_id, body)

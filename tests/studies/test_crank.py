@@ -31,9 +31,7 @@ def test_residuals_without_noise_are_the_derived_ones(count, sign):
     _, r = paper_run(sign * count, 0, noise=0.0, turns=3)
     first = int(np.flatnonzero(np.abs(r) > 1e-9)[0])
     assert first == 2 * PULSES - (count if sign > 0 else 0)
-    np.testing.assert_allclose(
-        r[first : first + 5] / DELTA, sign * np.array(SHAPES[count]), atol=1e-12
-    )
+    np.testing.assert_allclose(r[first : first + 5] / DELTA, sign * np.array(SHAPES[count]), atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [-3, -2, -1, 1, 2, 3])
@@ -115,9 +113,7 @@ def test_the_command(tmp_path):
     facts = json.loads(result.stdout[result.stdout.index("{") :])
     assert len(facts["faults"]) == 3 * 3 * 6 * 4
     assert len(facts["healthy"]) == 15 * 4
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
-        f.rsplit("/", 1)[1] for f in facts["files"]
-    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(f.rsplit("/", 1)[1] for f in facts["files"])
     assert len(facts["files"]) == 4
     text = CliRunner().invoke(app, ["evaluate", "crank", "--seeds", "1", "--pulses", "3000"])
     assert text.exit_code == 0

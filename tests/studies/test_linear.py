@@ -97,9 +97,7 @@ def test_the_gains_have_the_paper_s_poles():
         whole = np.zeros((6, 6))
         whole[:4, :4], whole[:4, 4:] = a, b
         whole[:, :4] -= gain @ np.delete(c, k, axis=0)
-        np.testing.assert_allclose(
-            np.sort(np.linalg.eigvals(whole).real), np.sort(example.POLES), rtol=2e-4
-        )
+        np.testing.assert_allclose(np.sort(np.linalg.eigvals(whole).real), np.sort(example.POLES), rtol=2e-4)
 
 
 def emulated(method):
@@ -118,9 +116,7 @@ def emulated(method):
             whole = np.zeros((6, 6))
             whole[:4, :4], whole[:4, 4:] = a, b
             if method == "euler":
-                z[k] += 0.1 * (
-                    whole @ z[k] + np.concatenate([b @ u, [0, 0]]) + gain @ (y[rows] - left @ z[k])
-                )
+                z[k] += 0.1 * (whole @ z[k] + np.concatenate([b @ u, [0, 0]]) + gain @ (y[rows] - left @ z[k]))
             else:  # exact, but y is held over the sample
                 block = np.zeros((7, 7))
                 block[:6, :6] = whole - gain @ left
@@ -182,10 +178,7 @@ def test_random_cases_with_noise():
 @compiled
 def test_the_products_are_as_weak_as_the_note_says():
     """81, 100 and 24 % of its 600 cases; 71, 36, 21 % as printed."""
-    rows = {
-        (r.method, r.case): r
-        for r in holdout(amount(600, 150), FIRST_SEED, ("products, as printed", "products"))
-    }
+    rows = {(r.method, r.case): r for r in holdout(amount(600, 150), FIRST_SEED, ("products, as printed", "products"))}
     spread = 0.06 if FULL else 0.14
     assert rows["products", "actuator"].clean == pytest.approx(0.81, abs=spread)
     assert rows["products", "sensor"].clean == 1.0

@@ -38,9 +38,7 @@ CLEAN, FIVE = Case("clean + impulses"), Case("impulses", 0.05, 0.10)
 
 def errors(voter, case, environment, seeds):
     runs = (make(case, environment, seed) for seed in seeds)
-    return np.array(
-        [np.abs(follow(voter, environment, run).value - run.truth).sum() for run in runs]
-    )
+    return np.array([np.abs(follow(voter, environment, run).value - run.truth).sum() for run in runs])
 
 
 @pytest.fixture(scope="module")
@@ -199,11 +197,7 @@ def test_what_it_believes(score, environment):
 
 
 def isolated(case, environment, seeds):
-    return [
-        s
-        for s in seeds
-        if follow("tracking", environment, make(case, environment, s)).isolated.any()
-    ]
+    return [s for s in seeds if follow("tracking", environment, make(case, environment, s)).isolated.any()]
 
 
 def test_hardly_any_false_isolation_with_impulses_on_both_channels():
@@ -220,9 +214,7 @@ def test_a_constant_channel_without_noise_is_not_taken_for_frozen():
     assert isolated(CLEAN, TEN_BIT, range(110_000, 110_600)) == []
 
 
-@pytest.mark.parametrize(
-    ("kind", "times"), [("both dead", 1.0), ("common mode", 1.1), ("both garbage", 2.0)]
-)
+@pytest.mark.parametrize(("kind", "times"), [("both dead", 1.0), ("common mode", 1.1), ("both garbage", 2.0)])
 def test_all_channels_failing_for_a_while(score, kind, times):
     ours = score(NOISY, Case(kind))
     assert ours.latched == 0

@@ -32,9 +32,7 @@ pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="hundred
 
 @pytest.fixture(scope="module")
 def estimators(tmp_path_factory):
-    runs = [
-        (seed, period, mean) for period, mean in ((1e-3, False), (2e-3, True)) for seed in range(3)
-    ]
+    runs = [(seed, period, mean) for period, mean in ((1e-3, False), (2e-3, True)) for seed in range(3)]
     rows = once(tmp_path_factory, "estimators", lambda: accuracy(runs))
     return {(r.period_ms, r.voltages, r.estimator): r for r in rows}
 

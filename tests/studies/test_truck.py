@@ -49,7 +49,9 @@ def test_faults_are_in_the_monitors_order():
 
 
 def test_thresholds_can_be_learned_anew():
-    """A truck with 5 % more torque: ICDS alarms, and does not with thresholds of that truck, which it pays for (the note)."""
+    """A truck with 5 % more torque: ICDS alarms, and does not with thresholds of that truck, which it pays for
+    (the note).
+    """
     rows = {r.system: r for r in judge(Case("engine +5 %", None, 0.0, (30_001,)))}
     assert [rows[s].right for s in SYSTEMS] == [0, 0, 1]
     healthy = Case("engine +5 %", None, 0.0, (30_001,), (40_001,))
@@ -74,9 +76,7 @@ def test_the_command(tmp_path, monkeypatch):
     for module in (command, table):
         monkeypatch.setattr(module, "ONSETS", (400.0,))
         monkeypatch.setattr(module, "SYSTEMS", ("ICDS", "RDS"))
-    said = CliRunner().invoke(
-        app, ["evaluate", "hybrid", "--json", "--plot", str(tmp_path)], env={"COLUMNS": "200"}
-    )
+    said = CliRunner().invoke(app, ["evaluate", "hybrid", "--json", "--plot", str(tmp_path)], env={"COLUMNS": "200"})
     assert said.exit_code == 0, said.output
     told = json.loads(said.stdout)
     assert {(r["system"], r["right"]) for r in told["firing"]} == {("ICDS", 1), ("RDS", 1)}

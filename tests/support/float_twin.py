@@ -84,8 +84,7 @@ def twin(name, seconds, folder):
     for k, row in enumerate(rows):
         frames[k] = row
     monitors = [
-        MonitorInstance(m.name, m.monitor, m.params, 0, m.priority, _unbussed(m.signals))
-        for m in parts.engine.monitors
+        MonitorInstance(m.name, m.monitor, m.params, 0, m.priority, _unbussed(m.signals)) for m in parts.engine.monitors
     ]
     made = Twin(load_database([file]), monitors, frames, places)
     used = {(ref.message, ref.signal) for ref in made.engine().plan.slot_names}

@@ -16,9 +16,7 @@ def random_model(seed, unknowns, redundancy, *, faults=4, states=0, each=3):
     for k in range(unknowns + redundancy):
         own = {names[k]} if k < unknowns else set()
         size = int(rng.integers(1, each + 1))
-        own |= {
-            names[int(i)] for i in rng.choice(unknowns, size=min(size, unknowns), replace=False)
-        }
+        own |= {names[int(i)] for i in rng.choice(unknowns, size=min(size, unknowns), replace=False)}
         variables = sorted(own)
         if k < states:
             variables = [f"der({names[k]})" if v == names[k] else v for v in variables]

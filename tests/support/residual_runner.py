@@ -10,9 +10,7 @@ class Runner:
 
     def __init__(self, loaded, **bandwidths):
         self.loaded = loaded
-        self.s, self.c, self.u = (
-            zeros(1, dtype) for dtype in (loaded.state, loaded.const, loaded.inputs)
-        )
+        self.s, self.c, self.u = (zeros(1, dtype) for dtype in (loaded.state, loaded.const, loaded.inputs))
         loaded.prepare(self.c[0], **bandwidths)
         loaded.reset(self.s[0], self.c[0])
 

@@ -5,7 +5,8 @@ from math import pi, sin, sqrt
 import numpy as np
 
 P = {
-    "q_LHV": 42.5e6, "eta_e_i": 0.45, "N_cyl": 6.0, "B": 0.130, "S": 0.160, "p_me0_g": 1.5e4, "k_1": 1.44e5, "k_2": 0.46,
+    "q_LHV": 42.5e6, "eta_e_i": 0.45, "N_cyl": 6.0, "B": 0.130, "S": 0.160, "p_me0_g": 1.5e4, "k_1": 1.44e5,
+    "k_2": 0.46,
     "k_3": 9.1e-4, "k_4": 0.075, "Pi_bl": 1.8, "Q_b": 119520.0, "R_b": 0.023, "k_i": 1.0, "R_em": 0.05, "eta": 0.95,
     "c_em_f": 0.02, "J_em": 0.3, "J_c": 0.5, "J_e": 2.5, "eta_pos": 0.97, "eta_neg": 1 / 0.97, "u_f": 2.92,
     "m_v0": 20000.0, "drag": 0.5 * 1.2 * 0.6 * 9.7, "C_r": 0.006, "r_w": 0.5, "g": 9.81,
@@ -21,15 +22,8 @@ def open_voltage(soc):
 
 
 def engine_torque(ice, omega_e):
-    friction = (
-        P["k_1"]
-        * (P["k_2"] + P["k_3"] * P["S"] ** 2 * omega_e**2)
-        * P["Pi_bl"]
-        * sqrt(P["k_4"] / P["B"])
-    )
-    mean = (
-        ice * 4 * P["eta_e_i"] / (P["N_cyl"] * pi * P["S"] * P["B"] ** 2) - friction - P["p_me0_g"]
-    )
+    friction = P["k_1"] * (P["k_2"] + P["k_3"] * P["S"] ** 2 * omega_e**2) * P["Pi_bl"] * sqrt(P["k_4"] / P["B"])
+    mean = ice * 4 * P["eta_e_i"] / (P["N_cyl"] * pi * P["S"] * P["B"] ** 2) - friction - P["p_me0_g"]
     return mean * P["N_cyl"] * P["S"] * P["B"] ** 2 / 16
 
 
@@ -47,9 +41,7 @@ def acceleration(z, i_em, omega_w, omega_mj, omega_e, m_f):
     roll = mass * P["g"] * P["C_r"] * P["r_w"]
     resist = P["drag"] * omega_w**2 * P["r_w"] ** 3 + max(-roll, min(roll, 1000 * omega_w))
     slope = mass * P["g"] * P["r_w"] * sin(z["alpha"])
-    return (t_gb * P["u_f"] - resist - z["T_b_ctrl"] - slope) / (
-        j_tot * P["u_f"] ** 2 + mass * P["r_w"] ** 2
-    )
+    return (t_gb * P["u_f"] - resist - z["T_b_ctrl"] - slope) / (j_tot * P["u_f"] ** 2 + mass * P["r_w"] ** 2)
 
 
 def drive(seconds, seed, *, noise=0.0, f_R=0.0, f_pe=0.0, f_eta=0.0):
@@ -70,9 +62,7 @@ def drive(seconds, seed, *, noise=0.0, f_R=0.0, f_pe=0.0, f_eta=0.0):
         u_em = (1 + f_pe) * z["U_em_ctrl"]
         i_em = (u_em - P["k_i"] * omega_mj) / (P["R_em"] * (1 + f_R))
         u_oc = open_voltage(soc)
-        i_b = (u_oc - sqrt(u_oc**2 - 4 * P["R_b"] * i_em * u_em)) / (
-            2 * P["R_b"]
-        )  # e6 in e11, the smaller root
+        i_b = (u_oc - sqrt(u_oc**2 - 4 * P["R_b"] * i_em * u_em)) / (2 * P["R_b"])  # e6 in e11, the smaller root
         z |= {
             "I_b_sens": i_b, "I_em_sens": i_em, "U_em_sens": u_em, "omega_e_sens": omega_mj, "omega_gb_sens": omega_gb,
         }  # fmt: skip
@@ -95,18 +85,14 @@ def t2(rows):
     for z in rows:
         omega_em = U_GB[int(z["gear"]) - 1] * z["omega_gb_sens"]
         voltage = z["I_em_sens"] * P["R_em"] + P["k_i"] * omega_em
-        found.append(
-            z["I_b_sens"]
-            - z["I_em_sens"] * voltage / (open_voltage(soc) - P["R_b"] * z["I_b_sens"])
-        )
+        found.append(z["I_b_sens"] - z["I_em_sens"] * voltage / (open_voltage(soc) - P["R_b"] * z["I_b_sens"]))
         soc -= DT * z["I_b_sens"] / P["Q_b"]
     return found
 
 
 def t5(rows):
     return [
-        z["omega_gb_sens"]
-        - (z["U_em_ctrl"] - P["R_em"] * z["I_em_sens"]) / (P["k_i"] * U_GB[int(z["gear"]) - 1])
+        z["omega_gb_sens"] - (z["U_em_ctrl"] - P["R_em"] * z["I_em_sens"]) / (P["k_i"] * U_GB[int(z["gear"]) - 1])
         for z in rows
     ]
 
@@ -129,9 +115,7 @@ def currents(rows, test):
         elif test == "T3":
             found.append((z["U_em_ctrl"] - P["k_i"] * omega_em) / P["R_em"])
         else:
-            found.append(
-                z["I_b_sens"] * (open_voltage(soc) - P["R_b"] * z["I_b_sens"]) / z["U_em_sens"]
-            )
+            found.append(z["I_b_sens"] * (open_voltage(soc) - P["R_b"] * z["I_b_sens"]) / z["U_em_sens"])
         soc -= DT * z["I_b_sens"] / P["Q_b"]
     return found
 

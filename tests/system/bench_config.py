@@ -37,9 +37,7 @@ dtc = "U0422-81"
 """
 
 
-def write_config(
-    folder, *, buses=(("chassis", "loopback:127.0.0.1:29536"),), timeout_ms=300.0, more=""
-):
+def write_config(folder, *, buses=(("chassis", "loopback:127.0.0.1:29536"),), timeout_ms=300.0, more=""):
     """Write a configuration and its database; returns its path."""
     (Path(folder) / "beat.dbc").write_text(DBC)
     path = Path(folder) / "beat.toml"

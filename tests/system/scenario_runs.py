@@ -47,13 +47,9 @@ def patient(config, folder):
     """Return the configuration with longer timeouts: on a shared machine a process may get no turn for a while."""
     text = re.sub(r"timeout_ms = 100\.0", "timeout_ms = 1000.0", Path(config).read_text())
     for name in ("dbc", "configs"):
-        text = text.replace(f'"../{name}/', f'"{shipped(name)}/').replace(
-            f'"{name}/', f'"{shipped(name)}/'
-        )
+        text = text.replace(f'"../{name}/', f'"{shipped(name)}/').replace(f'"{name}/', f'"{shipped(name)}/')
     copy = folder / Path(config).name
-    copy.write_text(
-        text.replace('"diagnostics_faults.toml"', f'"{shipped("configs")}/diagnostics_faults.toml"')
-    )
+    copy.write_text(text.replace('"diagnostics_faults.toml"', f'"{shipped("configs")}/diagnostics_faults.toml"'))
     return copy
 
 
@@ -64,12 +60,8 @@ def unhurried(scenario, folder):
     """
     text = scenario.read_text()
     text = re.sub(r"(?m)^by_s = ([0-9.]+)", lambda m: f"by_s = {float(m[1]) + 10:.3f}", text)
-    text = re.sub(
-        r"(?m)^healed_by_s = ([0-9.]+)", lambda m: f"healed_by_s = {float(m[1]) + 15:.3f}", text
-    )
-    text = re.sub(
-        r'(?m)^config = "(.*)"', lambda m: f'config = "{(scenario.parent / m[1]).resolve()}"', text
-    )
+    text = re.sub(r"(?m)^healed_by_s = ([0-9.]+)", lambda m: f"healed_by_s = {float(m[1]) + 15:.3f}", text)
+    text = re.sub(r'(?m)^config = "(.*)"', lambda m: f'config = "{(scenario.parent / m[1]).resolve()}"', text)
     text = re.sub(r"(?m)^unexpected = .*\n", "", text)
     copy = folder / scenario.name
     copy.write_text('unexpected = "allow"\n' + text)

@@ -68,18 +68,12 @@ def turns(times, gap):
 
 
 def crank_faults(events):
-    return [
-        e
-        for e in events
-        if e["event"] == "dtc" and e["status"] & 1 and e["fault"].startswith("crank")
-    ]
+    return [e for e in events if e["event"] == "dtc" and e["status"] & 1 and e["fault"].startswith("crank")]
 
 
 @pytest.mark.parametrize("frame", ["classic", "fd"])
 def test_a_synthetic_capture(tmp_path, frame):
-    times = tooth_times(
-        Wheel.parse("60-2"), [(0, 1500)], 4.0, jitter=0.003, rng=np.random.default_rng(8)
-    )
+    times = tooth_times(Wheel.parse("60-2"), [(0, 1500)], 4.0, jitter=0.003, rng=np.random.default_rng(8))
     path = tmp_path / "c.csv"
     rows = [f"{t / 1e9:.9f},0\n{t / 1e9 + 2e-4:.9f},1" for t in np.delete(times, 58 * 50 + 20)]
     path.write_text("time_s,level\n0,1\n" + "\n".join(rows) + "\n")
@@ -135,9 +129,7 @@ def test_vw_from_cranking_to_1690_rpm(tmp_path):
     facts, events, crank = replayed(capture, tmp_path, "60-2")
     assert facts["edges"] == len(times) == 2577
     starts = turns(times, 2.2)
-    full = np.array(
-        [b - a for a, b in pairwise(starts) if ((times >= a) & (times < b)).sum() == 58]
-    )
+    full = np.array([b - a for a, b in pairwise(starts) if ((times >= a) & (times < b)).sum() == 58])
     assert crank_faults(events) == []
     assert crank["revolutions"] in (len(full) - 1, len(full))
     assert crank["fastest_rpm"] == pytest.approx(60 / full.min(), rel=0.01)
@@ -200,9 +192,7 @@ def test_no_pulse_is_missing_and_every_label_is_right(name, wheel, edge):
 
 
 @needs_data
-@pytest.mark.parametrize(
-    ("wheel", "edge"), [("12+1", "falling"), ("12+1", "rising"), ("11*1,0.36,0.64", "rising")]
-)
+@pytest.mark.parametrize(("wheel", "edge"), [("12+1", "falling"), ("12+1", "rising"), ("11*1,0.36,0.64", "rising")])
 def test_civic_with_the_one_doubled_edge_that_it_has(wheel, edge):
     """At pulse 150 the sensor itself gives a second edge within 0.8 ms (0.06 ms on the rising edge)."""
     result, times = tracked("civic-K20-cranking.csv", wheel, edge)
@@ -220,9 +210,7 @@ def test_civic_with_the_one_doubled_edge_that_it_has(wheel, edge):
 
 
 @needs_data
-@pytest.mark.parametrize(
-    ("kind", "count"), [("missed", 1), ("missed", 2), ("added", 1), ("added", 2)]
-)
+@pytest.mark.parametrize(("kind", "count"), [("missed", 1), ("missed", 2), ("added", 1), ("added", 2)])
 @pytest.mark.parametrize(
     ("name", "wheel"),
     [
@@ -246,12 +234,8 @@ def test_faults_injected_into_real_engines(name, wheel, kind, count):
             keep[at : at + count] = False
             train = Train(times[keep], teeth[keep], at)
         else:
-            extra = np.sort(
-                times[at] + rng.uniform(0.02, 0.98, count) * (times[at + 1] - times[at])
-            )
-            train = Train(
-                np.insert(times, at + 1, extra), np.insert(teeth, at + 1, [-1] * count), at + 1
-            )
+            extra = np.sort(times[at] + rng.uniform(0.02, 0.98, count) * (times[at + 1] - times[at]))
+            train = Train(np.insert(times, at + 1, extra), np.insert(teeth, at + 1, [-1] * count), at + 1)
         facts = judge(train, follow(train.times_us), kind, count, w.pulses)
         good += bool(facts["named"]) and bool(facts["labelled"])
     print(f"{good} of 400")

@@ -29,9 +29,7 @@ ROOT = Path(__file__).parents[2]
 def ecu_on(uri):
     host, port = re.match(r"loopback:(.+):(\d+)", uri).groups()
     with can.Bus(interface="socketcand", host=host, port=int(port), channel="can0") as opened:
-        yield lambda count: opened.send(
-            can.Message(arbitration_id=0x300, is_extended_id=False, data=beat(count))
-        )
+        yield lambda count: opened.send(can.Message(arbitration_id=0x300, is_extended_id=False, data=beat(count)))
 
 
 class Manager:
@@ -240,11 +238,7 @@ def test_a_reload_leaves_nothing_open_and_refuses_what_it_cannot_do(tmp_path):
             text = config.read_text()
             for name, code in codes.items():
                 old = text.index(f'[fault."odd.Beat.{name}"]')
-                text = (
-                    text[:old]
-                    + own.format(name, code)
-                    + text[text.index("\n", text.index("dtc", old)) + 1 :]
-                )
+                text = text[:old] + own.format(name, code) + text[text.index("\n", text.index("dtc", old)) + 1 :]
             reload(text, "refused")
             assert "no such kind of bus" in running.events()[-1]["reason"]
             assert descriptors(running) == usual, "the bus that was opened is closed again"
@@ -270,9 +264,7 @@ def test_the_recording_keeps_what_came_before_kill_9(tmp_path):
         kept = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300]
         assert len(kept) > 100
         assert all((b - a) % 256 == 1 for a, b in pairwise(kept)), "no gap"
-        replayed = gateway(
-            "replay", tmp_path / "ring", "-c", config, "--json", cwd=tmp_path
-        ).stdout.splitlines()
+        replayed = gateway("replay", tmp_path / "ring", "-c", config, "--json", cwd=tmp_path).stdout.splitlines()
         assert json.loads(replayed[-1])["decoded"] == len(kept)
         first = segments(tmp_path / "ring")[-1].name
         with daemon(config, cwd=tmp_path, bus=None):
@@ -293,9 +285,7 @@ def test_record_alone_takes_several_buses_down(tmp_path, form):
     with bus(tmp_path) as uri, bus(other) as second:
         target = ["--ring", "ring", "--format", form] if form == "log" else ["--out", "drive.blf"]
         with (
-            process(
-                "record", uri, second, *target, "--json", cwd=tmp_path, ready="recording"
-            ) as recorder,
+            process("record", uri, second, *target, "--json", cwd=tmp_path, ready="recording") as recorder,
             ecu_on(uri) as send,
             ecu_on(second) as send_second,
         ):
@@ -320,9 +310,7 @@ def test_record_alone_takes_several_buses_down(tmp_path, form):
 
 def test_a_log_of_several_buses_is_replayed_by_its_names(tmp_path):
     """By the name of the bus, of its interface, or can0, can1 as logs without names have them."""
-    config = write_config(
-        tmp_path, buses=[("chassis", "socketcan:can5"), ("drive", "loopback:127.0.0.1:1")]
-    )
+    config = write_config(tmp_path, buses=[("chassis", "socketcan:can5"), ("drive", "loopback:127.0.0.1:1")])
     for names in (("can5", "drive"), ("chassis", "drive"), ("can0", "can1")):
         lines = [
             f"({k / 100 + index / 1000:.6f}) {name} 300#{beat(k).hex()}\n"
@@ -350,9 +338,7 @@ def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path):
     unit = tmp_path / "gateway.service"
     text = (ROOT / "deploy/gateway.service").read_text()
     unit.write_text(text.replace("/opt/gateway/venv/bin/gateway", "/bin/true"))
-    verified = subprocess.run(
-        [analyze, "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False
-    )
+    verified = subprocess.run([analyze, "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False)
     assert verified.returncode == 0, verified.stderr
     assert "Unknown" not in verified.stderr
     exposure = subprocess.run(

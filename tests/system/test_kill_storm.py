@@ -1,7 +1,7 @@
 """kill -9 in a storm of DTCs, some of the time with a disk that fills up: what was told as stored is there.
 
-``GATEWAY_TESTS=full`` kills a thousand times, a hundred of them with the full disk; ``GATEWAY_KILLS`` sets the number of
-kills (a tenth of them with the full disk), of which each takes about as long as the daemon takes to start.
+``GATEWAY_TESTS=full`` kills a thousand times, a hundred of them with the full disk; ``GATEWAY_KILLS`` sets the number
+of kills (a tenth of them with the full disk), of which each takes about as long as the daemon takes to start.
 """
 
 import os
@@ -64,9 +64,7 @@ def kill_9(tmp_path, memory, kills, rng, disk=None):
     with ExitStack() as stack:
         uri = stack.enter_context(bus(tmp_path))
         host, _, port = uri.removeprefix("loopback:").rpartition(":")
-        tester = stack.enter_context(
-            can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
-        )
+        tester = stack.enter_context(can.Bus(interface="socketcand", host=host, port=int(port), channel="can0"))
         storm = stack.enter_context(Storm(host, int(port), rng.randrange(2**32)))
         while len(runs) < kills:
             started = start(config, uri, memory, tmp_path)
@@ -188,9 +186,7 @@ class Storm(threading.Thread):
             counts[k] += 1 + 3 * (what < 0.2)
             data = bytes([counts[k] % 256, *self._rng.randbytes(7)])
             message = data[: 2 if what > 0.8 else 8]
-            self._bus.send(
-                can.Message(arbitration_id=0x300 + k, data=message, is_extended_id=False)
-            )
+            self._bus.send(can.Message(arbitration_id=0x300 + k, data=message, is_extended_id=False))
 
     def __enter__(self):
         self.start()

@@ -30,9 +30,7 @@ EVIDENCE = {
 
 
 def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
-    voted = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name(
-        "GW_BrakePedal"
-    )
+    voted = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name("GW_BrakePedal")
     config = patient(shipped("configs/pedal.toml"), tmp_path)
     scenario = shipped("scenarios/pedal_faults.toml")
     with ExitStack() as stack:
@@ -60,16 +58,12 @@ def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
-        drive = gateway(
-            "simulate", unhurried(scenario, tmp_path), "--check", "--bus", uri, cwd=tmp_path
-        )
+        drive = gateway("simulate", unhurried(scenario, tmp_path), "--check", "--bus", uri, cwd=tmp_path)
         assert drive.returncode == 0, drive.stdout + drive.stderr
         assert drive.stdout.count("healed at") == len(EVIDENCE)
         stop.set()
         reader.join(10)
-        assert {"agreed", "one channel", "degraded", "estimated", "invalid"} <= set(
-            map(str, qualities)
-        )
+        assert {"agreed", "one channel", "degraded", "estimated", "invalid"} <= set(map(str, qualities))
     assert daemon.code == 0
     assert not unexpected(scenario, events_in(tmp_path))
     for dtc, (name, good) in EVIDENCE.items():

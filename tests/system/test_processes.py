@@ -65,9 +65,7 @@ def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
     with ExitStack() as stack:
         uri = stack.enter_context(bus(tmp_path))
         host, _, port = uri.removeprefix("loopback:").rpartition(":")
-        tester = stack.enter_context(
-            can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
-        )
+        tester = stack.enter_context(can.Bus(interface="socketcand", host=host, port=int(port), channel="can0"))
         stack.enter_context(
             process("run", shipped("gateway.toml"), "--bus", uri, "--memory", "f.sqlite",
                     cwd=tmp_path, ready="monitoring")
@@ -141,9 +139,7 @@ def test_commands_for_scripts(tmp_path):
         assert "DTCs: P0336-29" in ended.stdout
     shown = gateway("faults", "show", "P0336-29", "--memory", "f.sqlite", cwd=tmp_path)
     assert "freeze frame 1 (first failure)" in shown.stdout
-    healthy = gateway(
-        "simulate", "crank_healthy", "--bus", "inside", "--record", "h.log", cwd=tmp_path
-    )
+    healthy = gateway("simulate", "crank_healthy", "--bus", "inside", "--record", "h.log", cwd=tmp_path)
     assert healthy.returncode == 0
     assert gateway("replay", "h.log", "--fail-on-dtc", cwd=tmp_path).returncode == 0
     good = json.loads(gateway("check", "--json", cwd=tmp_path).stdout)

@@ -115,9 +115,7 @@ def bench(tmp_path_factory):
 def client(bench):
     with isotp_stack(bench.uri, start=False) as stack:
         connection = PythonIsoTpConnection(stack)
-        with Client(
-            connection, config={**udsoncan.configs.default_client_config, **SETTINGS}
-        ) as made:
+        with Client(connection, config={**udsoncan.configs.default_client_config, **SETTINGS}) as made:
             made.clear_dtc()
             yield made
 
@@ -154,22 +152,16 @@ def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, clie
     assert numbers(client.get_dtc_with_permanent_status()) == everything
 
     snapshots = client.get_dtc_snapshot_identification()
-    assert {dtc.id: dtc.snapshots for dtc in snapshots.service_data.dtcs} == {
-        dtc: [1] for dtc in everything
-    }
+    assert {dtc.id: dtc.snapshots for dtc in snapshots.service_data.dtcs} == {dtc: [1] for dtc in everything}
     (dtc,) = client.get_dtc_snapshot_by_dtc_number(code(0), 0xFF).service_data.dtcs
     first = dtc.snapshots[0]
     assert (first.record_number, first.did, first.data) == (1, 0x0123, (50,))
     (dtc,) = client.get_dtc_extended_data_by_dtc_number(code(0), 1).service_data.dtcs
     assert [(e.record_number, e.raw_data) for e in dtc.extended_data] == [(1, b"\x01")]
-    (dtc,) = client.get_dtc_extended_data_by_dtc_number(
-        code(0), 0x10, data_size=8
-    ).service_data.dtcs
+    (dtc,) = client.get_dtc_extended_data_by_dtc_number(code(0), 0x10, data_size=8).service_data.dtcs
     assert struct.unpack(">q", dtc.extended_data[0].raw_data)[0] > 10**18
 
-    assert (
-        client.get_number_of_dtc_by_status_severity_mask(0x80, 0x80).service_data.dtc_count == COUNT
-    )
+    assert client.get_number_of_dtc_by_status_severity_mask(0x80, 0x80).service_data.dtc_count == COUNT
     by_severity = client.get_dtc_by_status_severity_mask(status_mask=0x80, severity_mask=0x80)
     assert numbers(by_severity) == everything
     (dtc,) = client.get_dtc_severity(code(3)).service_data.dtcs
@@ -217,12 +209,8 @@ def test_udsoncan_uses_every_other_service(client):
     assert client.read_data_by_identifier_first(0x0124) == (3, 4)
     client.control_dtc_setting(2)
     client.control_dtc_setting(1)
-    client.communication_control(
-        control_type=1, communication_type=udsoncan.CommunicationType(0, normal_msg=True)
-    )
-    client.communication_control(
-        control_type=0, communication_type=udsoncan.CommunicationType(0, normal_msg=True)
-    )
+    client.communication_control(control_type=1, communication_type=udsoncan.CommunicationType(0, normal_msg=True))
+    client.communication_control(control_type=0, communication_type=udsoncan.CommunicationType(0, normal_msg=True))
     client.tester_present()
     with client.suppress_positive_response(wait_nrc=True):
         client.tester_present()
@@ -278,15 +266,10 @@ def test_gallia_finds_exactly_our_identifiers(scanner, bench):
     """The ranges that ours lie in; a scan of all 65536 in both sessions takes three minutes."""
     found = set()
     for first, last in ((0x0000, 0x01FF), (0x3F80, 0x407F), (0xF100, 0xF1FF)):
-        results, complaints = scanner(
-            "identifiers", "--sessions", "1", "--start", str(first), "--end", str(last)
-        )
+        results, complaints = scanner("identifiers", "--sessions", "1", "--start", str(first), "--end", str(last))
         assert complaints == []
         text = "\n".join(results)
-        found |= {
-            int(number, 16)
-            for number in re.findall(r"0x([0-9a-f]{4}): ReadDataByIdentifierResponse", text)
-        }
+        found |= {int(number, 16) for number in re.findall(r"0x([0-9a-f]{4}): ReadDataByIdentifierResponse", text)}
         assert "Abnormal replies: 0" in text
         assert "Timeouts: 0" in text
     exported = gateway("faults", "export", "rig.toml", cwd=bench.folder)
@@ -336,9 +319,7 @@ def test_all_outputs_show_the_same_memory(bench, client):
 
     with isotp_stack(bench.uri) as stack:
         with open_can(bench.uri) as sender:
-            sender.send(
-                can.Message(arbitration_id=FUNCTIONAL, data=b"\x01\x03", is_extended_id=False)
-            )
+            sender.send(can.Message(arbitration_id=FUNCTIONAL, data=b"\x01\x03", is_extended_id=False))
         answer = stack.recv(block=True, timeout=3)
     assert answer[:2] == bytes([0x43, len(expected)])
     by_obd = {bytes(answer[k : k + 2]) for k in range(2, len(answer), 2)}

@@ -24,9 +24,7 @@ def isotp_stack(uri, *, start=True, request=REQUEST, response=RESPONSE, **params
     """Make can-isotp's own threaded stack on the loopback bus, and start it."""
     with open_can(uri) as bus:
         address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=request, rxid=response)
-        stack = isotp.CanStack(
-            bus, address=address, params={"tx_padding": 0, "blocking_send": True, **params}
-        )
+        stack = isotp.CanStack(bus, address=address, params={"tx_padding": 0, "blocking_send": True, **params})
         if start:
             stack.start()
         try:

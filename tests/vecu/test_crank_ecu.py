@@ -46,9 +46,7 @@ def test_constant_acceleration_has_its_closed_form():
 
 
 @given(
-    st.lists(
-        st.tuples(st.floats(0.1, 5), st.just(0.0) | st.floats(1e-3, 8000)), min_size=1, max_size=5
-    ),
+    st.lists(st.tuples(st.floats(0.1, 5), st.just(0.0) | st.floats(1e-3, 8000)), min_size=1, max_size=5),
     st.floats(0.01, 20),
 )
 def test_time_is_the_inverse_of_angle(steps, t):
@@ -76,10 +74,7 @@ def test_ripple_modulates_the_speed_as_stated():
 
 
 def test_the_same_seed_gives_the_same_train():
-    made = [
-        tooth_times(W, [(0, 1500)], 1.0, jitter=0.01, tooth_error=0.01, rng=RNG(seed))
-        for seed in (5, 5, 6)
-    ]
+    made = [tooth_times(W, [(0, 1500)], 1.0, jitter=0.01, tooth_error=0.01, rng=RNG(seed)) for seed in (5, 5, 6)]
     np.testing.assert_array_equal(made[0], made[1])
     assert len(made[0]) != len(made[2]) or (made[0] != made[2]).any()
 
@@ -151,9 +146,7 @@ def test_slow_teeth_leave_before_the_frame_is_full():
 @pytest.mark.parametrize("form", ["classic", "fd"])
 def test_an_engine_that_stands_is_not_a_dead_ecu(form):
     """Frames at least every 100 ms, before the first tooth, in a stall, and after the last."""
-    times = np.concatenate(
-        [np.arange(100) * 1_000_000 + 10**9, np.arange(50) * 1_000_000 + 2 * 10**9]
-    )
+    times = np.concatenate([np.arange(100) * 1_000_000 + 10**9, np.arange(50) * 1_000_000 + 2 * 10**9])
     frames = tooth_frames(times, form, span_ns=(0, 3 * 10**9))
     frames = frames[frames["can_id"] != 0x701]
     stamps = np.concatenate([[0], frames["t_ns"], [3 * 10**9]])
@@ -235,8 +228,7 @@ def test_wire_faults_are_what_they_say(fault, check):
             "speed: unknown key",
         ),
         (
-            'name = "s"\nduration_s = 1\n[[ecu]]\nwheel = "60-2"\nspeed = [[0, 1]]\n'
-            '[[expect]]\ndtc = "Q1"\n',
+            'name = "s"\nduration_s = 1\n[[ecu]]\nwheel = "60-2"\nspeed = [[0, 1]]\n[[expect]]\ndtc = "Q1"\n',
             r"expect\[0\]\.dtc",
         ),
         (
@@ -356,9 +348,7 @@ def test_the_gaps_of_36_2_1_lie_as_on_the_real_wheel():
     assert (len(pitches), pitches.index(2.0)) == (33, 16)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "60", "60-0", "4-3", "x-1", "1,2", "300*1", "36*1", "36-2-2-2-2", "1,1,1,-1"]
-)
+@pytest.mark.parametrize("text", ["", "60", "60-0", "4-3", "x-1", "1,2", "300*1", "36*1", "36-2-2-2-2", "1,1,1,-1"])
 def test_wrong_wheels_are_refused(text):
     with pytest.raises(ValueError, match="wheel|teeth"):
         Wheel.parse(text)

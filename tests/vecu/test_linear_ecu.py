@@ -30,9 +30,7 @@ def test_faults_within_a_sample_are_integrated_exactly():
         added = np.array([0.2 * (0.537 <= t < 1.213), -0.1 * (t >= 0.561)])
         return a @ x + b @ (0.5 + added)
 
-    solved = solve_ivp(
-        slope, (0, 2), np.zeros(4), max_step=1e-3, rtol=1e-9, t_eval=np.arange(20) * 0.1
-    )
+    solved = solve_ivp(slope, (0, 2), np.zeros(4), max_step=1e-3, rtol=1e-9, t_eval=np.arange(20) * 0.1)
     np.testing.assert_allclose(y, solved.y[:3].T, atol=3e-4)
     np.testing.assert_array_equal(u, 0.5)
 
@@ -74,8 +72,7 @@ def test_frames_carry_what_was_simulated():
     names = ("MotorSpeed", "LoadSpeed", "Current")
     for k in range(200):
         command, sensors = (
-            database.decode_message(int(f["can_id"]), bytes(f["data"][:8]))
-            for f in frames[2 * k : 2 * k + 2]
+            database.decode_message(int(f["can_id"]), bytes(f["data"][:8])) for f in frames[2 * k : 2 * k + 2]
         )
         assert command["FrameCnt"] == sensors["FrameCnt"] == k % 16
         assert command["Voltage"] == pytest.approx(u[k, 0], abs=0.0006)
@@ -116,11 +113,7 @@ def test_parameters_that_do_not_fit_are_refused(options, says):
 def test_a_fault_of_a_part_that_is_not_there_is_refused(tmp_path):
     text = shipped("scenarios/linear_aircraft_faults.toml").read_text()
     path = tmp_path / "wrong.toml"
-    path.write_text(
-        text.replace(
-            'kind = "actuator_offset"\nplace = 2', 'kind = "actuator_offset"\nplace = 3', 1
-        )
-    )
+    path.write_text(text.replace('kind = "actuator_offset"\nplace = 2', 'kind = "actuator_offset"\nplace = 3', 1))
     with pytest.raises(Exception, match="has no place 3 for actuator_offset"):
         load_scenario(path)
     with pytest.raises(ValidationError, match="to_s must lie after from_s"):

@@ -195,11 +195,7 @@ def test_courses_are_smooth_and_as_told():
 def test_errors_name_what_is_wrong(tmp_path):
     text = shipped("scenarios/steering_healthy.toml").read_text()
     bad = tmp_path / "bad.toml"
-    bad.write_text(
-        text.replace(
-            'type = "steering"', 'type = "steering"\nperiod_ms = 3\nspeed = [[1, 2], [0, 3]]'
-        )
-    )
+    bad.write_text(text.replace('type = "steering"', 'type = "steering"\nperiod_ms = 3\nspeed = [[1, 2], [0, 3]]'))
     with pytest.raises(InputErrors) as caught:
         load_scenario(bad)
     assert "period_ms" in str(caught.value)

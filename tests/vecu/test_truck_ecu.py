@@ -1,4 +1,6 @@
-"""The hybrid truck: follows its cycle with every fault, is the plant of its structural model, and sends what it says."""
+"""The hybrid truck: follows its cycle with every fault, is the plant of its structural model, and sends what
+it says.
+"""
 
 import numpy as np
 import pytest
@@ -39,9 +41,7 @@ def test_ftp75_is_the_published_schedule():
     assert v.max() == pytest.approx(25.348, abs=1e-3)
     t = np.arange(0.0, FTP75 + 1)
     assert np.trapezoid(speeds("ftp75", t), t) == pytest.approx(17_770, abs=20)
-    assert (
-        speeds("ftp75", np.arange(1.0, 500.0) + 1369.0) == speeds("ftp75", np.arange(1.0, 500.0))
-    ).all()
+    assert (speeds("ftp75", np.arange(1.0, 500.0) + 1369.0) == speeds("ftp75", np.arange(1.0, 500.0))).all()
     assert speeds("ftp75", np.array([5000.0]))[0] == 0.0
 
 
@@ -58,9 +58,7 @@ def test_it_follows_the_cycle_with_every_fault(fault):
     assert 4 < rows["fuel"][-1] < 9
     assert set(np.unique(rows["gear"])) >= {1, 4, 8, 12}
     assert 0.5 < rows["locked"].mean() < 0.8
-    assert (
-        np.abs(rows["i_em"]).max() < 1200
-    )  # peaks at shifts, until the current loop has learned half a voltage
+    assert np.abs(rows["i_em"]).max() < 1200  # peaks at shifts, until the current loop has learned half a voltage
 
 
 @compiled
@@ -81,9 +79,7 @@ def residuals(rows, test, slope=0.0):
     model = load_model(shipped("models/truck.toml"))
     choice = model.residuals[test]
     loaded = residual_generator(model, choice.equations, choice.consistency)
-    s, c, u = (
-        np.zeros(1, d).view(np.recarray) for d in (loaded.state, loaded.const, loaded.inputs)
-    )
+    s, c, u = (np.zeros(1, d).view(np.recarray) for d in (loaded.state, loaded.const, loaded.inputs))
     loaded.prepare(c[0])
     loaded.reset(s[0], c[0])
     columns = {
@@ -167,8 +163,7 @@ def test_disturbances_act(change, quantity, sign):
     nominal = drive(TRUCK, (), 300.0).samples
     other = drive(TRUCK.model_copy(update=change), (), 300.0).samples
     total = [
-        rows["fuel"][-1] if quantity == "fuel" else rows["brake"][rows["v"] > 1].sum()
-        for rows in (nominal, other)
+        rows["fuel"][-1] if quantity == "fuel" else rows["brake"][rows["v"] > 1].sum() for rows in (nominal, other)
     ]
     assert sign * (total[1] - total[0]) > 0.02 * total[0]
 
@@ -199,9 +194,7 @@ def test_frames_carry_the_drive():
             for signal in message.signals:
                 if signal.name in columns:
                     wanted = float(driven.samples[columns[signal.name]][k])
-                    assert abs(values[signal.name] - wanted) <= 0.5 * signal.scale + 1e-9, (
-                        signal.name
-                    )
+                    assert abs(values[signal.name] - wanted) <= 0.5 * signal.scale + 1e-9, signal.name
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -211,17 +204,13 @@ def test_packed_frames_are_those_of_cantools(data):
     message = message_of(DATABASE, name)
     rows = [
         {
-            s.name: data.draw(st.floats(s.minimum, s.maximum))
-            if s.length > 1
-            else data.draw(st.integers(0, 1))
+            s.name: data.draw(st.floats(s.minimum, s.maximum)) if s.length > 1 else data.draw(st.integers(0, 1))
             for s in message.signals
             if s.name != "Crc"
         }
         for _ in range(3)
     ]
-    for (
-        row
-    ) in rows:  # as numbers that the signals can carry, so that rounding of halves does not matter
+    for row in rows:  # as numbers that the signals can carry, so that rounding of halves does not matter
         for s in message.signals:
             if s.name in row:
                 row[s.name] = round(row[s.name] / s.scale) * s.scale

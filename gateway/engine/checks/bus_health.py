@@ -122,20 +122,14 @@ class Params(MonitorParams):
         pattern=r"^U[0-3][0-9A-F]{3}$",
         description="first part of its DTCs; default: U0001, then U0028 (bus A), ...",
     )
-    errors: int = Field(
-        10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault"
-    )
-    window_ms: float = Field(
-        1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]"
-    )
+    errors: int = Field(10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault")
+    window_ms: float = Field(1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]")
 
 
 class HealthPlace(Record):
     """Places in other tables, and settings that the state does not depend on."""
 
-    fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means(
-        "the engine's index of each fault; -1: not judged"
-    )
+    fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means("the engine's index of each fault; -1: not judged")
     most: i8
     window_ns: i8 = means(unit="ns")
 
@@ -149,9 +143,7 @@ class HealthState(Record):
     count: i8
     since_ns: i8 = means(unit="ns")
     deadline_ns: i8 = means(unit="ns")
-    until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means(
-        "when a fault heals by silence", "ns"
-    )
+    until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means("when a fault heals by silence", "ns")
     lost: i8
     counts: Annotated[i8s, len(COUNTED)]
     value: f8

@@ -92,9 +92,7 @@ class CrcCheck(StrictModel):
     algorithm: Literal["crc8_sae_j1850", "crc8_autosar"] = Field(
         "crc8_sae_j1850", description="polynomial 0x1D, or 0x2F (AUTOSAR CRC8H2F)"
     )
-    data_id: int | None = Field(
-        None, ge=0, le=0xFFFF, description="16-bit data id appended to the payload"
-    )
+    data_id: int | None = Field(None, ge=0, le=0xFFFF, description="16-bit data id appended to the payload")
 
 
 #: Base code of a DTC in TOML: a network code without its failure type.
@@ -105,9 +103,7 @@ class Params(MonitorParams):
     """Checks of one message."""
 
     message: str = Field(description="name of the message in the bus's database")
-    timeout_ms: float | None = Field(
-        None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched"
-    )
+    timeout_ms: float | None = Field(None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched")
     counter: CounterCheck | None = None
     crc: CrcCheck | None = None
     length: bool = Field(True, description="judge frames shorter than the message")
@@ -115,12 +111,8 @@ class Params(MonitorParams):
         True,
         description="judge floating-point signals that somebody uses: NaN, infinite, far outside of their range",
     )
-    lost: BaseCode = Field(
-        "U0100", description="base code of the timeout's DTC: lost communication, U01xx"
-    )
-    invalid: BaseCode = Field(
-        "U0401", description="base code of the other checks' DTCs: invalid data received, U04xx"
-    )
+    lost: BaseCode = Field("U0100", description="base code of the timeout's DTC: lost communication, U01xx")
+    invalid: BaseCode = Field("U0401", description="base code of the other checks' DTCs: invalid data received, U04xx")
 
     def fault_of(self, kind: int) -> Fault:
         """Return one of :data:`FAULTS` with the DTC it has for this message."""
@@ -132,9 +124,7 @@ class Params(MonitorParams):
 class CheckPlace(Record):
     """Places in other tables."""
 
-    fault: Annotated[i4s, len(FAULTS)] = means(
-        "the engine's index of each fault; -1: not asked for"
-    )
+    fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
     counter: i4 = means("place of the counter among the message's signals")
     bus: u1
 
@@ -221,9 +211,7 @@ def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
     return [SignalRef(check.bus, p.message, p.counter.signal)]
 
 
-def fill(
-    row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int
-) -> list[FaultSlot]:
+def fill(row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int) -> list[FaultSlot]:
     """Fill one row of checks; returns the faults it can report, in order."""
     p = check.params
     message = database.message(p.message)

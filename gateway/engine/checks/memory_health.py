@@ -1,7 +1,7 @@
 """Health of the gateway's own fault memory: whether it can be written, and whether its file is whole.
 
-No kernel: the store's own errors are the test results. A file that has been put aside is a fault until the next operation
-cycle finds the new one whole; one that cannot be written, until all that waits is written.
+No kernel: the store's own errors are the test results. A file that has been put aside is a fault until the next
+operation cycle finds the new one whole; one that cannot be written, until all that waits is written.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class Const(Record):
 
 
 class State(Record):
-    """State: ``resistance``: as warm as it is [Ohm]; it may be set between steps. ``held``: anchored in the last step."""
+    """``resistance``: as warm as it is [Ohm], may be set between steps; ``held``: anchored in the last step."""
 
     x: Annotated[f8s, STATES]
     p: Annotated[f8s, ENTRIES]

@@ -43,9 +43,7 @@ class State(Record):
     started: i8
 
 
-def prepare(
-    c: Const, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False
-) -> None:
+def prepare(c: Const, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False) -> None:
     """Fill a record of Const.
 
     Args:

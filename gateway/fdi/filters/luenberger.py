@@ -52,9 +52,7 @@ def design(
     return np.asarray(a_d), np.asarray(b_d), np.asarray(gain)
 
 
-def prepare(
-    c: Const, motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)
-) -> None:
+def prepare(c: Const, motor: Motor, period: float, poles: tuple[float, float] = (-700.0, -800.0)) -> None:
     """Fill a record of Const; period [s], continuous poles [1/s]."""
     a, b, k = design(motor, period, poles)
     c.a, c.b, c.k, c.period = a.ravel(), b.ravel(), k.ravel(), period

@@ -48,9 +48,7 @@ def prepare(c: Const, motor: Motor, period: float, pole: float = -700.0) -> None
     a = pole
     c.a = exp(a * period)
     held = (c.a - 1.0) / a
-    c.current = held * (
-        a * gain + motor.torque / motor.inertia + gain * motor.resistance / motor.lq
-    )
+    c.current = held * (a * gain + motor.torque / motor.inertia + gain * motor.resistance / motor.lq)
     c.voltage = -held * gain / motor.lq
     c.gain, c.period = gain, period
 

@@ -125,7 +125,7 @@ class _Observer:
         return np.asarray(np.diag(self.with_noise(gain).error)[estimated])
 
     def crosstalk(self, gain: Array, steps: int) -> float:
-        """Return how much of one input's fault another's estimate shows at most, within so many samples of its start."""
+        """Return how much of an input's fault another's estimate shows at most, within some samples of its start."""
         n = len(self.phi)
         f = self.phi - gain @ self.c
         largest, response = 0.0, np.eye(n)
@@ -202,9 +202,7 @@ def _robust(observer: _Observer, wanted: NDArray[np.complex128], start: Array) -
     return _from_vectors(phi, c, wanted, found.x.reshape(n, p))
 
 
-def from_poles(
-    phi: Array, c: Array, poles: tuple[complex, ...], q: Array, r: Array, faults: int = 0
-) -> Gain:
+def from_poles(phi: Array, c: Array, poles: tuple[complex, ...], q: Array, r: Array, faults: int = 0) -> Gain:
     """Return a gain with these poles, robust in the sense of this module.
 
     Args:

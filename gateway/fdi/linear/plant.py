@@ -64,9 +64,7 @@ def _matrix(name: str, values: ArrayLike) -> Array:
     return matrix
 
 
-def discretised(
-    a: ArrayLike, b: ArrayLike, c: ArrayLike, period: float, *, discrete: bool = False
-) -> LinearPlant:
+def discretised(a: ArrayLike, b: ArrayLike, c: ArrayLike, period: float, *, discrete: bool = False) -> LinearPlant:
     """Return a plant in discrete time.
 
     Args:
@@ -122,13 +120,7 @@ def unobservable(phi: Array, c: Array, names: tuple[str, ...] = ()) -> str:
         return ""
     labels = names or tuple(f"x{k + 1}" for k in range(len(phi)))
     said = []
-    for column in (
-        hidden.T * np.sign(hidden[np.abs(hidden).argmax(axis=0), range(hidden.shape[1])])[:, None]
-    ):
-        parts = [
-            f"{value:+.3g} {label}"
-            for value, label in zip(column, labels, strict=True)
-            if abs(value) > 1e-6
-        ]
+    for column in hidden.T * np.sign(hidden[np.abs(hidden).argmax(axis=0), range(hidden.shape[1])])[:, None]:
+        parts = [f"{value:+.3g} {label}" for value, label in zip(column, labels, strict=True) if abs(value) > 1e-6]
         said.append(" ".join(parts).removeprefix("+"))
     return "; ".join(said)

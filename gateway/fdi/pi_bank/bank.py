@@ -52,9 +52,7 @@ def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
     """
     n, m, p = plant.states, plant.inputs, plant.outputs
     if n > MOST_STATES or m > MOST_INPUTS or p > MOST_OUTPUTS:
-        raise ValueError(
-            f"{n} states, {m} inputs, {p} outputs: at most {MOST_STATES}, {MOST_INPUTS}, {MOST_OUTPUTS}"
-        )
+        raise ValueError(f"{n} states, {m} inputs, {p} outputs: at most {MOST_STATES}, {MOST_INPUTS}, {MOST_OUTPUTS}")
     c.n, c.m, c.p = n, m, p
     c.phi[: n + m, : n + m] = augmented(plant)
     c.gamma[:n, :m] = plant.gamma

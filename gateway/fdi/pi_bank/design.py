@@ -75,16 +75,12 @@ def check(plant: LinearPlant, sensors: tuple[str, ...] = (), states: tuple[str, 
     n, m, p = plant.states, plant.inputs, plant.outputs
     names = sensors or tuple(f"y{k + 1}" for k in range(p))
     if p - 1 < m:
-        raise ValueError(
-            f"{p} sensors for {m} actuators: a bank needs one sensor more than actuators, at least"
-        )
+        raise ValueError(f"{p} sensors for {m} actuators: a bank needs one sensor more than actuators, at least")
     for i in range(p):
         c = plant.without(i)
         hidden = unobservable(plant.phi, c, states)
         if hidden:
-            raise ValueError(
-                f"without sensor {i + 1} ({names[i]}) the plant does not show {hidden}"
-            )
+            raise ValueError(f"without sensor {i + 1} ({names[i]}) the plant does not show {hidden}")
         block = np.zeros((n + p - 1, n + m))
         block[:n, :n], block[:n, n:], block[n:, :n] = plant.phi - np.eye(n), plant.gamma, c
         block /= np.maximum(np.abs(block).max(axis=1, keepdims=True), 1e-300)
@@ -102,9 +98,7 @@ def covariances(plant: LinearPlant, noise: Noise) -> tuple[Array, Array]:
     return np.diag(per_sample), np.diag(noise.outputs**2)
 
 
-def design(
-    plant: LinearPlant, noise: Noise, poles: tuple[complex, ...] | None = None
-) -> tuple[Observer, ...]:
+def design(plant: LinearPlant, noise: Noise, poles: tuple[complex, ...] | None = None) -> tuple[Observer, ...]:
     """Design the bank: observer 0 with all sensors, then one without each.
 
     Args:

@@ -1,16 +1,16 @@
 """Which actuator, which sensor, how large: decisions on the bank beyond paper 003's products.
 
 A change of the innovations raises an alarm first: the generalised likelihood ratio of the observer in use, over the
-window, or the energy of its last sample alone. Then it is searched whether faults of actuators, beginning anywhere in the
-window, explain the innovations of each observer:
+window, or the energy of its last sample alone. Then it is searched whether faults of actuators, beginning anywhere in
+the window, explain the innovations of each observer:
 
     of all observers                     actuators: each observer's estimate is corrected for its transient
     only of the one without sensor j     sensor j; from here on that observer alone is believed
     of none, for a while                 more than one sensor, or not the plant that was told: not isolated
 
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
-fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is at
-fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
+fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is
+at fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
 observers have to agree, as in (16). A sensor's fault has a level too: y_j - C_j x_j, by the observer that does not take
 it; its flag is held until that is gone.
 """
@@ -307,7 +307,8 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
     s.well = s.well + 1 if gone else 0
     if abs(s.offset[j]) >= c.sensor[j]:
         s.confirmed = 1
-    # What no jump explains, an actuator that drifts, leaves one observer alone with an explanation too; its sensor is right.
+    # What no jump explains, an actuator that drifts, leaves one observer alone with an explanation too; its sensor is
+    # right.
     s.doubted = 0 if s.confirmed == 1 else s.doubted + 1
     if s.well >= c.hold or s.doubted > PATIENCE:
         _adopt(s, o, k, y)

@@ -81,9 +81,7 @@ class State(Record):
     gained: Annotated[f8s, BANK]
 
 
-def prepare(
-    c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray
-) -> None:
+def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray) -> None:
     """Fill records of CONST and STATE.
 
     Args:
@@ -190,8 +188,8 @@ def likelihood_ratio(s: State, c: Const, o: Bank, k: int) -> float:
 def search(s: State, c: Const, o: Bank, k: int) -> bool:
     """Find the best beginning for observer k; tells whether it explains the window.
 
-    Sets ``age``, samples since then, 0: none is better; ``phase``, the share of a sample in quarters; and the energy that it leaves, ``left``,
-    and takes, ``gained``.
+    Sets ``age``, samples since then, 0: none is better; ``phase``, the share of a sample in quarters; and the energy
+    that it leaves, ``left``, and takes, ``gained``.
     """
     total = 0.0
     for d in range(s.kept):

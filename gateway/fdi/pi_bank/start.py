@@ -1,4 +1,4 @@
-"""The first samples of a bank: nothing is known of the plant's state, and the gain is that of the filter at this moment.
+"""First samples of a bank: nothing is known of the plant's state; the gain is the filter's at this moment.
 
 With its stationary gain a bank that is made for little noise would need minutes to find the state. So each observer
 begins as the Kalman filter that it is in the long run, with the covariance of its error: sensor by sensor

@@ -157,9 +157,7 @@ def _outlier_cost(h: Hypothesis, p: Prediction) -> float:
 
 
 @kernel
-def _associate(
-    tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, cause: int, cost: float
-) -> None:
+def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, cause: int, cost: float) -> None:
     """Make a spare hypothesis that takes the pulse for a tooth, its residual for a cause.
 
     Args:
@@ -203,9 +201,7 @@ def _hold_for_clutter(tr: Tracker, h: Hypothesis, cost: float) -> None:
 
 
 @kernel
-def branch(
-    tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple: float, made: int
-) -> int:
+def branch(tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple: float, made: int) -> int:
     """Make the successors of one hypothesis in the other bank.
 
     Args:

@@ -3,8 +3,8 @@
 A hypothesis branches at each pulse, and its cost, minus its log likelihood, grows. Those with the
 same tooth at the same pulse merge, the more likely one stays; those much less likely than the best are pruned. So a
 clear case is decided at once, and an unclear one is held open until a later pulse, at the latest the
-wheel's gap, decides it - the paper's displaced gap is one such evidence. Hypotheses, missed detections, clutter, merging
-and pruning are those of multiple hypothesis tracking (Reid 1979).
+wheel's gap, decides it - the paper's displaced gap is one such evidence. Hypotheses, missed detections, clutter,
+merging and pruning are those of multiple hypothesis tracking (Reid 1979).
 """
 
 from __future__ import annotations

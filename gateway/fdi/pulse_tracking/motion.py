@@ -154,14 +154,7 @@ def correct(
     # P' = F P F^T + Q
     f12 = h.p12 + span * p22 + b * h.p23
     f13 = h.p13 + span * h.p23 + b * p33
-    f11 = (
-        h.p11
-        + span * h.p12
-        + b * h.p13
-        + span * f12
-        + b * f13
-        + (Q1 + Q2 * span * span * span / 3) * scale
-    )
+    f11 = h.p11 + span * h.p12 + b * h.p13 + span * f12 + b * f13 + (Q1 + Q2 * span * span * span / 3) * scale
     f12 = f12 + d * f13 + Q2 * span * span / 2 * scale
     f23 = h.p23 + d * p33
     f22 = p22 + d * h.p23 + d * f23 + Q2 * span * scale

@@ -1,4 +1,4 @@
-"""Reduction of the hypotheses: those that say the same merge, those that are far less likely than the best are pruned."""
+"""Reduction of hypotheses: equal ones merge, those that are far less likely than the best are pruned."""
 
 from __future__ import annotations
 

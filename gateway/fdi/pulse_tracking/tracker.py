@@ -15,8 +15,8 @@ MOST = 16
 HESITATION = 4.0
 #: A decision is made when those that disagree are so much less likely [nat].
 DECISION = 10.0
-#: Above this variance of an edge [pitch^2] single pulses cannot be told from noise (identifiability): a pulse may also be
-#: just the next tooth at any time, and every place on the wheel that is possible is kept until the gap tells.
+#: Above this variance of an edge [pitch^2] single pulses cannot be told from noise (identifiability): a pulse may also
+#: be just the next tooth at any time, and every place on the wheel that is possible is kept until the gap tells.
 COARSE = 0.065**2
 
 #: Variance of ln(period) and of the growth when tracking begins.
@@ -66,12 +66,7 @@ def reported(tr: Tracker) -> Hypothesis:
     if h.missed != 0 or h.added != 0:
         for k in range(1, tr.count):
             other = tr.banks[first + k]
-            if (
-                other.cost < HESITATION
-                and other.associated == 1
-                and other.missed == 0
-                and other.added == 0
-            ):
+            if other.cost < HESITATION and other.associated == 1 and other.missed == 0 and other.added == 0:
                 return other
     return h
 

@@ -198,9 +198,7 @@ def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
         "sizes": {str(size): count for size, count in analysis.sizes.items()},
         "table": _table(analysis.candidates),
         **_isolability(analysis.best),
-        "isolability_of": {
-            causality: _isolability(analysis.isolability(causality)) for causality in CAUSALITIES
-        },
+        "isolability_of": {causality: _isolability(analysis.isolability(causality)) for causality in CAUSALITIES},
         "mtes": [list(analysis.structure.names(row)) for row in find_mtes(model)],
         "fewest_tests": [int(k) + 1 for k in analysis.fewest],
         "parts": {
@@ -220,8 +218,7 @@ def _table(candidates: Candidates) -> dict[str, Any]:
     """Return Table IV; pairs as lists."""
     return {
         algorithm: {
-            algebraic: {causality: list(pair) for causality, pair in row.items()}
-            for algebraic, row in rows.items()
+            algebraic: {causality: list(pair) for causality, pair in row.items()} for algebraic, row in rows.items()
         }
         for algorithm, rows in candidates.table.items()
     }

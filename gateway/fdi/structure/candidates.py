@@ -95,9 +95,7 @@ def _same(a: Masks, b: Masks) -> bool:
 
 
 @kernel
-def _loop_status(
-    solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, step: int
-) -> int:
+def _loop_status(solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, step: int) -> int:
     """Return how the loop that a step is can be solved; one that is not declared cannot."""
     clear(solve.equations)
     clear(solve.variables)
@@ -107,17 +105,13 @@ def _loop_status(
             include(solve.equations, e)
             include(solve.variables, mate[e])
     for k in range(len(solve.loop)):
-        if _same(solve.loop_equations[k], solve.equations) and _same(
-            solve.loop_variables[k], solve.variables
-        ):
+        if _same(solve.loop_equations[k], solve.equations) and _same(solve.loop_variables[k], solve.variables):
             return int(solve.loop[k])
     return _NONE
 
 
 @kernel
-def _classify_one(
-    solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, steps: int, result: i8s
-) -> None:
+def _classify_one(solve: Solvability, used: i8s, count: int, mate: i8s, order: Steps, steps: int, result: i8s) -> None:
     """Write status, whether it integrates, and how often it differentiates, of one sequence into ``result``."""
     result[0], result[1], result[2] = _UNIQUE, 0, 0
     for number in range(steps):
@@ -286,9 +280,7 @@ def _portion(msos: Sets, choices: NDArray[np.int64], tacit: NDArray[np.int64]) -
     )
 
 
-def classify(
-    model: Model, msos: Sets, *, progress: Callable[[int], None] | None = None
-) -> Candidates:
+def classify(model: Model, msos: Sets, *, progress: Callable[[int], None] | None = None) -> Candidates:
     """Classify every candidate of some MSO sets.
 
     Args:

@@ -1,4 +1,4 @@
-"""Dulmage-Mendelsohn decomposition: which part of a model has redundancy, which is just determined, which has too little.
+"""Dulmage-Mendelsohn decomposition: the parts of a model that are over, just, and underdetermined.
 
 M+ is what alternating paths reach from the equations that no maximum matching can use all of; M- what they reach from
 the variables without an equation; M0 what is left, in blocks (Dulmage, Mendelsohn 1958; Blanke et al. 2006).
@@ -86,7 +86,7 @@ class Matched:
             augment(self.rows, self._matching, int(i), everything)
 
     def over(self, skip: int = -1) -> Bools:
-        """Return the equations of M+, shape (equations,), without those that only the free equation ``skip`` reaches."""
+        """Return the equations of M+, shape (equations,), without those only the free equation ``skip`` reaches."""
         reach_from_free(self.rows, len(self.mate), self._matching, skip)
         return self._matching.reached.copy()
 
@@ -117,9 +117,7 @@ def equivalence_classes(structure: Incidence, subset: Bools) -> list[Ints]:
 
 
 def _block(structure: Incidence, rows: Iterable[int], columns: Iterable[int]) -> Block:
-    return Block(
-        tuple(structure.equations[i] for i in rows), tuple(structure.variables[v] for v in columns)
-    )
+    return Block(tuple(structure.equations[i] for i in rows), tuple(structure.variables[v] for v in columns))
 
 
 def _under(matched: Matched, dense: Bools) -> tuple[Bools, Bools]:

@@ -192,9 +192,7 @@ class _Reader:
         for word in ("unique", "multiple", "solution"):
             for v in getattr(given, word):
                 if v not in variables:
-                    self.wrong(
-                        f'equation {name} does not contain the unknown "{v}"', f"{key}.{word}"
-                    )
+                    self.wrong(f'equation {name} does not contain the unknown "{v}"', f"{key}.{word}")
         for v in set(given.unique) & set(given.multiple):
             self.wrong(f'"{v}" is unique already', f"{key}.multiple")
         return Equation(
@@ -232,9 +230,7 @@ class _Reader:
             ("knowns", given.knowns or None, knowns),
         ):
             if wanted is not None and set(wanted) != set(there):
-                self.wrong(
-                    f"the relation contains {', '.join(there) or 'none'}", f"{key}.{word}", wanted
-                )
+                self.wrong(f"the relation contains {', '.join(there) or 'none'}", f"{key}.{word}", wanted)
         return variables, knowns, tuple(dict.fromkeys(faults + given.faults))
 
     def solutions(
@@ -262,9 +258,7 @@ class _Reader:
             return None
         solutions = []
         for k, solution in enumerate(given.solution):
-            parsed = {
-                v: self.expression(t, f"{key}.solution[{k}].{v}") for v, t in solution.items()
-            }
+            parsed = {v: self.expression(t, f"{key}.solution[{k}].{v}") for v, t in solution.items()}
             solutions.append({v: e for v, e in parsed.items() if e is not None})
         return Loop(
             frozenset(given.equations),
@@ -301,10 +295,7 @@ class _Reader:
                 self.quantities(),
                 tuple(data.parameter),
                 {k: Table(t.x, t.y, t.text) for k, t in data.table.items()},
-                {
-                    k: ResidualChoice(frozenset(r.equations), r.consistency, r.text)
-                    for k, r in data.residual.items()
-                },
+                {k: ResidualChoice(frozenset(r.equations), r.consistency, r.text) for k, r in data.residual.items()},
                 data.text,
             )
         except ValueError as error:

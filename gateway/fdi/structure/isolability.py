@@ -1,8 +1,8 @@
 """Which faults a model, or a set of tests, can detect and tell apart.
 
 A fault is detectable if its equation is in the overdetermined part of the model, and isolable from another if it is in
-that of the model without the other's equations (Krysander, Frisk 2008). A test on a set of equations is sensitive to the
-faults in it; a set of tests isolates f_i from f_j if one of them is sensitive to f_i and not to f_j.
+that of the model without the other's equations (Krysander, Frisk 2008). A test on a set of equations is sensitive to
+the faults in it; a set of tests isolates f_i from f_j if one of them is sensitive to f_i and not to f_j.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Isolability:
     Attributes:
         faults: their names.
         detectable: shape (faults,).
-        confused: shape (faults, faults): if fault i is there, fault j explains it too. The identity is full isolability.
+        confused: shape (faults, faults): if fault i is there, fault j explains it too. The identity is full
+            isolability.
     """
 
     faults: tuple[str, ...]
@@ -37,16 +38,14 @@ class Isolability:
     @property
     def full(self) -> bool:
         """Whether every fault can be detected, and told from every other."""
-        return bool(self.detectable.all()) and bool(
-            (self.confused == np.eye(len(self.faults), dtype=np.bool_)).all()
-        )
+        return bool(self.detectable.all()) and bool((self.confused == np.eye(len(self.faults), dtype=np.bool_)).all())
 
 
 def incidence_of_faults(model: Model) -> Sets:
     """Return which equation contains which fault, shape (equations, faults)."""
-    return np.array(
-        [[f in e.faults for f in model.faults] for e in model.equations], np.bool_
-    ).reshape(len(model.equations), len(model.faults))
+    return np.array([[f in e.faults for f in model.faults] for e in model.equations], np.bool_).reshape(
+        len(model.equations), len(model.faults)
+    )
 
 
 def signatures(model: Model, sets: Sets) -> Sets:

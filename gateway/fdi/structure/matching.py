@@ -89,7 +89,7 @@ def reach_from_free(rows: Masks, size: int, matching: Matching, skip: int) -> in
 
 @kernel
 def _flip_path(matching: Matching, v: int) -> None:
-    """Give variable ``v`` to the equation it was reached by, that one's variable to the one before, up to a free one."""
+    """Give ``v`` to the equation it was reached by, that one's variable to the one before, up to a free one."""
     while v >= 0:
         e = matching.came[v]
         before = matching.mate[e]
@@ -100,7 +100,7 @@ def _flip_path(matching: Matching, v: int) -> None:
 
 @kernel
 def make_free(rows: Masks, size: int, matching: Matching, i: int) -> bool:
-    """Change a matching of ``size`` equations so that equation ``i`` is free; False, nothing changed, if it cannot be."""
+    """Change a matching of ``size`` equations so that ``i`` is free; False, nothing changed, if it cannot be."""
     v = matching.mate[i]
     if v < 0:
         return True
@@ -114,7 +114,7 @@ def make_free(rows: Masks, size: int, matching: Matching, i: int) -> bool:
 
 @kernel
 def augment(rows: Masks, matching: Matching, i: int, allowed: Masks) -> bool:
-    """Match a free equation ``i``, moving others if need be, with variables of the mask ``allowed``; False: impossible."""
+    """Match a free equation ``i``, moving others if need be, within the mask ``allowed``; False: impossible."""
     queue, reached, seen = matching.queue, matching.reached, matching.seen
     for k in range(len(reached)):
         reached[k] = False

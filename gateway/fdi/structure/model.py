@@ -328,9 +328,7 @@ def _check(model: Model) -> None:
             )
         for v in (*e.solvable, *e.solutions):
             if v not in e.variables:
-                raise ValueError(
-                    f'equation {e.name} does not contain "{v}", and cannot be solved for it'
-                )
+                raise ValueError(f'equation {e.name} does not contain "{v}", and cannot be solved for it')
         if e.derivative:
             owners.setdefault(e.derivative, []).append(e.name)
     _check_states(model, owners)
@@ -365,9 +363,7 @@ def _check_sets(model: Model) -> None:
             if not any(v in names[name].variables for name in loop.equations):
                 raise ValueError(f'{where}: none of its equations contains "{v}"')
         if len(loop.equations) != len(loop.variables):
-            raise ValueError(
-                f"{where}: {len(loop.equations)} equations for {len(loop.variables)} unknowns"
-            )
+            raise ValueError(f"{where}: {len(loop.equations)} equations for {len(loop.variables)} unknowns")
         for solution in loop.solutions:
             if set(solution) != loop.variables:
                 raise ValueError(f"{where}: a solution gives {', '.join(sorted(loop.variables))}")

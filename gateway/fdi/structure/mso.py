@@ -103,8 +103,8 @@ def _search(
 ) -> int:  # fmt: skip
     """Go on with the search until ``found`` is full or nothing is left; returns how many sets were found.
 
-    First index of those before ``at``: the level, from which equations were left out. ``at``: the level, and then the next
-    equation to be left out on each level.
+    First index of those before ``at``: the level, from which equations were left out. ``at``: the level, and then the
+    next equation to be left out on each level.
     """
     levels = rows.shape[0]
     level, count = at[0], 0
@@ -200,9 +200,7 @@ def find_msos(
     total = 0
     while at[0] >= 0:
         found = np.zeros((min(PORTION, limit + 1 - total), words(m)), np.int64)
-        count = _search(
-            rows, ids, state, mate, owner, size, at, came, queue, reached, seen, done, found
-        )
+        count = _search(rows, ids, state, mate, owner, size, at, came, queue, reached, seen, done, found)
         portions.append(found[:count])
         total += count
         if progress is not None:

@@ -38,9 +38,7 @@ def find_mtes(model: Model, *, limit: int = MOST_SETS, structure: Incidence | No
             continue
         seen.add(key)
         if len(seen) > limit:
-            raise ValueError(
-                f"more than {limit} sets of equations with different faults: raise the limit"
-            )
+            raise ValueError(f"more than {limit} sets of equations with different faults: raise the limit")
         smaller = []
         for together in equivalence_classes(structure, test):
             if where[together].any():

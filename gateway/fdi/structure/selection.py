@@ -20,9 +20,7 @@ def requirements(signature: Sets) -> Sets:
     """
     tests, faults = signature.shape
     rows = [signature[:, i] for i in range(faults)]
-    rows += [
-        signature[:, i] & ~signature[:, j] for i in range(faults) for j in range(faults) if i != j
-    ]
+    rows += [signature[:, i] & ~signature[:, j] for i in range(faults) for j in range(faults) if i != j]
     possible = [row for row in rows if row.any()]
     return np.unique(np.array(possible), axis=0) if possible else np.zeros((0, tests), np.bool_)
 
@@ -46,9 +44,7 @@ def fewest_tests(signature: Sets, cost: NDArray[np.float64] | None = None) -> ND
         return np.zeros(0, np.int64)
     weight = np.ones(tests)
     if cost is not None and cost.max() > 0:
-        weight += cost / (
-            2.0 * max(cost.sum(), 1.0)
-        )  # all of them together weigh less than one test
+        weight += cost / (2.0 * max(cost.sum(), 1.0))  # all of them together weigh less than one test
     result = milp(
         weight,
         integrality=np.ones(tests),

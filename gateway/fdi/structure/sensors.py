@@ -1,10 +1,10 @@
 """Where to put sensors so that faults can be detected, or told apart.
 
 More sensors never make a fault of the model harder to find: what is asked is monotone, so that all minimal sets follow
-from counterexamples. A set that is not enough is grown until one sensor more would be enough; what is then left out must
-contain a sensor of every set that is enough. The minimal sets that hit all those are tried in turn, until each of them
-is enough (Berge's transversals, one counterexample at a time). It does not matter whether the model has too few equations
-somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
+from counterexamples. A set that is not enough is grown until one sensor more would be enough; what is then left out
+must contain a sensor of every set that is enough. The minimal sets that hit all those are tried in turn, until each of
+them is enough (Berge's transversals, one counterexample at a time). It does not matter whether the model has too few
+equations somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
 
 A sensor that can fail itself adds a fault that must be found too. That is not monotone, so the minimal sets for the
 model's own faults are grown, smallest first; a second sensor of the same variable may be what is needed.
@@ -48,9 +48,7 @@ def minimal_sets(
     hitting = [frozenset[int]()]
     confirmed: set[frozenset[int]] = set()
     while True:
-        short = next(
-            (s for s in hitting if s not in confirmed and not _confirm(s, enough, confirmed)), None
-        )
+        short = next((s for s in hitting if s not in confirmed and not _confirm(s, enough, confirmed)), None)
         if short is None:
             return sorted(hitting, key=lambda s: (len(s), sorted(s)))
         grown = set(short)
@@ -146,9 +144,7 @@ def place_sensors(
         sets = _grown(
             sets,
             range(len(sensors)),
-            lambda chosen: found(
-                chosen, own + [failing[k] for k in sorted(chosen) if k in failing]
-            ),
+            lambda chosen: found(chosen, own + [failing[k] for k in sorted(chosen) if k in failing]),
             limit,
         )
     named = {tuple(sorted(sensors[k] for k in chosen)) for chosen in sets}

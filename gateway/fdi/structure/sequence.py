@@ -82,9 +82,7 @@ class Structure:
         everything: NDArray[np.int64] = np.full(w, (1 << BITS) - 1, np.int64)
         self.explicit = Explicit(self.incidence.rows, state, everything)
         #: For each equation, the tacit relation that comes with it in the explicit form, else -1.
-        self.tacit: NDArray[np.int64] = np.array(
-            [self._tacit(model, e) for e in model.full_equations], np.int64
-        )
+        self.tacit: NDArray[np.int64] = np.array([self._tacit(model, e) for e in model.full_equations], np.int64)
         self.matching = self.new_matching()
         self.order = Steps(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m + 1, np.int64))
         self.work = workspace(m, w)

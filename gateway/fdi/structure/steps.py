@@ -82,7 +82,7 @@ def _take_block(block: i8s, members: i8s, count: int, number: int, equations: i8
 
 @kernel
 def _kind_alone(state: int, mate: int) -> int:
-    """Return what an equation alone does, from its state (-1: it is no relation of one) and the variable it is solved for."""
+    """Return what an equation alone does, from its state (-1: none) and the variable it is solved for."""
     if state < 0:
         return SOLVE
     return INTEGRATE if mate == state else DIFFERENTIATE
@@ -128,9 +128,7 @@ def _know_states(state: i8s, matching: Matching, work: Workspace, size: int) -> 
 
 
 @kernel
-def _match_others(
-    explicit: Explicit, matching: Matching, work: Workspace, others: int, relations: int
-) -> bool:
+def _match_others(explicit: Explicit, matching: Matching, work: Workspace, others: int, relations: int) -> bool:
     """Match the equations of a differential loop beside its states' relations; False: not all can be matched."""
     solved = True
     for k in range(others):
@@ -181,9 +179,7 @@ def _differential_loop(
 
 
 @kernel
-def order_steps(
-    explicit: Explicit, members: i8s, count: int, matching: Matching, order: Steps, work: Workspace
-) -> int:
+def order_steps(explicit: Explicit, members: i8s, count: int, matching: Matching, order: Steps, work: Workspace) -> int:
     """Order a matched set of equations into steps.
 
     Args:
@@ -200,9 +196,7 @@ def order_steps(
     clear(work.computed)
     for k in range(count):
         include(work.computed, matching.mate[members[k]])
-    blocks = find_blocks(
-        explicit.rows, members, count, matching.owner, work.computed, 0, order.block, work.search
-    )
+    blocks = find_blocks(explicit.rows, members, count, matching.owner, work.computed, 0, order.block, work.search)
     steps = 0
     for number in range(blocks):
         size = _take_block(order.block, members, count, number, work.equations)

@@ -106,9 +106,7 @@ def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports)
 
 
 @kernel
-def _tell(
-    out: Reports, wrong: bool, off: float, tolerance: float, angle: float, level: int
-) -> None:
+def _tell(out: Reports, wrong: bool, off: float, tolerance: float, angle: float, level: int) -> None:
     e = report(out, CAM_CORRELATION, wrong, off, tolerance).cam_correlation
     e.angle, e.off, e.level = angle, off, level
 

@@ -92,9 +92,7 @@ class State(Record):
     intervals: Annotated[f8s, WINDOW]
 
 
-def prepare(
-    s: State, c: Const, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool
-) -> None:
+def prepare(s: State, c: Const, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool) -> None:
     """Fill state and constants.
 
     Args:

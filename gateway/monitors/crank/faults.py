@@ -112,9 +112,7 @@ Reports: TypeAlias = Out[Evidence, Any]
 _ONCE = Debounce(failed_after=1, passed_after=10)
 
 FAULTS = (
-    Fault(
-        "missed_pulse", "P0336-29", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE
-    ),
+    Fault("missed_pulse", "P0336-29", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE),
     Fault(
         "added_pulse",
         "P0336-2F",

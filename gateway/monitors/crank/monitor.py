@@ -62,12 +62,8 @@ class Params(MonitorParams):
     acceleration: float = Field(
         3000.0, gt=0, description="adaptive: change of speed that is usual, standard dev. [rpm/s]"
     )
-    runout: float = Field(
-        0.04, gt=0, lt=1, description="adaptive: variation of the pitch once a turn, amplitude"
-    )
-    reversal_rpm: float = Field(
-        30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]"
-    )
+    runout: float = Field(0.04, gt=0, lt=1, description="adaptive: variation of the pitch once a turn, amplitude")
+    reversal_rpm: float = Field(30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]")
     cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
         (),
         max_length=cam.MOST_EDGES,

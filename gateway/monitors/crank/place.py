@@ -80,9 +80,7 @@ class State(Record):
     profile: Profile
 
 
-def prepare(
-    s: State, c: Const, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float
-) -> None:
+def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float) -> None:
     """Fill state and constants.
 
     Args:

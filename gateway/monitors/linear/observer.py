@@ -3,8 +3,8 @@
     e(k) = y(k) - C x(k),   x(k+1) = Phi x(k) + Gamma u(k) + L e(k)
 
 Each innovation, in its own standard deviations, goes through a stopping rule (:mod:`gateway.fdi.stopping`), and so does
-the normalised innovation squared e^T V^-1 e of all of them. It detects; it does not isolate: a fault of one sensor moves
-the observer, and shows in the others (paper 003, section 4.1). For that there is ``pi_bank``.
+the normalised innovation squared e^T V^-1 e of all of them. It detects; it does not isolate: a fault of one sensor
+moves the observer, and shows in the others (paper 003, section 4.1). For that there is ``pi_bank``.
 """
 
 from __future__ import annotations
@@ -79,9 +79,7 @@ class Params(PlantParams):
         None,
         description="n, continuous: -1.2, or [-1.0, 2.0] for one of a pair [1/s]; default: Kalman's, from the noise",
     )
-    rule: Literal["direct", "cusum"] = Field(
-        "direct", description="what makes an alarm of an innovation"
-    )
+    rule: Literal["direct", "cusum"] = Field("direct", description="what makes an alarm of an innovation")
     level: float | None = Field(
         None,
         gt=0,
@@ -106,9 +104,7 @@ class Params(PlantParams):
         r = np.diag(np.array([part.noise for part in self.output]) ** 2)
         if self.poles is None:
             return from_noise(plant.phi, plant.c, q, r)
-        given = [
-            complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles
-        ]
+        given = [complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles]
         return from_poles(plant.phi, plant.c, tuple(exp(g * plant.period) for g in given), q, r)
 
     @property

@@ -63,9 +63,7 @@ class Output(StrictModel):
     signal: str = Field(description='"Message.Signal" that carries its reading')
     unit: str | None = Field(None, description="that the database must give; default: any")
     noise: float = Field(gt=0, description="standard deviation of its reading, resolution included")
-    threshold: float | None = Field(
-        None, gt=0, description="smallest fault that counts; default 10 noise"
-    )
+    threshold: float | None = Field(None, gt=0, description="smallest fault that counts; default 10 noise")
     dtc: str | None = Field(None, description="default: C1B21-64 and so on")
 
     @property

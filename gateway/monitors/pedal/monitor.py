@@ -192,9 +192,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(
-            Readout(("value", "quality", "speed", "samples", "used", "isolated", "spread")),
-        ),
+        capabilities=(Readout(("value", "quality", "speed", "samples", "used", "isolated", "spread")),),
     )
 
 

@@ -115,11 +115,9 @@ class Params(MonitorParams):
     preset: Literal["brake", "brake_3", "accelerator"] = Field(
         "brake", description="channels, DTCs and message of a kind of pedal"
     )
-    channel: tuple[Channel, ...] = Field(
-        (), description="your own channels instead of the preset's"
-    )
-    voter: Literal["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"] = (
-        Field("tracking", description="what the value is; faults are always found by tracking")
+    channel: tuple[Channel, ...] = Field((), description="your own channels instead of the preset's")
+    voter: Literal["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"] = Field(
+        "tracking", description="what the value is; faults are always found by tracking"
     )
     period_ms: float = Field(1.0, gt=0, le=1000, description="between two samples [ms]")
     fastest: float = Field(20.0, gt=0, description="largest true speed [travels/s]")
@@ -129,12 +127,8 @@ class Params(MonitorParams):
         le=50,
         description="slow mismatch of the channels that is usual [% of the travel]",
     )
-    gain_error: float = Field(
-        1.0, ge=0, le=50, description="difference of the channels' slopes that is usual [%]"
-    )
-    overtravel: float = Field(
-        5.0, ge=0, le=100, description="beyond 0 % and 100 % that is in range [% of the travel]"
-    )
+    gain_error: float = Field(1.0, ge=0, le=50, description="difference of the channels' slopes that is usual [%]")
+    overtravel: float = Field(5.0, ge=0, le=100, description="beyond 0 % and 100 % that is in range [% of the travel]")
 
     @property
     def channels(self) -> tuple[Channel, ...]:

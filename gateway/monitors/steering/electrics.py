@@ -3,8 +3,8 @@
 Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
 weak spots:
 
-increment  the sensor's step less the one that the alpha-beta filter's speed makes: sees what changes at once, at rest too
-angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
+increment  the sensor's step less the one that the alpha-beta filter's speed makes: sees what changes at once, at rest
+too angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
            (E_d, E_q) = c_M omega (sin, cos) of the sensor's error. Resistance and dead time act along the current,
            which the controller keeps on q, so that E_d knows hardly anything of them; blind at rest
 balance    the EMF vector less c_M omega of the sensor's own speed: currents or voltages are wrong, or the angle
@@ -177,9 +177,7 @@ def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool
     """Average the EMF in the controller's frame; find the sensor's error and the balance of voltages."""
     f = s.forward
     u_alpha, u_beta = inverse_park(u_d, u_q, middle)
-    e_alpha, e_beta = feedforward.emf(
-        f, c.forward, u_alpha, u_beta, s.i_alpha, s.i_beta, s.filter.resistance
-    )
+    e_alpha, e_beta = feedforward.emf(f, c.forward, u_alpha, u_beta, s.i_alpha, s.i_beta, s.filter.resistance)
     if not usable:
         return
     e_d, e_q = park(e_alpha, e_beta, middle)
@@ -194,10 +192,7 @@ def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool
     s.r_d += c.share * (s.residual_d - s.r_d)
     s.r_q += c.share * (s.residual_q - s.r_q)
     allowed = (
-        c.noise
-        + c.dead
-        + c.resistance_error * s.filter.resistance * current
-        + c.flux_error * c.emf * abs(s.speed)
+        c.noise + c.dead + c.resistance_error * s.filter.resistance * current + c.flux_error * c.emf * abs(s.speed)
     )
     s.balance = hypot(s.r_d, s.r_q) / allowed
 
@@ -217,7 +212,7 @@ def _begin(s: State, c: Const, theta: float, i_alpha: float, i_beta: float) -> N
 
 @kernel
 def _predict(s: State, c: Const, u_d: float, u_q: float, periods: float) -> None:
-    """Predict the filter to the end of the frame, by steps of one length; lost frames are taken like the one that came."""
+    """Predict to the end of the frame, by steps of one length; lost frames are taken like the one that came."""
     count = int(periods)
     for k in range(count):
         share = s.turned / count

@@ -75,6 +75,4 @@ _ROWS = (
     ("ratio", "C1A09-64", "road wheel angle does not follow the ratio asked for", _SEEN),
 )
 
-FAULTS = tuple(
-    Fault(name, dtc, text, labels(Evidence), debounce) for name, dtc, text, debounce in _ROWS
-)
+FAULTS = tuple(Fault(name, dtc, text, labels(Evidence), debounce) for name, dtc, text, debounce in _ROWS)

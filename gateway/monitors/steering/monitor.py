@@ -77,9 +77,7 @@ def _connect(p: Params) -> Mapping[str, Connection]:
     return {
         name.lower(): None
         if message == "ESC_Speed" and p.ratio is None
-        else Signal(
-            f"{message}.{name}", triggers=message != "ESC_Speed", optional=message in _OPTIONAL
-        )
+        else Signal(f"{message}.{name}", triggers=message != "ESC_Speed", optional=message in _OPTIONAL)
         for message, names in _MESSAGES.items()
         for name in names
     }
@@ -111,9 +109,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _report(
-    s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Outputs]
-) -> None:
+def _report(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Outputs]) -> None:
     """Report a test with the symptoms as evidence."""
     e = report(out, fault, failed, value, limit)
     if not failed:
@@ -144,9 +140,7 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
 
 
 @kernel
-def _pair(
-    s: State, c: Const, u: Inputs, u_frame: int, i_u: float, i_v: float, theta: float
-) -> None:
+def _pair(s: State, c: Const, u: Inputs, u_frame: int, i_u: float, i_v: float, theta: float) -> None:
     """Take a pair of motor frames with the counter ``u_frame``."""
     m, k, y, d = s.electrics, s.kinematics, s.symptoms, s.decision
     periods = float((u_frame - s.paired) % 16)

@@ -44,9 +44,7 @@ class Thresholds(StrictModel):
         gt=0,
         description="increment residual [rad]; default 0.03 at 1 ms, more with longer periods",
     )
-    restless: float | None = Field(
-        None, gt=0, description="its square, moving average [rad^2]; default 2e-4 at 1 ms"
-    )
+    restless: float | None = Field(None, gt=0, description="its square, moving average [rad^2]; default 2e-4 at 1 ms")
     angle: float = Field(0.075, gt=0, description="sensor against EMF, leaky average [rad]")
     parity: float = Field(0.06, gt=0, description="CUSUM of (1) [deg at the pinion]")
     balance: float = Field(1.8, gt=0, description="voltages, in units of what parameters explain")
@@ -118,7 +116,7 @@ class Params(MonitorParams):
     blind: float = Field(
         0.07,
         gt=0,
-        description="misfit of the angles that steps of the sensors and lash explain: CUSUM's drift [deg at the pinion]",
+        description="misfit of the angles explained by sensor steps and lash: CUSUM's drift [deg at the pinion]",
     )
     wheel_jitter_ms: float = Field(
         0.3,
@@ -134,12 +132,8 @@ class Params(MonitorParams):
         True,
         description="run Luenberger, reduced and dq filters beside the one that decides; their speeds are shown",
     )
-    slow: float = Field(
-        15.0, ge=0, description="below this speed the angle is anchored at the sensor [rad/s]"
-    )
-    ratio: Ratio | None = Field(
-        None, description="check the road wheel angle's ratio; default: not"
-    )
+    slow: float = Field(15.0, ge=0, description="below this speed the angle is anchored at the sensor [rad/s]")
+    ratio: Ratio | None = Field(None, description="check the road wheel angle's ratio; default: not")
     thresholds: Thresholds = Thresholds()
     calibrated: str = Field("", description="what the thresholds come from; by gateway calibrate")
 

@@ -1,7 +1,7 @@
 """Plausibility of the road wheel angle (paper 001, (2) to (4)).
 
-The controller makes the motor add what is missing to an overall ratio i_V(v_X): road wheel = wheel / i_V, (3). (2) is the
-inverse of what its text says: the pinion follows from the road wheel, delta_G = F_SG(delta_F); here
+The controller makes the motor add what is missing to an overall ratio i_V(v_X): road wheel = wheel / i_V, (3). (2) is
+the inverse of what its text says: the pinion follows from the road wheel, delta_G = F_SG(delta_F); here
 F_SG(x) = gear x (1 + cubic x^2), solved for x by Newton's method. (4)'s dependence on the pinion angle is left out.
 """
 

@@ -2,8 +2,8 @@
 
 Seven residuals have a stopping rule each, and an alarm. What alarms do over time makes the binary symptoms that the
 signature table of :mod:`gateway.monitors.steering.decision` is written in: at the end of a window behind a jump
-(:mod:`.jumps`), after so many frames in a row, or by comparing two residuals that should see the same error. Here is how a
-symptom is turned on and off; which component a set of symptoms belongs to is decided there.
+(:mod:`.jumps`), after so many frames in a row, or by comparing two residuals that should see the same error. Here is
+how a symptom is turned on and off; which component a set of symptoms belongs to is decided there.
 """
 
 from __future__ import annotations

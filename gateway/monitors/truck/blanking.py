@@ -11,7 +11,7 @@ LANES, MOST = 2, 64
 
 
 class State(Record):
-    """State: ``held``, ``due``: residuals that wait, and whether they still count; ``quiet``: sets until they count again."""
+    """``held``, ``due``: residuals that wait, and whether they count; ``quiet``: sets until they count again."""
 
     at: i8
     gear: i8

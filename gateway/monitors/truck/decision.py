@@ -44,9 +44,7 @@ class Outputs(Record):
 def emits(_: Params) -> Emission:
     """Return the message."""
     tests = tuple(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS))
-    return Emission(
-        "FDI_STATUS", {"level": tests, "fired": "Fired", "diagnosis": "Diagnosis", "valid": "Valid"}
-    )
+    return Emission("FDI_STATUS", {"level": tests, "fired": "Fired", "diagnosis": "Diagnosis", "valid": "Valid"})
 
 
 @kernel

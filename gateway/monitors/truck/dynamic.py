@@ -1,8 +1,8 @@
 """T3 and T4: what both do around their residual generators, with integral causality as with mixed.
 
-The speed that an integrated residual begins with is corrected by the residual's mean over the first second: 0.1 rad/s of
-noise behind the filter (37) would stay in the residual for as long as the clutch holds, and in one window of some thousand
-the CUSUM would grow without a fault.
+The speed that an integrated residual begins with is corrected by the residual's mean over the first second: 0.1 rad/s
+of noise behind the filter (37) would stay in the residual for as long as the clutch holds, and in one window of some
+thousand the CUSUM would grow without a fault.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def settled(s: State) -> bool:
 
 @kernel
 def correction(s: State, residual: float) -> float:
-    """Take a residual (36); returns what its speed is to be corrected by: once a window, when its first second is over."""
+    """Take a residual (36); returns the correction of its speed: once a window, when its first second is over."""
     if s.excitation.time <= CORRECTED:
         if residual == residual:  # noqa: PLR0124 - not NaN
             s.total += residual

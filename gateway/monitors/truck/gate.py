@@ -17,7 +17,8 @@ from gateway.jit import Record, f8, i8, kernel
 SLIP, START = 0.05, 0.07
 #: Greatest slip [rad/s], least engine speed [rad/s], time to settle [s], clutch that is engaged.
 MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
-#: Slip at which a clutch that holds lets go, and the speed below which the engine does: noise of either opens no window anew.
+#: Slip at which a clutch that holds lets go, and the speed below which the engine does: noise of either opens no window
+#: anew.
 LETS_GO, STALLS = 9.0, 64.0
 
 
@@ -41,9 +42,7 @@ def restart(s: State) -> None:
 
 
 @kernel
-def update(
-    s: State, clutch: float, gear: int, ratio: float, engine: float, gearbox: float, dt: float
-) -> None:
+def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gearbox: float, dt: float) -> None:
     """Take a set of signals.
 
     Args:

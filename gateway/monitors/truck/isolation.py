@@ -1,8 +1,8 @@
 """Which faults explain the tests that have fired: consistency, with the structural model's fault signature matrix.
 
-A single fault explains what has fired if it is in the signature of every test that has. It is isolated when its own tests,
-all of them and no others, have fired: no other fault has that column. Until then the faults that explain are ranked by how
-near their tests are to firing.
+A single fault explains what has fired if it is in the signature of every test that has. It is isolated when its own
+tests, all of them and no others, have fired: no other fault has that column. Until then the faults that explain are
+ranked by how near their tests are to firing.
 """
 
 from __future__ import annotations
@@ -82,9 +82,7 @@ def ranked(c: Const, found: int, levels: f8s) -> int:
     while found != 0:
         best = -1
         for k in range(len(c.signature)):
-            if found >> k & 1 == 1 and (
-                best < 0 or support(c, k, levels) > support(c, best, levels)
-            ):
+            if found >> k & 1 == 1 and (best < 0 or support(c, k, levels) > support(c, best, levels)):
                 best = k
         found &= ~(1 << best)
         digits = 10 * digits + best + 1

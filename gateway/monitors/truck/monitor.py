@@ -1,8 +1,8 @@
 """The hybrid powertrain's monitor: a step for each complete set of four frames.
 
-Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when its four counters
-are equal; time is the counter's steps, not the frames' arrival. A set that is missing is stepped over; behind a gap of more
-than :data:`LONGEST` sets the dynamic tests begin anew.
+Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when its four
+counters are equal; time is the counter's steps, not the frames' arrival. A set that is missing is stepped over; behind
+a gap of more than :data:`LONGEST` sets the dynamic tests begin anew.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Initial(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where residuals and test quantities of T3 or T4 are; with integral causality ``first`` is that of three conditions."""
+    """Where residuals and quantities of T3 or T4 are; ICDS: ``first`` is that of three conditions."""
 
     residual: int
     mixed_residual: int

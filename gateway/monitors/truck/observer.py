@@ -1,8 +1,8 @@
 """T7: an observer of the vehicle's motion that also estimates what a road, a load, an engine and brakes make wrong.
 
-T3 and T4 of ICDS take their model's torque as true: an engine 2 % too strong or a slope of 0.3 % that nobody measures moves
-them like a fault. Here these are states beside the wheels' speed, and so are the errors of the machine's torque as motor
-and as generator. With p the errors and h what each does to the wheels' acceleration (:func:`_sensitivities`),
+T3 and T4 of ICDS take their model's torque as true: an engine 2 % too strong or a slope of 0.3 % that nobody measures
+moves them like a fault. Here these are states beside the wheels' speed, and so are the errors of the machine's torque
+as motor and as generator. With p the errors and h what each does to the wheels' acceleration (:func:`_sensitivities`),
 
     d omega_w / dt = T_net / J + h' p                 (e30 of paper 004, corrected)
     omega_gb       = u_f omega_w + noise              (e32, e37)
@@ -10,11 +10,11 @@ and as generator. With p the errors and h what each does to the wheels' accelera
     d curve / dx   = -curve / l + white noise
     d p_k / dt     = -p_k / tau_k + white noise       (the others; the machine's: noise only, and only while it is used)
 
-a Kalman filter whose prediction is the residual generator T7 and whose innovation is that generator's residual (36): the
-observer feeds it back. Between two windows in which the model holds, p goes on as above.
+a Kalman filter whose prediction is the residual generator T7 and whose innovation is that generator's residual (36):
+the observer feeds it back. Between two windows in which the model holds, p goes on as above.
 
-The test is Wald's: w = a' (P_a + Sigma_0)^-1 a, a the machine's two errors, P_a their covariance, Sigma_0 what the model's own
-error may make of them. It fires above a threshold.
+The test is Wald's: w = a' (P_a + Sigma_0)^-1 a, a the machine's two errors, P_a their covariance, Sigma_0 what the
+model's own error may make of them. It fires above a threshold.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ import numpy as np
 from gateway.jit import Record, f8, f8s, kernel
 from gateway.monitors.truck.generated import t7
 
-#: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the brakes,
-#: curve of the road [rad/m].
+#: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the
+#: brakes, curve of the road [rad/m].
 MOTOR, GENERATOR, ENGINE, SLOPE, MASS, BRAKE, CURVE = range(7)
 ERRORS = 7
 _STATES = ERRORS + 1
@@ -151,9 +151,7 @@ def _predict(s: State, c: Const, dt: float, way: float) -> None:
 
 
 @kernel
-def update(
-    s: State, c: Const, g: t7.State, q: t7.Const, innovation: float, brake: float, dt: float
-) -> None:
+def update(s: State, c: Const, g: t7.State, q: t7.Const, innovation: float, brake: float, dt: float) -> None:
     """Take a sample.
 
     Args:

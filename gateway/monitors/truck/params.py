@@ -106,18 +106,12 @@ class Params(MonitorParams):
         gt=0,
         description="of the machine, below which T4 divides by too little and T1 shows no inverter fault [V]",
     )
-    least_amps: float = Field(
-        20.0, ge=0, description="of the machine, below which no fault shows in T2, T5 and T6 [A]"
-    )
-    blank_ms: float = Field(
-        200.0, ge=0, le=300, description="T2 before and behind a gear change [ms]"
-    )
+    least_amps: float = Field(20.0, ge=0, description="of the machine, below which no fault shows in T2, T5 and T6 [A]")
+    blank_ms: float = Field(200.0, ge=0, le=300, description="T2 before and behind a gear change [ms]")
     nu: Levels = Levels()
     thresholds: Thresholds = Thresholds()
     observer: Observer = Observer()
-    limit: float = Field(
-        5.0, gt=1, description="of a test quantity, in units of J: it comes down again"
-    )
+    limit: float = Field(5.0, gt=1, description="of a test quantity, in units of J: it comes down again")
     parameters: dict[str, float] = Field(
         default_factory=dict, description="of the truck, instead of the structural model's"
     )

@@ -81,9 +81,7 @@ class IsoTpEndpoint:
         """
         now = self._layer.advance(t_ns)
         can_id = int(frame["can_id"])
-        message = isotp.CanMessage(
-            can_id & ID_MASK, data=payload(frame), extended_id=bool(can_id & EXTENDED)
-        )
+        message = isotp.CanMessage(can_id & ID_MASK, data=payload(frame), extended_id=bool(can_id & EXTENDED))
         functional = can_id == self._functional and can_id != self._physical
         # A functional request is a single frame (ISO 15765-2); anything else is passed over.
         data = self._layer.single(message) if functional else self._layer.take(message)

@@ -98,11 +98,7 @@ class IsoTpLayer:
         self._received: deque[isotp.CanMessage] = deque()
         self._sent: list[isotp.CanMessage] = []
         self.errors = 0
-        mode = (
-            isotp.AddressingMode.Normal_29bits
-            if params.flags
-            else isotp.AddressingMode.Normal_11bits
-        )
+        mode = isotp.AddressingMode.Normal_29bits if params.flags else isotp.AddressingMode.Normal_11bits
         self._logic = _Logic(
             self._clock,
             rxfn=lambda _timeout: self._received.popleft() if self._received else None,

@@ -13,18 +13,12 @@ class IsoTpParams(StrictModel):
 
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
     request: int = Field(0x7E0, ge=0, le=0x1FFFFFFF, description="identifier of physical requests")
-    functional: int | None = Field(
-        0x7DF, ge=0, le=0x1FFFFFFF, description="identifier of functional requests"
-    )
+    functional: int | None = Field(0x7DF, ge=0, le=0x1FFFFFFF, description="identifier of functional requests")
     response: int = Field(0x7E8, ge=0, le=0x1FFFFFFF, description="identifier of the answers")
-    extended: bool | None = Field(
-        None, description="29-bit identifiers; default: if one of them is above 0x7FF"
-    )
+    extended: bool | None = Field(None, description="29-bit identifiers; default: if one of them is above 0x7FF")
     fd: bool = Field(False, description="answers in CAN FD frames of up to 64 bytes")
     padding: int | None = Field(0xCC, ge=0, le=255, description="fills frames up; none: short ones")
-    block_size: int = Field(
-        0, ge=0, le=255, description="frames a tester may send in a row, 0: all"
-    )
+    block_size: int = Field(0, ge=0, le=255, description="frames a tester may send in a row, 0: all")
     separation_ms: int = Field(0, ge=0, le=127, description="time between them [ms]")
 
     @property

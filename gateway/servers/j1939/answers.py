@@ -43,11 +43,7 @@ class Answers:
 
     def with_lamps(self, dtcs: list[dm.Coded]) -> bytes:
         """Return the lamps, which stand for all DTCs, and these DTCs."""
-        lit = {
-            definition.lamp
-            for definition, entry in self._dtcs.all()
-            if entry.status & Status.WARNING_INDICATOR
-        }
+        lit = {definition.lamp for definition, entry in self._dtcs.all() if entry.status & Status.WARNING_INDICATOR}
         return dm.dtc_message(dm.lamp_bytes(lit, self._params.lamps), dtcs)
 
     def _readiness(self) -> bytes:
@@ -59,7 +55,5 @@ class Answers:
         )
 
     def _freeze_frames(self) -> bytes:
-        frames = [
-            (coded, frame.content) for coded in self._dtcs.all() for frame in coded[1].freeze_frames
-        ]
+        frames = [(coded, frame.content) for coded in self._dtcs.all() for frame in coded[1].freeze_frames]
         return dm.freeze_frames(frames, self._params.freeze_frame)

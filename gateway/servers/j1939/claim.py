@@ -21,9 +21,7 @@ class NameParams(StrictModel):
     manufacturer: int = Field(0x7FF, ge=0, le=0x7FF, description="manufacturer code")
     ecu_instance: int = Field(0, ge=0, le=7, description="ECU instance")
     function_instance: int = Field(0, ge=0, le=31, description="function instance")
-    function: int = Field(
-        129, ge=0, le=255, description="function; 129: off-board diagnostic-service tool"
-    )
+    function: int = Field(129, ge=0, le=255, description="function; 129: off-board diagnostic-service tool")
     vehicle_system: int = Field(0, ge=0, le=127, description="vehicle system")
     vehicle_system_instance: int = Field(0, ge=0, le=15, description="vehicle system instance")
     industry_group: int = Field(0, ge=0, le=7, description="industry group; 0: global")

@@ -37,9 +37,7 @@ class J1939Params(StrictModel):
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
     address: int = Field(0xF9, ge=0, le=253, description="source address it claims")
     name: NameParams = NameParams()
-    cycle_ms: float = Field(
-        1000.0, ge=100, le=60_000, allow_inf_nan=False, description="time between two DM1 [ms]"
-    )
+    cycle_ms: float = Field(1000.0, ge=100, le=60_000, allow_inf_nan=False, description="time between two DM1 [ms]")
     when_clear: bool = Field(True, description="send DM1 also while no DTC is active")
     lamps: tuple[Lamp, ...] = Field(
         ("malfunction", "stop", "warning", "protect"),

@@ -51,9 +51,7 @@ class J1939Server(BusServer):
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Keep the address, the sessions of the transport protocol, and what was told already."""
-        if isinstance(old, J1939Server) and self.endpoint.succeed(
-            old.endpoint, buses.get(old.endpoint.bus)
-        ):
+        if isinstance(old, J1939Server) and self.endpoint.succeed(old.endpoint, buses.get(old.endpoint.bus)):
             self._dm1.succeed(old._dm1)
 
     def identifiers(self, bus: int) -> list[int] | None:

@@ -204,9 +204,7 @@ class Transport:
                 return [self._grant(pdu.source, session, t_ns)], None
             return [], None
         del self._receiving[key]
-        message = Message(
-            session.pgn, pdu.source, pdu.destination, bytes(session.data[: session.size])
-        )
+        message = Message(session.pgn, pdu.source, pdu.destination, bytes(session.data[: session.size]))
         if pdu.destination == GLOBAL:
             return [], message
         size = session.size.to_bytes(2, "little")
@@ -227,10 +225,7 @@ class Transport:
         last = min(first + count - 1, sending.packets)
         sending.next = last + 1
         sending.due_ns = t_ns + T3_NS
-        return [
-            Pdu(TP_DT, self.address, pdu.source, sending.packet(number), 7)
-            for number in range(first, last + 1)
-        ]
+        return [Pdu(TP_DT, self.address, pdu.source, sending.packet(number), 7) for number in range(first, last + 1)]
 
     def on_time(self, t_ns: int) -> list[Pdu]:
         """Send broadcast packets that are due, and give up sessions that have waited too long."""

@@ -50,16 +50,10 @@ class PidParams(StrictModel):
     """One PID of modes 01 and 02: a signal, coded as J1979 has it."""
 
     id: int = Field(ge=0x03, le=0xFF, description="PID, e.g. 0x0C")
-    signal: str = Field(
-        description='"Message.Signal" or "bus.Message.Signal", in the unit of J1979'
-    )
+    signal: str = Field(description='"Message.Signal" or "bus.Message.Signal", in the unit of J1979')
     length: int | None = Field(None, ge=1, le=4, description="bytes; default: that of J1979")
-    scale: float | None = Field(
-        None, gt=0, allow_inf_nan=False, description="signal's unit for one step"
-    )
-    offset: float | None = Field(
-        None, allow_inf_nan=False, description="value of a coded 0, signal's unit"
-    )
+    scale: float | None = Field(None, gt=0, allow_inf_nan=False, description="signal's unit for one step")
+    offset: float | None = Field(None, allow_inf_nan=False, description="value of a coded 0, signal's unit")
 
     @model_validator(mode="after")
     def _coded(self) -> Self:
@@ -84,21 +78,11 @@ class ObdParams(IsoTpParams):
     """The OBD server."""
 
     pid: tuple[PidParams, ...] = Field((), description="PIDs served from signals")
-    vin: str | None = Field(
-        None, pattern=r"^[A-HJ-NPR-Z0-9]{17}$", description="vehicle identification number"
-    )
-    calibration: str | None = Field(
-        None, pattern=r"^[\x20-\x7E]{1,16}$", description="calibration identification"
-    )
-    calibration_check: int | None = Field(
-        None, ge=0, le=0xFFFFFFFF, description="calibration verification number"
-    )
-    ecu_name: str | None = Field(
-        None, pattern=r"^[\x20-\x7E]{1,20}$", description="name of the control unit"
-    )
-    standard: int = Field(
-        5, ge=1, le=250, description="OBD standard it is made to (PID 1C); 5: none"
-    )
+    vin: str | None = Field(None, pattern=r"^[A-HJ-NPR-Z0-9]{17}$", description="vehicle identification number")
+    calibration: str | None = Field(None, pattern=r"^[\x20-\x7E]{1,16}$", description="calibration identification")
+    calibration_check: int | None = Field(None, ge=0, le=0xFFFFFFFF, description="calibration verification number")
+    ecu_name: str | None = Field(None, pattern=r"^[\x20-\x7E]{1,20}$", description="name of the control unit")
+    standard: int = Field(5, ge=1, le=250, description="OBD standard it is made to (PID 1C); 5: none")
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:

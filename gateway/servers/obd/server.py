@@ -78,11 +78,7 @@ class ObdServer(Application):
         return [bytes([0x7F, request[0], _NOT_SUPPORTED if mode is None else _NO_SUCH_PARAMETER])]
 
     def _related(self) -> list[Entry]:
-        return [
-            entry
-            for entry in self._memory.entries()
-            if self._memory.definition(entry.fault).emission_related
-        ]
+        return [entry for entry in self._memory.entries() if self._memory.definition(entry.fault).emission_related]
 
     def _x01_current_data(self, rest: bytes) -> bytes:
         if not 1 <= len(rest) <= MOST_PIDS:

@@ -52,12 +52,8 @@ class UdsParams(IsoTpParams):
     """The UDS server."""
 
     p2_ms: int = Field(50, ge=1, le=65535, description="longest time to an answer [ms]")
-    p2_star_ms: int = Field(
-        5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]"
-    )
-    s3_ms: int = Field(
-        5000, ge=10, le=600000, description="a session without requests ends after this [ms]"
-    )
+    p2_star_ms: int = Field(5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]")
+    s3_ms: int = Field(5000, ge=10, le=600000, description="a session without requests ends after this [ms]")
     status_mask: int = Field(0xFF, ge=1, le=255, description="status bits that it shows")
     clear: Access = Field(Access(), description="what clearing (0x14) needs")
     write: Access = Field(Access(sessions=("extended",)), description="what writing (0x2E) needs")

@@ -35,8 +35,7 @@ def key_function(name: str) -> KeyFunction:
         found = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise InputError(
-            'a key function is "hmac_sha256" or "package.module:function"'
-            f" that can be imported: {error}",
+            f'a key function is "hmac_sha256" or "package.module:function" that can be imported: {error}',
             value=name,
         ) from error
     if not callable(found):
@@ -73,9 +72,7 @@ class Security:
             try:
                 self._levels[params.level] = _Level(params, key_function(params.key))
             except InputError as error:
-                raise InputError(
-                    error.message, key=f"output.uds.security[{k}].key", value=error.value
-                ) from error
+                raise InputError(error.message, key=f"output.uds.security[{k}].key", value=error.value) from error
         self._random = random
         self._seed: tuple[int, bytes] | None = None
         self.unlocked = 0

@@ -78,9 +78,7 @@ class UdsServer(Application):
             refuse_unless(number in known, Nrc.SUB_FUNCTION_NOT_SUPPORTED)
             refuse_unless(c.session in known[number], Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION)
         refuse_unless(len(request) >= service.shortest, Nrc.INCORRECT_LENGTH)
-        refuse_unless(
-            service.longest is None or len(request) <= service.longest, Nrc.INCORRECT_LENGTH
-        )
+        refuse_unless(service.longest is None or len(request) <= service.longest, Nrc.INCORRECT_LENGTH)
         refuse_unless(
             access is None or access.security in (0, c.security.unlocked),
             Nrc.SECURITY_ACCESS_DENIED,

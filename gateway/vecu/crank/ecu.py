@@ -63,9 +63,7 @@ def crank_frames(
     return frames, truth
 
 
-def _frames(
-    params: CrankParams, faults: Sequence[PulseFault], run: Run
-) -> tuple[Frames, list[Truth]]:
+def _frames(params: CrankParams, faults: Sequence[PulseFault], run: Run) -> tuple[Frames, list[Truth]]:
     return crank_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
 
 

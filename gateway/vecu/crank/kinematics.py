@@ -21,9 +21,7 @@ from gateway.fdi.wheel import Wheel
 Ripple = tuple[float, float, float]
 
 
-def profile_angle(
-    times_s: NDArray[np.float64], breakpoints: Sequence[tuple[float, float]]
-) -> NDArray[np.float64]:
+def profile_angle(times_s: NDArray[np.float64], breakpoints: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
     """Return the mean crank angle [revolution] at given times.
 
     Args:
@@ -49,9 +47,7 @@ def _knots(
     return knots, speeds, np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def profile_time(
-    angles_rev: NDArray[np.float64], breakpoints: Sequence[tuple[float, float]]
-) -> NDArray[np.float64]:
+def profile_time(angles_rev: NDArray[np.float64], breakpoints: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
     """Return when the mean crank angle reaches given values [s]; infinity for never.
 
     Args:

@@ -43,9 +43,7 @@ def _signals(message: Message, count: int) -> list[Signal]:
         InputError: not so many, or not all of them in every frame.
     """
     if message.is_multiplexed():
-        raise InputError(
-            "a multiplexed message cannot carry a plant: its signals must come together"
-        )
+        raise InputError("a multiplexed message cannot carry a plant: its signals must come together")
     found = [signal for signal in message.signals if signal.name not in _OWN]
     found.sort(key=lambda signal: signal.start)
     if len(found) != count:
@@ -56,9 +54,7 @@ def _signals(message: Message, count: int) -> list[Signal]:
     return found
 
 
-def _encoded(
-    message: Message, signals: Sequence[Signal], row: NDArray[np.float64], k: int
-) -> bytes:
+def _encoded(message: Message, signals: Sequence[Signal], row: NDArray[np.float64], k: int) -> bytes:
     """Return the payload of sample k; alive counter and CRC go in where the message has them."""
     values: dict[str, float] = {}
     for signal, value in zip(signals, row, strict=True):
@@ -123,12 +119,8 @@ def linear_frames(
     return frames, truth
 
 
-def _frames(
-    params: LinearParams, faults: Sequence[LinearFault], run: Run
-) -> tuple[Frames, list[Truth]]:
-    return linear_frames(
-        params, faults, run.duration_s, bus=run.bus, rng=run.rng, databases=run.databases
-    )
+def _frames(params: LinearParams, faults: Sequence[LinearFault], run: Run) -> tuple[Frames, list[Truth]]:
+    return linear_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng, databases=run.databases)
 
 
 def _fits(params: LinearParams, fault: LinearFault) -> None:

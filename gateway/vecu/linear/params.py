@@ -43,14 +43,10 @@ class LinearParams(EcuParams):
         None,
         description="K, one list an input: keeps a plant stable that is not; of the true state",
     )
-    swing: tuple[Swing, ...] = Field(
-        (), description="what is asked of each input; default: nothing"
-    )
+    swing: tuple[Swing, ...] = Field((), description="what is asked of each input; default: nothing")
     noise: tuple[float, ...] = Field((), description="of each sensor, standard deviation")
     state_noise: float = Field(0.0, ge=0, description="on each state, per root of a second")
-    jitter_us: float = Field(
-        20.0, ge=0, description="of a frame's arrival, standard deviation [us]"
-    )
+    jitter_us: float = Field(20.0, ge=0, description="of a frame's arrival, standard deviation [us]")
 
     @property
     def plant(self) -> LinearPlant:
@@ -61,9 +57,7 @@ class LinearParams(EcuParams):
     def summary(self) -> str:
         """What it is, for people."""
         plant = self.plant
-        return (
-            f"linear plant, {plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs"
-        )
+        return f"linear plant, {plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs"
 
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:
@@ -75,8 +69,7 @@ class LinearParams(EcuParams):
             if count not in (0, wanted):
                 raise ValueError(f"{what} has {count} entries, the plant needs {wanted}")
         if self.feedback is not None and (
-            len(self.feedback) != plant.inputs
-            or any(len(row) != plant.states for row in self.feedback)
+            len(self.feedback) != plant.inputs or any(len(row) != plant.states for row in self.feedback)
         ):
             raise ValueError(f"feedback is {plant.inputs} x {plant.states}: one list an input")
         return self
@@ -85,9 +78,7 @@ class LinearParams(EcuParams):
 class LinearFault(EcuFault):
     """A fault of an actuator or of a sensor."""
 
-    kind: Literal[
-        "actuator_offset", "actuator_drift", "output_offset", "output_drift", "output_stuck"
-    ]
+    kind: Literal["actuator_offset", "actuator_drift", "output_offset", "output_drift", "output_stuck"]
     ecu: str = Field("plant", description="name of the ECU")
     place: int = Field(1, ge=1, description="which input or output, from 1")
     from_s: float = Field(0.0, ge=0, description="[s]")

@@ -1,7 +1,7 @@
 """A linear plant with a controller, faults of its actuators and sensors: what its sensors and commands say.
 
-Faults are additive (paper 003, (4)). An actuator's begins anywhere within a sample; the plant is integrated exactly up to
-there and from there on.
+Faults are additive (paper 003, (4)). An actuator's begins anywhere within a sample; the plant is integrated exactly up
+to there and from there on.
 """
 
 from __future__ import annotations
@@ -62,11 +62,7 @@ def simulate(
     plant = params.plant
     period, count = plant.period, round(duration_s / plant.period)
     noise = np.array(params.noise or (0.0,) * plant.outputs)
-    feedback = (
-        np.zeros((plant.inputs, plant.states))
-        if params.feedback is None
-        else np.array(params.feedback)
-    )
+    feedback = np.zeros((plant.inputs, plant.states)) if params.feedback is None else np.array(params.feedback)
     x, held = np.zeros(plant.states), dict[int, float]()
     outputs, commands = np.empty((count, plant.outputs)), np.empty((count, plant.inputs))
     edges = [fault.from_s for fault in faults if fault.kind.startswith("actuator")]

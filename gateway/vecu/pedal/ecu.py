@@ -63,9 +63,7 @@ def _faulty(
         else:
             if shared is None or not fault.common:
                 shared = (
-                    impulses(length, fault.rate, size, rng)
-                    if fault.kind == "impulses"
-                    else rng.normal(0, size, length)
+                    impulses(length, fault.rate, size, rng) if fault.kind == "impulses" else rng.normal(0, size, length)
                 )
             y[begin:end] += shared
     return Truth(round(begin * params.period_ms * 1e6), fault.kind, length)
@@ -106,8 +104,7 @@ def pedal_frames(
     frames = empty(n)
     for k in range(n):
         values = {
-            name: min(float(readings[k, i]), signals[name].maximum or params.supply)
-            for i, name in enumerate(names)
+            name: min(float(readings[k, i]), signals[name].maximum or params.supply) for i, name in enumerate(names)
         }
         put(
             frames,
@@ -120,9 +117,7 @@ def pedal_frames(
     return frames, truth
 
 
-def _frames(
-    params: PedalParams, faults: Sequence[SensorFault], run: Run
-) -> tuple[Frames, list[Truth]]:
+def _frames(params: PedalParams, faults: Sequence[SensorFault], run: Run) -> tuple[Frames, list[Truth]]:
     return pedal_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
 
 

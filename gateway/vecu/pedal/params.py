@@ -52,9 +52,7 @@ class PedalParams(EcuParams):
         (), description="points: [time s, travel 0..1], straight lines in between"
     )
     period_ms: float = Field(1.0, gt=0, le=1000, description="between two samples [ms]")
-    jitter_us: float = Field(
-        20.0, ge=0, description="of a frame's arrival, standard deviation [us]"
-    )
+    jitter_us: float = Field(20.0, ge=0, description="of a frame's arrival, standard deviation [us]")
     supply: float = Field(5.0, gt=0, description="of sensors and ADC [V]")
     adc_bits: int = Field(12, ge=0, le=16, description="0: not digitised")
 
@@ -103,8 +101,7 @@ class SensorFault(EcuFault):
     to_s: float | None = Field(None, description="[s]; default: the end")
     size: float = Field(
         0.1,
-        description="of the supply: impulses: largest; offset: its size; drift: per second; "
-        "noise: standard deviation",
+        description="of the supply: impulses: largest; offset: its size; drift: per second; noise: standard deviation",
     )
     rate: float = Field(0.15, gt=0, le=1, description="impulses: probability of a sample")
     common: bool = Field(False, description="the channels have the same error, not each its own")

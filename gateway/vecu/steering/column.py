@@ -1,7 +1,7 @@
-"""Sensors of an active front steering around its motor: steering wheel, pinion, and how they are sampled (paper 001, (1)).
+"""Sensors around an active front steering's motor: steering wheel, pinion, their sampling (paper 001, (1)).
 
-pinion = motor / i_M + wheel / i_D, with lash. The angle frame carries motor and pinion at one time; the steering wheel's
-sensor has a time of its own, and tells its angle as it was a while ago.
+pinion = motor / i_M + wheel / i_D, with lash. The angle frame carries motor and pinion at one time; the steering
+wheel's sensor has a time of its own, and tells its angle as it was a while ago.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ CURRENT_LOOP, SPEED_LOOP, SPEED_INTEGRAL, TRACKER, POSITION = 1900.0, 190.0, 40.
 class Const(Record):
     """What the controller knows.
 
-    ``believed``: the motor as it believes it to be; ``voltage``: the largest [V]; ``current``: the largest asked for [A].
+    ``believed``: the motor as it believes it to be; ``voltage``: the largest [V]; ``current``: the largest asked for
+        [A].
     """
 
     believed: motor.Const
@@ -30,8 +31,8 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``seen``, ``speed``: angle [rad] and speed [rad/s] of the loop that tracks the measured angle; ``wound``: integral of
-    the speed loop [rad/s]; ``held_d``, ``held_q``: of the current loops [V].
+    ``seen``, ``speed``: angle [rad] and speed [rad/s] of the loop that tracks the measured angle; ``wound``: integral
+    of the speed loop [rad/s]; ``held_d``, ``held_q``: of the current loops [V].
     """
 
     seen: f8
@@ -51,7 +52,7 @@ def _track(s: State, angle: float) -> None:
 
 @kernel
 def _current(c: Const, s: State, demand: float, asked: float, angle: float) -> float:
-    """Return the current that makes torque, as position and speed loop ask for it [A]; arguments as of :func:`control`."""
+    """Return the current [A] that position and speed loop ask for; arguments as of :func:`control`."""
     b = c.believed
     emf = b.flux * b.pole_pairs
     gain = b.inertia * SPEED_LOOP / (1.5 * emf)

@@ -98,11 +98,7 @@ def driving(
     while begin < t[-1]:
         hertz = rng.uniform(0.35, 0.7)
         end = begin + 1.0 / hertz
-        size = (
-            rng.uniform(60.0, 160.0)
-            * rng.choice((-1.0, 1.0))
-            / (1.0 + np.interp(begin, t, v) / 100.0)
-        )
+        size = rng.uniform(60.0, 160.0) * rng.choice((-1.0, 1.0)) / (1.0 + np.interp(begin, t, v) / 100.0)
         wheel += (
             _soft(t, begin, end, 0.25 / hertz)
             * size

@@ -98,9 +98,7 @@ def _other_rows(params: SteeringParams, course: Course, told: Signals) -> list[R
     ]
 
 
-def _stamped(
-    rows: list[Row], jitter_us: float, duration_s: float, bus: int, rng: np.random.Generator
-) -> Frames:
+def _stamped(rows: list[Row], jitter_us: float, duration_s: float, bus: int, rng: np.random.Generator) -> Frames:
     """Return frames in order of their stamps, with jitter, up to the end of the run."""
     frames = empty(len(rows))
     least = 0.1e6  # frames of one ECU do not overtake each other
@@ -147,9 +145,7 @@ def steering_frames(
     return frames, _injected(faults, duration_s, params.period_ms)
 
 
-def _frames(
-    params: SteeringParams, faults: Sequence[SteeringFault], run: Run
-) -> tuple[Frames, list[Truth]]:
+def _frames(params: SteeringParams, faults: Sequence[SteeringFault], run: Run) -> tuple[Frames, list[Truth]]:
     return steering_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
 
 

@@ -31,8 +31,8 @@ CREEP, ZERO_CURRENT = 0.05, 0.3
 class Const(Record):
     """The drive, for kernels.
 
-    ``motor``: as it is; ``coulomb``: friction [N m]; ``dead``: voltage lost to dead time in a phase [V]; ``lsb``: of the
-    angle sensor [rad], ``current_lsb``: of the current sensors [A], 0: not digitised.
+    ``motor``: as it is; ``coulomb``: friction [N m]; ``dead``: voltage lost to dead time in a phase [V]; ``lsb``: of
+    the angle sensor [rad], ``current_lsb``: of the current sensors [A], 0: not digitised.
     """
 
     motor: motor.Const
@@ -186,9 +186,7 @@ def _read_angle(c: Const, s: State, wrong: Any, noise: float) -> float:
 
 
 @kernel
-def _read_currents(
-    c: Const, s: State, wrong: Any, noise_u: float, noise_v: float
-) -> tuple[float, float]:
+def _read_currents(c: Const, s: State, wrong: Any, noise_u: float, noise_v: float) -> tuple[float, float]:
     """Return what the current sensors of U and V read [A], with what is wrong and with noise."""
     i_u, i_v = inverse_clarke(s.x[0], s.x[1])
     i_u = _rounded(wrong.gain * i_u + wrong.current + noise_u, c.current_lsb)
@@ -199,9 +197,7 @@ def _read_currents(
 
 
 @kernel
-def _write_frame(
-    c: Const, s: State, i_u: float, i_v: float, noise: Any, per: int, out: Any
-) -> None:
+def _write_frame(c: Const, s: State, i_u: float, i_v: float, noise: Any, per: int, out: Any) -> None:
     """Write a frame and begin the next.
 
     Args:

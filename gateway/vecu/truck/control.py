@@ -1,8 +1,9 @@
 """Driver, gear shifts, clutch and energy management of the truck, 10 ms a step.
 
-The driver looks a second ahead. Engine and machine share what is asked for: the machine brakes as far as it may, assists
-above a share of the engine's torque, and charges a battery that is low. Its current is controlled in a closed loop, so
-that the truck follows the cycle with any of the paper's faults: with an open loop half a voltage would brake hard.
+The driver looks a second ahead. Engine and machine share what is asked for: the machine brakes as far as it may,
+assists above a share of the engine's torque, and charges a battery that is low. Its current is controlled in a closed
+loop, so that the truck follows the cycle with any of the paper's faults: with an open loop half a voltage would brake
+hard.
 """
 
 from __future__ import annotations

@@ -70,9 +70,7 @@ def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Ge
     count = len(driven.samples)
     columns = signals_of(params, driven, rng)
     frames = empty(len(MESSAGES) * count)
-    late = np.clip(
-        np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.3 * _BETWEEN
-    )
+    late = np.clip(np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.3 * _BETWEEN)
     for place, name in enumerate(MESSAGES):
         message = message_of(DATABASE, name)
         data = pack(message, {s.name: columns[s.name] for s in message.signals if s.name != "Crc"})
@@ -112,9 +110,7 @@ def truck_frames(
     return frames, truth
 
 
-def _frames(
-    params: TruckParams, faults: Sequence[TruckFault], run: Run
-) -> tuple[Frames, list[Truth]]:
+def _frames(params: TruckParams, faults: Sequence[TruckFault], run: Run) -> tuple[Frames, list[Truth]]:
     return truck_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
 
 

@@ -43,23 +43,17 @@ class TruckParams(EcuParams):
     noise_factor: float = Field(1.0, ge=0, description="of all noise")
     mass: float = Field(1.0, gt=0, description="of the truck, relative to its model's 20 t")
     slope: float = Field(0.0, gt=-0.1, lt=0.1, description="of the road that nobody measures")
-    hills: float = Field(
-        0.0, ge=0, lt=0.1, description="amplitude of a slope that comes and goes over 600 m"
-    )
+    hills: float = Field(0.0, ge=0, lt=0.1, description="amplitude of a slope that comes and goes over 600 m")
     wind: float = Field(0.0, gt=-40, lt=40, description="against it [m/s]")
     engine: float = Field(1.0, gt=0, description="torque of the engine, relative")
     brake: float = Field(1.0, gt=0, description="torque of the brakes, relative")
     drag: float = Field(1.0, gt=0, description="air drag, relative")
-    jitter_us: float = Field(
-        20.0, ge=0, description="of a frame's arrival, standard deviation [us]"
-    )
+    jitter_us: float = Field(20.0, ge=0, description="of a frame's arrival, standard deviation [us]")
 
     @property
     def disturbance(self) -> Disturbance:
         """How the truck differs from its model."""
-        return Disturbance(
-            self.mass, self.slope, self.hills, self.wind, self.engine, self.brake, self.drag
-        )
+        return Disturbance(self.mass, self.slope, self.hills, self.wind, self.engine, self.brake, self.drag)
 
     @property
     def summary(self) -> str:
@@ -80,9 +74,7 @@ class TruckFault(EcuFault):
     ecu: str = Field("truck", description="name of the ECU")
     from_s: float = Field(0.0, ge=0, description="[s]")
     to_s: float | None = Field(None, description="[s]; default: the end")
-    size: float | None = Field(
-        None, description="relative, of the sensor [V]; default: that of Table II"
-    )
+    size: float | None = Field(None, description="relative, of the sensor [V]; default: that of Table II")
 
     @property
     def field(self) -> str:

@@ -178,9 +178,7 @@ def step(c: Any, s: Any, u: Any, f: Any, out: Any) -> None:
     omega_em = c.u_em * omega_mj
     mass = c.m_v0 - s.fuel
     electrics(c, s, u, f, omega_em, out)
-    k_a = c.k_i * (
-        (c.eta_em_0 * (1.0 + f.em_eta)) if out.i_em > 0.0 else 1.0 / (c.eta_em_0 * (1.0 + f.em_eta))
-    )
+    k_a = c.k_i * ((c.eta_em_0 * (1.0 + f.em_eta)) if out.i_em > 0.0 else 1.0 / (c.eta_em_0 * (1.0 + f.em_eta)))
     torque = (out.i_em * k_a - c.c_em_f * omega_em) * c.u_em
     inertia = c.J_em * c.u_em**2
     # (10): an engine does not follow the joint below idle; while the clutch slips it follows with a lag.

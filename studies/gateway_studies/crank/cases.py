@@ -84,9 +84,7 @@ def healthy(
         wheel,
         breakpoints,
         duration_s,
-        ripple=[
-            (order, share, phase) for (order, share), phase in zip(ripple, phases, strict=True)
-        ],
+        ripple=[(order, share, phase) for (order, share), phase in zip(ripple, phases, strict=True)],
         jitter=jitter,
         tooth_error=TOOTH_ERROR,
         rng=rng,
@@ -136,9 +134,7 @@ def with_fault(
     return Train(all_times[order], labels[order], at + 1)
 
 
-def sweep(
-    wheel: Wheel, pulses: int, jitter: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def sweep(wheel: Wheel, pulses: int, jitter: float, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return a healthy train of about ``pulses`` between 300 and 8000 rpm at 3000 rpm/s, back and forth [us]."""
     low, high, rate = 300.0, 8000.0, 3000.0
     half = (high - low) / rate
@@ -149,9 +145,7 @@ def sweep(
     return healthy(wheel, points, duration, rng, jitter=jitter)
 
 
-def cranking(
-    wheel: Wheel, pulses: int, rng: np.random.Generator, ripple: float = 0.25
-) -> NDArray[np.float64]:
+def cranking(wheel: Wheel, pulses: int, rng: np.random.Generator, ripple: float = 0.25) -> NDArray[np.float64]:
     """Return a healthy train at 250 rpm with strong compression ripple, 2 per revolution [us]."""
     duration = pulses / wheel.pulses / (250.0 / 60)
     return healthy(wheel, [(0.0, 250.0)], duration, rng, ripple=((2.0, ripple),))

@@ -54,9 +54,7 @@ def _scores(scores: list[Score]) -> list[Table]:
 
 
 def _alarm_table(rows: list[Alarms]) -> Table:
-    table = Table(
-        title="Healthy engine: false alarms per million pulses (wrong labels in brackets)"
-    )
+    table = Table(title="Healthy engine: false alarms per million pulses (wrong labels in brackets)")
     methods = list(dict.fromkeys(row.method for row in rows))
     for name in ("case", "wheel", "jitter", "pulses", *methods):
         table.add_column(name, justify="left" if name == "case" else "right")

@@ -51,9 +51,7 @@ def paper_run(
     """
     length, delta = turns * PULSES, BETA - ALPHA
     k = np.arange(length)
-    u = np.where(k % PULSES == PULSES - 1, delta, 0.0) - np.where(
-        (k % PULSES == 0) & (k > 0), delta, 0.0
-    )
+    u = np.where(k % PULSES == PULSES - 1, delta, 0.0) - np.where((k % PULSES == 0) & (k > 0), delta, 0.0)
     f = np.zeros(length)
     for turn in range(2, turns + 1) if count else ():
         f += delta * fault_signal(count, length, turn)

@@ -115,9 +115,7 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         c: Any
         if method == "adaptive":
             s, c = zeros(1, place.State), zeros(1, place.Const)
-            place.prepare(
-                s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm
-            )
+            place.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
             n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)
         elif method == "paper":
             s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)

@@ -35,8 +35,8 @@ class Score:
 
     Shares of the runs: ``detected``; ``named``, direction and count right; ``labelled``, every label right
     from 4 pulses after the fault on for 3 revolutions. ``delay`` pulses from the fault's last pulse to the
-    report, mean; ``at_once`` share reported at the first pulse that can show it. ``wrong``, ``unsynced`` revolutions after
-    the fault with a wrong tooth, or none, mean. ``false`` reports before the fault.
+    report, mean; ``at_once`` share reported at the first pulse that can show it. ``wrong``, ``unsynced`` revolutions
+    after the fault with a wrong tooth, or none, mean. ``false`` reports before the fault.
     """
 
     group: str
@@ -86,9 +86,7 @@ def _follower(method: Method, wheel: str) -> Callable[..., Followed]:
     return follower(method, Wheel.parse(wheel))
 
 
-def judge(
-    train: Train, followed: Followed, kind: Kind, count: int, pulses: int
-) -> dict[str, float]:
+def judge(train: Train, followed: Followed, kind: Kind, count: int, pulses: int) -> dict[str, float]:
     """Compare what a method made of a train with what was in it; values as in :class:`Score`."""
     last = train.fault + (count - 1 if kind == "added" else 0)
     after = followed.pulse >= train.fault

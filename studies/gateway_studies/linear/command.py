@@ -34,9 +34,7 @@ def _paper() -> list[dict[str, str]]:
 
 
 def _figures_table(rows: list[dict[str, str]]) -> Table:
-    table = Table(
-        title="The paper's Figs. 3 to 11: flags by (15) and (16), continuous observers [s]"
-    )
+    table = Table(title="The paper's Figs. 3 to 11: flags by (15) and (16), continuous observers [s]")
     for name in rows[0]:
         table.add_column(name)
     for row in rows:
@@ -116,7 +114,8 @@ def linear(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None
     if flown:
         console.print(_quiet_table(flown))
     console.print(
-        "clean: the right flags, no other, none that goes down again; products: (15) latched, (16) over all observers, or as"
+        "clean: the right flags, no other, none that goes down again; products: (15) latched, (16)"
+        " over all observers, or as"
         "\nprinted; masked: (16) loses the actuator's fault in the stationary state of an observer"
     )
     for file in files:

@@ -92,9 +92,7 @@ def observe(a: Array, s: Array, gains: ArrayLike = example.GAINS) -> Told:
             omega[t, k] = x[at + 4 : at + 6]
             for j in range(3):
                 e[t, k, j] = 0.0 if j == k else x[j] + s[t, j] - x[at + j]
-        x = step[:size, :size] @ x + step[:size, size:] @ np.concatenate(
-            [[example.COMMAND] * 2, a[t], s[t]]
-        )
+        x = step[:size, :size] @ x + step[:size, size:] @ np.concatenate([[example.COMMAND] * 2, a[t], s[t]])
     return Told(omega, e, *flags(omega, e))
 
 

@@ -1,8 +1,9 @@
 """The example of paper 003, section 5: plant, thresholds, cases of Figs. 3 to 11, and gains.
 
-B(1, 2) = 1 is kept as printed. In an aircraft's lateral motion, which the matrices look like, the roll angle's rate does
-not depend on an actuator; but with 0 there the rank of Theorem 1 is 5 for i = 1, and the example fails its own theorem.
-The paper gives no gains: six poles of an observer with two outputs leave six numbers free. These have its poles.
+B(1, 2) = 1 is kept as printed. In an aircraft's lateral motion, which the matrices look like, the roll angle's rate
+does not depend on an actuator; but with 0 there the rank of Theorem 1 is 5 for i = 1, and the example fails its own
+theorem. The paper gives no gains: six poles of an observer with two outputs leave six numbers free. These have its
+poles.
 """
 
 from __future__ import annotations

@@ -21,9 +21,7 @@ _ACTUATOR, _SENSOR = 0.08, 0.3
 def _estimates(axis: Any, t: Any, told: Any, i: int) -> None:
     for k in range(3):
         axis.plot(t, told.omega[:, k, i], lw=1.0, label=f"$\\omega_{{{k + 1}{i + 1}}}$")
-    axis.step(
-        t, _ACTUATOR * told.actuators[:, i], "k", lw=1.2, where="post", label=f"$r_{{a{i + 1}}}$"
-    )
+    axis.step(t, _ACTUATOR * told.actuators[:, i], "k", lw=1.2, where="post", label=f"$r_{{a{i + 1}}}$")
     axis.set_ylim(-0.15, 0.15)
     axis.set_ylabel(f"actuator {i + 1} [rad]")
 
@@ -57,9 +55,7 @@ def _ours(axis: Any, t: Any, found: Any) -> None:
 
 
 def _cases(path: Path, names: tuple[str, ...]) -> Path:
-    figure, axes = plt.subplots(
-        4, len(names), figsize=(3.4 * len(names), 8.5), sharex=True, squeeze=False
-    )
+    figure, axes = plt.subplots(4, len(names), figsize=(3.4 * len(names), 8.5), sharex=True, squeeze=False)
     for column, name in enumerate(names):
         faults = example.case(*example.FIGURES[name])
         told = observe(*example.held(faults))
@@ -81,10 +77,7 @@ def _bars(path: Path, rows: list[Row]) -> Path:
     figure, axis = plt.subplots(figsize=(8, 3.6))
     width = 0.8 / len(methods)
     for place, method in enumerate(methods):
-        shares = [
-            100 * next(r.clean for r in rows if (r.method, r.case) == (method, kind))
-            for kind in KINDS
-        ]
+        shares = [100 * next(r.clean for r in rows if (r.method, r.case) == (method, kind)) for kind in KINDS]
         bars = axis.bar(np.arange(3) + place * width, shares, width, label=method)
         axis.bar_label(bars, fmt="%.0f", fontsize=8)
     axis.set_xticks(np.arange(3) + 0.4 - width / 2, [f"{kind} at fault" for kind in KINDS])

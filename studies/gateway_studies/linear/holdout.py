@@ -55,19 +55,11 @@ def draw(rng: np.random.Generator) -> tuple[str, tuple[LinearFault, ...]]:
     faults = []
     if kind != "sensor":
         size = float(rng.uniform(0.02, 0.2) * rng.choice((-1, 1)))
-        faults.append(
-            LinearFault(
-                kind="actuator_offset", place=int(rng.integers(1, 3)), from_s=begin, size=size
-            )
-        )
+        faults.append(LinearFault(kind="actuator_offset", place=int(rng.integers(1, 3)), from_s=begin, size=size))
     if kind != "actuator":
         size = float(rng.uniform(0.15, 1.5) * rng.choice((-1, 1)))
         later = begin + float(rng.uniform(0.0, 6.0))
-        faults.append(
-            LinearFault(
-                kind="output_offset", place=int(rng.integers(1, 4)), from_s=later, size=size
-            )
-        )
+        faults.append(LinearFault(kind="output_offset", place=int(rng.integers(1, 4)), from_s=later, size=size))
     return kind, tuple(faults)
 
 
@@ -81,9 +73,7 @@ def masked(faults: tuple[LinearFault, ...]) -> bool:
     return bool((np.abs(a.size + moved[seen]) < example.ACTUATOR_LIMIT).any())
 
 
-def _look(
-    flags: NDArray[np.int64], faults: tuple[LinearFault, ...]
-) -> tuple[bool, bool, bool, float]:
+def _look(flags: NDArray[np.int64], faults: tuple[LinearFault, ...]) -> tuple[bool, bool, bool, float]:
     """Return (missed, false, dropped, delay of the last right flag [s]) of flags (n, 5)."""
     wanted = {(f.place - 1 if f.kind == "actuator_offset" else 1 + f.place): f for f in faults}
     missed = false = dropped = False
@@ -127,9 +117,7 @@ def holdout(cases: int, seed: int, methods: tuple[str, ...] = METHODS) -> list[R
     hidden = [masked(faults) for _, faults in drawn]
     rows = []
     for method in methods:
-        seen = [
-            _look(flags_of(method, faults, seed + k), faults) for k, (_, faults) in enumerate(drawn)
-        ]
+        seen = [_look(flags_of(method, faults, seed + k), faults) for k, (_, faults) in enumerate(drawn)]
         for kind in KINDS:
             mine = [k for k, (name, _) in enumerate(drawn) if name == kind]
             open_ = [k for k in mine if not hidden[k]]

@@ -74,16 +74,10 @@ def _tables(scores: list[Score]) -> list[Table]:
             (VALUES, "Figs. 12, 14: fault value, rate 10 %"),
         ):
             names = [str(case) for case in cases]
-            rows = [
-                next((s for s in mine if (s.case, s.voter) == (n, v)), None)
-                for n in names
-                for v in VOTERS
-            ]
+            rows = [next((s for s in mine if (s.case, s.voter) == (n, v)), None) for n in names for v in VOTERS]
             found = [row for row in rows if row is not None]
             if len(found) == len(rows):
-                tables.append(
-                    _errors(found, f"IAE [V x sample], mean (median). {environment}. {title}")
-                )
+                tables.append(_errors(found, f"IAE [V x sample], mean (median). {environment}. {title}"))
         rest = [s for name in faults for s in mine if s.case == name]
         tables.append(_errors(rest, f"IAE [V x sample], mean (median). {environment}"))
         if environment != "ideal, unclipped":

@@ -20,9 +20,7 @@ COLOURS = dict(zip(VOTERS, ("C7", "C8", "C1", "C4", "C3", "C6", "C0", "C2"), str
 NAMES = {"KHR": "KHR as printed", "KHR*": "KHR*, repaired", "tracking": "tracking (ours)"}
 
 
-def _panel(
-    left: Axes, right: Axes, run: Run, environment: Environment, voters: tuple[str, ...]
-) -> None:
+def _panel(left: Axes, right: Axes, run: Run, environment: Environment, voters: tuple[str, ...]) -> None:
     """Draw the readings of a run and what voters make of them, and beside it their errors."""
     t = np.arange(len(run.truth))
     for channel, colour in ((0, "0.75"), (1, "0.6")):
@@ -46,13 +44,9 @@ def _panel(
         axis.grid(alpha=0.3)
 
 
-def _runs(
-    folder: Path, name: str, title: str, panels: list[tuple[Case, Environment, str]], seed: int
-) -> Path:
+def _runs(folder: Path, name: str, title: str, panels: list[tuple[Case, Environment, str]], seed: int) -> Path:
     """Draw runs, a row each."""
-    figure, axes = plt.subplots(
-        len(panels), 2, figsize=(11, 3 * len(panels) + 0.5), sharex=True, squeeze=False
-    )
+    figure, axes = plt.subplots(len(panels), 2, figsize=(11, 3 * len(panels) + 0.5), sharex=True, squeeze=False)
     for (left, right), (case, environment, text) in zip(axes, panels, strict=True):
         voters = ("KHR", "KHR*", "tracking")
         _panel(left, right, make(case, environment, seed), environment, voters)

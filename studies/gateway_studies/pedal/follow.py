@@ -88,15 +88,11 @@ def _prepare_khr(c: kalman_hybrid.Const, channels: int, environment: Environment
 
 def _prepare_repaired(c: kalman_hybrid.Const, channels: int, environment: Environment) -> None:
     floor = FLOOR * environment.noise
-    hybrid.prepare(
-        c.hybrid, channels, beta=REPAIRED_BETA, lower=False, floor=floor, low=0.0, high=SPAN
-    )
+    hybrid.prepare(c.hybrid, channels, beta=REPAIRED_BETA, lower=False, floor=floor, low=0.0, high=SPAN)
     kalman_hybrid.prepare(c)
 
 
-def _prepare_predictive(
-    c: predictive_hybrid.Const, channels: int, environment: Environment
-) -> None:
+def _prepare_predictive(c: predictive_hybrid.Const, channels: int, environment: Environment) -> None:
     hybrid.prepare(c.hybrid, channels, beta=BETA, lower=True)
     predictive_hybrid.prepare(c, alpha=ALPHA)
 
@@ -132,9 +128,7 @@ VOTERS = {
     "average": Voter(3, simple.Const, simple.State, _prepare_simple, _average),
     "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, _average),
     "median": Voter(3, simple.Const, simple.State, _prepare_simple, _median),
-    "predictive": Voter(
-        2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _predictive
-    ),
+    "predictive": Voter(2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _predictive),
     "KHR": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_khr, _kalman),
     "KHR*": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_repaired, _kalman),
     "tracking": Voter(2, shape.Const, shape.State, _prepare_tracking, _tracking),

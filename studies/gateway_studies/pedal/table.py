@@ -109,11 +109,7 @@ def judge(run: Run, followed: Followed, channels: int, noise: float) -> dict[str
     isolated = (followed.isolated[:, None] >> np.arange(channels)) & 1 > 0
     bad = np.arange(channels) == run.bad
     seen = np.flatnonzero(followed.drift)
-    half = (
-        np.abs(readings[:, run.bad] - run.truth) / 2
-        if run.bad >= 0
-        else np.full(len(error), np.inf)
-    )
+    half = np.abs(readings[:, run.bad] - run.truth) / 2 if run.bad >= 0 else np.full(len(error), np.inf)
     return {
         "iae": float(error.sum()),
         "rejected": float((~used[~faulty]).mean()) if (~faulty).any() else 0.0,
@@ -139,9 +135,7 @@ def _work(job: Job) -> list[tuple[str, str, dict[str, float]]]:
         made = make(case, environment, seed, stroke)
         best = float(np.abs(oracle(made) - made.truth).sum())
         for voter, chosen in VOTERS.items():
-            facts = judge(
-                made, follow(voter, environment, made), chosen.channels, environment.noise
-            )
+            facts = judge(made, follow(voter, environment, made), chosen.channels, environment.noise)
             found.append((repr((case, environment_name, stroke)), voter, {**facts, "oracle": best}))
     return found
 
@@ -184,10 +178,7 @@ def _scores(job_list: list[Job], rows: list[tuple[str, str, dict[str, float]]]) 
     for (key, voter), found in groups.items():
         case, environment, stroke, _, _ = meaning[key]
         column = {name: np.array([row[name] for row in found], float) for name in found[0]}
-        mean = {
-            name: float(np.nanmean(v)) if not np.isnan(v).all() else float("nan")
-            for name, v in column.items()
-        }
+        mean = {name: float(np.nanmean(v)) if not np.isnan(v).all() else float("nan") for name, v in column.items()}
         total = {name: int(np.nansum(v)) for name, v in column.items()}
         iae = column["iae"]
         yield Score(

@@ -1,1 +1,1 @@
-"""The steering motor's estimators and tests side by side: the paper's Figs. 4 to 7, its Table 1, and detection (paper 001)."""
+"""Steering (paper 001): estimators and tests side by side, Figs. 4 to 7, Table 1, detection."""

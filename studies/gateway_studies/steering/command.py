@@ -34,9 +34,7 @@ def _estimators(rows: list[Accuracy]) -> list[Table]:
     tables = []
     for key in dict.fromkeys((row.period_ms, row.voltages) for row in rows):
         period, voltages = key
-        table = Table(
-            title=f"Estimators at {period:.0f} ms, mean voltages {voltages}, nominal motor"
-        )
+        table = Table(title=f"Estimators at {period:.0f} ms, mean voltages {voltages}, nominal motor")
         table.add_column("estimator")
         for name in (
             "angle rms\n[deg]",
@@ -180,9 +178,7 @@ def _operations(rows: list[operations.Load]) -> Table:
     return table
 
 
-def steering(
-    *, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None
-) -> int:
+def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None) -> int:
     """Evaluate the steering monitor; returns the exit code."""
     todo = [job for job in plan(runs, healthy, seed) if runs or not job[0]]
     first = accuracy_jobs(SEEDS)
@@ -225,8 +221,10 @@ def steering(
         console.print(_structure(combinations))
     console.print(_operations(loads))
     console.print(
-        f"seeds from {seed} on. Resistance unknown: -10 to +30 %, the winding's temperature not used; known: within 5 %."
-        " isolated: of the runs in which\nanything was detected, the component that is at fault was named by the end, and no"
+        f"seeds from {seed} on. Resistance unknown: -10 to +30 %, the winding's temperature not"
+        f" used; known: within 5 %."
+        " isolated: of the runs in which\n"
+        "anything was detected, the component that is at fault was named by the end, and no"
         " other; note: the best of the prototype's rules, mean delay, and percentage detected in brackets."
     )
     for file in files:

@@ -33,9 +33,7 @@ NAMES = (
     "EKF5 ab",
     "EKF5 ab, anchored",
 )
-LO, REDUCED, EKF3, EKF4_DQ, EKF3_OWN, FF, FF_HELD, FF_PRINTED, EKF4_AB, EKF5_AB, ANCHORED = range(
-    11
-)
+LO, REDUCED, EKF3, EKF4_DQ, EKF3_OWN, FF, FF_HELD, FF_PRINTED, EKF4_AB, EKF5_AB, ANCHORED = range(11)
 #: Further column behind the angles and the speeds: normalised innovation squared of EKF4 dq.
 NIS = 2 * len(NAMES)
 COLUMNS = NIS + 1
@@ -76,9 +74,7 @@ class States(Record):
 
 
 @kernel
-def _step_in_rotor_frame(
-    c: Constants, s: States, u_d: float, u_q: float, i_d: float, i_q: float
-) -> None:
+def _step_in_rotor_frame(c: Constants, s: States, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
     """Step the estimators that take Park with the sensor's angle; voltages [V], currents [A]."""
     luenberger.step(s.lo, c.lo, u_q, i_q)
     reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
@@ -87,9 +83,7 @@ def _step_in_rotor_frame(
 
 
 @kernel
-def _step_own_angle(
-    c: Constants, s: States, z: float, u_a: float, u_b: float, i_a: float, i_b: float
-) -> None:
+def _step_own_angle(c: Constants, s: States, z: float, u_a: float, u_b: float, i_a: float, i_b: float) -> None:
     """Step EKF3 with Park by its own angle; ``z`` pole pairs, voltages [V] and currents [A] alpha and beta."""
     own = s.ekf3_own
     o_d, o_q = park(u_a, u_b, z * own.theta)
@@ -99,9 +93,7 @@ def _step_own_angle(
 
 
 @kernel
-def _step_feedforward(
-    c: Constants, s: States, u_a: float, u_b: float, i_a: float, i_b: float
-) -> None:
+def _step_feedforward(c: Constants, s: States, u_a: float, u_b: float, i_a: float, i_b: float) -> None:
     """Step the estimators from the EMF; voltages [V], currents [A], alpha and beta."""
     feedforward.step(s.ff, c.ff, u_a, u_b, i_a, i_b)
     feedforward.step(s.ff_held, c.ff_held, u_a, u_b, i_a, i_b)
@@ -198,9 +190,7 @@ def _constants(m: Motor, period: float) -> Any:
     feedforward.prepare(c.ff, m, period, held=0.0)
     feedforward.prepare(c.ff_held, m, period)
     feedforward.prepare(c.ff_printed, m, period, held=0.0, printed=True)
-    ekf_alpha_beta.prepare(
-        c.ekf4_ab, m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0
-    )
+    ekf_alpha_beta.prepare(c.ekf4_ab, m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0)
     ekf_alpha_beta.prepare(c.ekf5_ab, m, period, slow=0.0)
     ekf_alpha_beta.prepare(c.anchored, m, period)
     return c

@@ -43,9 +43,7 @@ _PARTS = (
 )
 
 
-def _part(
-    folder: Path, number: int, begin: float, end: float, text: str, t: Array, x: Any, est: Array
-) -> Path:
+def _part(folder: Path, number: int, begin: float, end: float, text: str, t: Array, x: Any, est: Array) -> Path:
     inside = (t >= begin) & (t < end)
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6))
     left.plot(t[inside], x["sensor"][inside], "b-", linewidth=1.5, label="measured")
@@ -64,9 +62,7 @@ def _part(
         axis.set_xlabel("time [s]")
         axis.grid(alpha=0.3)
     figure.legend(*left.get_legend_handles_labels(), loc="lower center", ncols=8, fontsize=7)
-    figure.suptitle(
-        f"Fig. {number}  {text}; each estimate begins at the measured angle", fontsize=11
-    )
+    figure.suptitle(f"Fig. {number}  {text}; each estimate begins at the measured angle", fontsize=11)
     return save(figure, folder / f"fig{number}.png")
 
 

@@ -111,9 +111,7 @@ class Followed:
 
 
 @kernel
-def _walk(
-    s: Any, c: Any, u: Any, out: Any, found: Any, first: Any, trace: Any, peaks: Any, warm: int
-) -> None:
+def _walk(s: Any, c: Any, u: Any, out: Any, found: Any, first: Any, trace: Any, peaks: Any, warm: int) -> None:
     for k in range(u.shape[0]):
         out.n = 0
         out.send = 0

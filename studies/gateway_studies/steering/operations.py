@@ -1,8 +1,8 @@
 """The paper's Table 1: operations of each method, counted by a scalar that counts (paper 001).
 
 The kernels run as plain Python on scalars that note each operation with a value known only at run time. What involves
-constants alone is folded; products with 0 and 1 and sums with 0 cost nothing. Run as a program, with compilation switched
-off: ``python -m gateway_studies.steering.operations`` prints the counts as JSON.
+constants alone is folded; products with 0 and 1 and sums with 0 cost nothing. Run as a program, with compilation
+switched off: ``python -m gateway_studies.steering.operations`` prints the counts as JSON.
 """
 
 from __future__ import annotations

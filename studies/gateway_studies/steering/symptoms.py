@@ -42,9 +42,7 @@ SLOW = 15.0
 
 
 @kernel
-def _symptoms(
-    x: Any, est: Any, parity: Any, n: int, period: float, out: Any, steps: Any, sums: Any
-) -> None:
+def _symptoms(x: Any, est: Any, parity: Any, n: int, period: float, out: Any, steps: Any, sums: Any) -> None:
     turn = 0.5 * np.pi
     share = period / 0.1
     for k in range(x.shape[0]):
@@ -93,9 +91,7 @@ def levels(values: Array, scale: float) -> Array:
     column = np.empty(len(values))
     for j, rule in enumerate(RULES):
         c, s = zeros(1, stopping.Const), zeros(1, stopping.State)
-        stopping.prepare(
-            c[0], rule, np.inf, drift=0.5 * scale, shift=scale, sigma=max(scale / 3.0, 1e-12)
-        )
+        stopping.prepare(c[0], rule, np.inf, drift=0.5 * scale, shift=scale, sigma=max(scale / 3.0, 1e-12))
         _levels(values, c[0], s[0], column)
         out[:, j] = column
     return out

@@ -123,9 +123,9 @@ class Score:
 class Health:
     """What the monitor made of healthy runs.
 
-    ``hours`` of them; ``alarms``; ``mtfa_s``: mean time between false alarms, of which 95 % are sure; ``lost``: runs in which
-    the filter's angle was off by more than 20 deg, mechanical; ``worst_deg``; ``peaks``: largest level of each symptom
-    over its threshold.
+    ``hours`` of them; ``alarms``; ``mtfa_s``: mean time between false alarms, of which 95 % are sure; ``lost``: runs in
+    which the filter's angle was off by more than 20 deg, mechanical; ``worst_deg``; ``peaks``: largest level of each
+    symptom over its threshold.
     """
 
     temperature: str
@@ -159,10 +159,7 @@ def _one(case: Case | None, temperature: str, period: float, seed: int) -> tuple
 
 def judge(case: Case, followed: Followed, onset: float, period: float) -> dict[str, float]:
     """Compare what the monitor named with the fault that a run had; values as in :class:`Score`."""
-    named = {
-        int(k): (followed.first[k] + 1) * period - onset
-        for k in np.flatnonzero(followed.first >= 0)
-    }
+    named = {int(k): (followed.first[k] + 1) * period - onset for k in np.flatnonzero(followed.first >= 0)}
     known = {k: t for k, t in named.items() if k <= ELECTRIC}
     early = min(known.values(), default=np.inf)
     exact = {k: t for k, t in known.items() if k not in VAGUE}
@@ -197,9 +194,7 @@ def _work(job: Job) -> list[tuple[Job, dict[str, Any]]]:
         error = np.abs(error - turn * np.rint(error / turn))
         limits = np.array(params.thresholds.at(params.period_ms))
         alarms = int(((followed.found[1:] >= 0) & (followed.found[:-1] < 0)).sum())
-        found.append(
-            (job, {"alarms": alarms, "worst": error.max(), "peaks": followed.peaks / limits})
-        )
+        found.append((job, {"alarms": alarms, "worst": error.max(), "peaks": followed.peaks / limits}))
     return found
 
 
@@ -234,9 +229,7 @@ def _mean(values: NDArray[np.float64]) -> float:
     return float(np.nanmean(values)) if not np.isnan(values).all() else float("nan")
 
 
-def monte_carlo(
-    jobs: list[Job], progress: Progress = lambda: None
-) -> tuple[list[Score], list[Health]]:
+def monte_carlo(jobs: list[Job], progress: Progress = lambda: None) -> tuple[list[Score], list[Health]]:
     """Return what became of the faults, and of healthy runs.
 
     Args:
@@ -291,8 +284,8 @@ def monte_carlo(
     return scores, health
 
 
-#: A job of :func:`structure`: runs, each symptom's largest healthy value, each rule's largest healthy level; empty while
-#: they are looked for.
+#: A job of :func:`structure`: runs, each symptom's largest healthy value, each rule's largest healthy level; empty
+#: while they are looked for.
 RuleJob = tuple[Job, tuple[float, ...], tuple[tuple[float, ...], ...]]
 
 
@@ -319,9 +312,7 @@ def _rules_work(rule_job: RuleJob) -> list[NDArray[np.float64]]:
     return found
 
 
-def structure(
-    runs: int, healthy: int, seed: int, progress: Progress = lambda: None
-) -> list[Combination]:
+def structure(runs: int, healthy: int, seed: int, progress: Progress = lambda: None) -> list[Combination]:
     """Return the table of all symptoms and rules for the faults of the motor's angle.
 
     Thresholds are the largest levels of the healthy runs: in-sample, as in the research note.
@@ -329,10 +320,7 @@ def structure(
 
     def jobs(name: str, count: int) -> list[Job]:
         last = seed + count
-        return [
-            (name, UNKNOWN, 1e-3, first, min(PIECE, last - first))
-            for first in range(seed, last, PIECE)
-        ]
+        return [(name, UNKNOWN, 1e-3, first, min(PIECE, last - first)) for first in range(seed, last, PIECE)]
 
     clean = jobs("", healthy)
     _rules_work((("", UNKNOWN, 1e-3, seed, 1), (), ()))  # fills the kernels' cache

@@ -74,9 +74,7 @@ def _disturbed_table(rows: list[Row], title: str) -> Table:
 
 
 def _conditions_table(compared: list[Compared]) -> Table:
-    table = Table(
-        title=f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As"
-    )
+    table = Table(title=f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As")
     table.add_column("condition")
     for name in ("largest T_norm", "share above 1 behind the first alarm", "decrease / increase"):
         table.add_column(f"{name}, each seed", justify="right")
@@ -110,8 +108,7 @@ def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
     noisy = TRUCK.model_copy(update={"noise_factor": NOISE})
     fault = TruckFault(kind="machine_voltage_sensor")
     compared = [
-        compare(noisy, fault, seed=k, healthy=k + 10_000, first_charge=CHARGE)
-        for k in range(seed, seed + seeds)
+        compare(noisy, fault, seed=k, healthy=k + 10_000, first_charge=CHARGE) for k in range(seed, seed + seeds)
     ]
     files: list[Path] = []
     if plot is not None:
@@ -127,8 +124,7 @@ def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
                 "firing": [_finite(row) for row in fired],
                 "disturbed": [_finite(row) for rows in told for row in rows],
                 "conditions": [
-                    {"condition": name, "on": [c.on[k] for c in compared]}
-                    for k, name in enumerate(CONDITIONS)
+                    {"condition": name, "on": [c.on[k] for c in compared]} for k, name in enumerate(CONDITIONS)
                 ],
                 "files": [str(file) for file in files],
             }
@@ -141,7 +137,8 @@ def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
     console.print(_disturbed_table(told[1], title))
     console.print(_conditions_table(compared))
     console.print(
-        "isolated: the fault's own DTC, no other fault's, nothing before the onset; ICDS and MCDS: the paper's systems; RDS:"
+        "isolated: the fault's own DTC, no other fault's, nothing before the onset; ICDS and MCDS:"
+        " the paper's systems; RDS:"
         "\nT1, T2, T5, T6 and the observer T7"
     )
     for file in files:

@@ -1,4 +1,4 @@
-"""Conditions for when T4 of ICDS is updated, beside each other: (39), (41), (45), and always (paper 004, Figs. 5, 6, 9)."""
+"""When T4 of ICDS is updated, by (39), (41), (45), and always (paper 004, Figs. 5, 6, 9)."""
 
 from __future__ import annotations
 

@@ -78,10 +78,7 @@ def _two_windows(path: Path, compared: Compared, title: str, shown: tuple[str, .
 
 
 def _fig7(path: Path, seed: int) -> Path:
-    healthy, faulty = (
-        follow(inputs(TRUCK, fault, seed), Params(), keep=True).trace
-        for fault in (None, _EFFICIENCY)
-    )
+    healthy, faulty = (follow(inputs(TRUCK, fault, seed), Params(), keep=True).trace for fault in (None, _EFFICIENCY))
     assert healthy is not None
     assert faulty is not None
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True)
@@ -89,9 +86,7 @@ def _fig7(path: Path, seed: int) -> Path:
     for axis, name in zip(axes, ("T3_ICDS", "T3_MCDS"), strict=True):
         sigma = np.nanstd(_blanked(healthy, name))
         for trace, label, color in ((faulty, "$f_{em,\\eta}$", "C3"), (healthy, "no fault", "C0")):
-            axis.plot(
-                trace.t[at], _blanked(trace, name)[at] / sigma, lw=0.5, label=label, color=color
-            )
+            axis.plot(trace.t[at], _blanked(trace, name)[at] / sigma, lw=0.5, label=label, color=color)
         _shade(axis, healthy)
         axis.set_ylabel(f"{name.replace('_', ' in ')}, normalised")
         axis.set_xlim(*_LONG_WINDOW)

@@ -30,9 +30,7 @@ def rig(build, tools):
     class Rig:
         def __init__(self, *monitors, params=None, **options):
             params = bus_health.Params(**(params or {}))
-            self.engine = build(
-                *monitors, buses=[BusInstance("a", params), BusInstance("b")], **options
-            )
+            self.engine = build(*monitors, buses=[BusInstance("a", params), BusInstance("b")], **options)
             self.names = [slot.id for slot in self.engine.faults]
             self.evidence = {}
 
@@ -81,16 +79,10 @@ def test_bus_off_is_set_and_heals_when_the_controller_restarts_or_a_frame_comes(
 
 def test_error_passive_heals_at_warning_too_and_warning_is_no_fault(rig):
     bus = rig()
-    assert bus.feed(error(1, c.CONTROLLER, controller=c.RX_WARNING)) == [
-        (1, "a.bus_passive", PASSED)
-    ]
-    assert bus.feed(error(2, c.CONTROLLER, controller=c.RX_PASSIVE, tec=5, rec=130)) == [
-        (2, "a.bus_passive", FAILED)
-    ]
+    assert bus.feed(error(1, c.CONTROLLER, controller=c.RX_WARNING)) == [(1, "a.bus_passive", PASSED)]
+    assert bus.feed(error(2, c.CONTROLLER, controller=c.RX_PASSIVE, tec=5, rec=130)) == [(2, "a.bus_passive", FAILED)]
     assert bus.evidence["a.bus_passive", FAILED] == (130, 127, 5, 130, 0)
-    assert bus.feed(error(3, c.CONTROLLER, controller=c.TX_WARNING)) == [
-        (3, "a.bus_passive", PASSED)
-    ]
+    assert bus.feed(error(3, c.CONTROLLER, controller=c.TX_WARNING)) == [(3, "a.bus_passive", PASSED)]
 
 
 def test_protocol_errors_are_a_fault_from_the_tenth_in_a_second_and_heal_by_silence(rig):
@@ -174,9 +166,7 @@ def test_silence_of_a_lost_bus_is_no_fault_of_each_message_on_it(rig, tools):
     # Back again: a whole timeout from now, not from the last frame.
     assert bus.feed(condition(5001, c.RUNNING), until=5100) == [(5001, "a.bus_lost", PASSED)]
     assert bus.feed(until=5102) == [(5101, "comm.Alpha.timeout", FAILED)]
-    assert bus.evidence["comm.Alpha.timeout", FAILED][0] == 100, (
-        "silent for so long, not since ever"
-    )
+    assert bus.evidence["comm.Alpha.timeout", FAILED][0] == 100, "silent for so long, not since ever"
 
 
 def test_a_bus_that_is_not_watched_is_counted_only(rig):
@@ -208,7 +198,9 @@ def test_each_bus_has_dtcs_of_its_own():
     st.integers(1, 7),
 )
 def test_any_error_frame_in_any_batch_gives_the_same(build, tools, rows, cut):
-    """Error frames of any class and content: batch boundaries change nothing, and a fault heals only after it failed."""
+    """Error frames of any class and content: batch boundaries change nothing, and a fault heals only after it
+    failed.
+    """
     frames, now = [], 0.0
     for gap, classes, data in rows:
         now += gap

@@ -29,9 +29,7 @@ ORACLE = cantools.database.load_file(shipped("dbc/crank.dbc")).get_message_by_na
 
 
 def frame(t_ms, count, pt0=100, corrupt=False, length=8):
-    data = bytearray(
-        ORACLE.encode({"Crc": 0, "FrameCnt": count % 256, "Pt0": pt0, "Pt1": 1, "Pt2": 2, "Pt3": 3})
-    )
+    data = bytearray(ORACLE.encode({"Crc": 0, "FrameCnt": count % 256, "Pt0": pt0, "Pt1": 1, "Pt2": 2, "Pt3": 3}))
     data[0] = crccheck.crc.Crc8SaeJ1850.calc(bytes(data[1:]) + b"\x00\x07")
     if corrupt:
         data[5] ^= 0x10
@@ -151,8 +149,6 @@ def test_messages_have_dtcs_of_their_own():
     params = Params(message="SAS", timeout_ms=100.0, lost="U0126", invalid="U0428")
     codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH, VALUE)]
     assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81", "U0428-29"]
-    assert [Params(message="SAS").fault_of(k).dtc for k in range(len(FAULTS))] == [
-        f.dtc for f in FAULTS
-    ]
+    assert [Params(message="SAS").fault_of(k).dtc for k in range(len(FAULTS))] == [f.dtc for f in FAULTS]
     with pytest.raises(ValidationError, match="lost"):
         Params(message="SAS", lost="P0126")

@@ -69,9 +69,7 @@ def test_the_gain_from_noise_is_filterpy_s_in_the_long_run(seed):
         kf.update(np.zeros(3))
     np.testing.assert_allclose(gain.gain, plant.phi @ kf.K, atol=1e-8)
     np.testing.assert_allclose(gain.innovation, kf.S, rtol=1e-8)
-    np.testing.assert_allclose(
-        with_noise(plant.phi, plant.c, gain.gain, q, r).error, gain.error, rtol=1e-7, atol=1e-10
-    )
+    np.testing.assert_allclose(with_noise(plant.phi, plant.c, gain.gain, q, r).error, gain.error, rtol=1e-7, atol=1e-10)
 
 
 def test_no_filter_where_nothing_drives_what_grows_unseen():
@@ -97,9 +95,7 @@ def test_poles_are_where_they_were_asked_for_and_the_rest_is_spent_on_noise(pole
     gain = from_poles(plant.phi, plant.c, poles, q, r)
     got = np.linalg.eigvals(plant.phi - gain.gain @ plant.c)
     key = lambda z: (round(z.real, 6), round(z.imag, 6))  # noqa: E731
-    np.testing.assert_allclose(
-        sorted(got, key=key), sorted(np.array(poles, complex), key=key), atol=1e-6
-    )
+    np.testing.assert_allclose(sorted(got, key=key), sorted(np.array(poles, complex), key=key), atol=1e-6)
     from scipy.signal import place_poles
 
     plain = place_poles(plant.phi.T, plant.c.T, poles).gain_matrix.T

@@ -31,9 +31,7 @@ def test_what_cannot_be_isolated_is_refused():
     with pytest.raises(ValueError, match="2 sensors for 2 actuators"):
         check(two)
     hidden = discretised(np.diag([-1.0, -2.0]), [[1.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]], 0.1)
-    with pytest.raises(
-        ValueError, match=r"without sensor 1 \(left\) the plant does not show 1 speed"
-    ):
+    with pytest.raises(ValueError, match=r"without sensor 1 \(left\) the plant does not show 1 speed"):
         check(hidden, ("left", "right"), ("speed", "other"))
 
 
@@ -205,9 +203,7 @@ def test_a_sensor_s_fault_is_sized_and_heals(place, kind):
 
 @compiled
 def test_two_sensors_at_once_are_not_isolated_and_said_to_be_so():
-    faults = tuple(
-        LinearFault(kind="output_offset", place=k, from_s=10.0, to_s=20.0, size=0.5) for k in (1, 2)
-    )
+    faults = tuple(LinearFault(kind="output_offset", place=k, from_s=10.0, to_s=20.0, size=0.5) for k in (1, 2))
     found, _ = flown(faults, 60.0)
     assert found.unexplained[130:200].any()
     assert not found.unexplained[-50:].any()

@@ -94,7 +94,8 @@ def test_dead_samples_do_not_poison_states(truck, test):
     assert abs(after) < 0.02
 
 
-# Initial states (24) ----------------------------------------------------------------------------------------------------
+# Initial states (24)
+# ----------------------------------------------------------------------------------------------------
 
 
 def spring(**quantities):
@@ -104,7 +105,8 @@ def spring(**quantities):
         "spring",
         (
             Equation("e1", ("der(x)", "v"), solvable={"der(x)": unique}, relation=Relation.parse("der(x) = v")),
-            Equation("e2", ("der(v)", "x"), ("u",), solvable={"der(v)": unique}, relation=Relation.parse("der(v) = u - k * x")),
+            Equation("e2", ("der(v)", "x"), ("u",), solvable={"der(v)": unique},
+                relation=Relation.parse("der(v) = u - k * x")),
             Equation("e3", ("x",), ("y",), solvable={"x": unique}, relation=Relation.parse("y = x")),
         ),
         ("x", "v"),
@@ -136,15 +138,11 @@ def test_what_24_cannot_give_needs_a_start_value(load):
     runner = Runner(load_generated(both))
     assert (runner.s[0]["x"], runner.s[0]["v"]) == (1.0, 2.0)
     model = load("truck")
-    bare = replace(
-        model, quantities={k: Quantity() if k == "SoC" else q for k, q in model.quantities.items()}
-    )
+    bare = replace(model, quantities={k: Quantity() if k == "SoC" else q for k, q in model.quantities.items()})
     choice = model.residuals["T2"]
     with pytest.raises(NotSolvableError, match="SoC: .*start value"):
         write("T2", realise(bare, choice.equations, choice.consistency))
-    with pytest.raises(
-        NotSolvableError, match="m_f: .*by the state of \\(20\\) alone.*start value"
-    ):
+    with pytest.raises(NotSolvableError, match="m_f: .*by the state of \\(20\\) alone.*start value"):
         bare = replace(
             model,
             quantities={k: Quantity() if k == "m_f" else q for k, q in model.quantities.items()},
@@ -172,16 +170,15 @@ def test_what_is_computed_on_the_way_can_be_shown(truck, rows):
         realise(truck, choice.equations, choice.consistency, outputs=["omega_w"])
 
 
-# What cannot be solved --------------------------------------------------------------------------------------------------
+# What cannot be solved
+# --------------------------------------------------------------------------------------------------
 
 
 def loop_model(loops=(), relations=("a + 2 * b = u", "a - b = w", "a * b = y")):
     solvable = {"a": Solvable.UNIQUE, "b": Solvable.UNIQUE}
     knowns = ("u", "w", "y")
     equations = tuple(
-        Equation(
-            f"e{k + 1}", ("a", "b"), (knowns[k],), solvable=solvable, relation=Relation.parse(text)
-        )
+        Equation(f"e{k + 1}", ("a", "b"), (knowns[k],), solvable=solvable, relation=Relation.parse(text))
         for k, text in enumerate(relations)
     )
     return Model("loop", equations, ("a", "b"), knowns, loops=loops)
@@ -236,9 +233,7 @@ def test_two_sets_of_roots_are_all_combined():
     """Four combinations of roots: |x| from y1, |z| from y2, checked by y3 = x + 2 z."""
 
     def equation(name, variables, known, text, solvable=None):
-        return Equation(
-            name, variables, (known,), solvable=solvable or {}, relation=Relation.parse(text)
-        )
+        return Equation(name, variables, (known,), solvable=solvable or {}, relation=Relation.parse(text))
 
     model = Model(
         "roots",
@@ -264,7 +259,8 @@ def test_integrated_states_have_a_value_for_each_root():
         "roots",
         (
             Equation("e1", ("x",), ("y1",), solvable={"x": Solvable.MULTIPLE}, relation=Relation.parse("y1 = x**2")),
-            Equation("e2", ("der(q)", "x"), solvable={"der(q)": Solvable.UNIQUE}, relation=Relation.parse("der(q) = x")),
+            Equation("e2", ("der(q)", "x"), solvable={"der(q)": Solvable.UNIQUE},
+                relation=Relation.parse("der(q) = x")),
             Equation("e3", ("q",), ("y2",), solvable={"q": Solvable.UNIQUE}, relation=Relation.parse("y2 = q")),
         ),
         ("x", "q"),
@@ -286,11 +282,11 @@ def test_integrated_states_have_a_value_for_each_root():
 
 
 def test_a_filtered_start_is_made_up_for_in_the_first_sample(load):
-    """(38): started with a filtered y of 0.3, the first sample at 0.5 gives alpha (y - LP y), as Gamma + alpha x does."""
+    """(38): started with a filtered y of 0.3, the first sample at 0.5 gives alpha (y - LP y), as Gamma + alpha
+    x does.
+    """
     choice = (model := load("example_4")).residuals["derivative"]
-    runner = Runner(
-        residual_generator(model, choice.equations, choice.consistency), filter_bandwidth=2.0
-    )
+    runner = Runner(residual_generator(model, choice.equations, choice.consistency), filter_bandwidth=2.0)
     runner.start(u=0.0, y=0.3)
     assert runner.step(0.0, u=0.0, y=0.5) == pytest.approx(2.0 * 0.2)
     assert runner.step(0.1, u=0.0, y=0.5) == pytest.approx(2.0 * 0.2 * np.exp(-0.2))
@@ -332,7 +328,8 @@ def test_a_derivative_that_is_used_elsewhere_too_is_not_avoided():
         (
             Equation("e1", ("der(x)", "w"), ("u",), solvable={"w": unique}, relation=Relation.parse("der(x) + w = u")),
             Equation("e2", ("x",), ("y",), solvable={"x": unique}, relation=Relation.parse("y = x")),
-            Equation("e3", ("der(x)", "w"), ("z",), solvable={"w": unique}, relation=Relation.parse("z = w * (1 + der(x)**2)")),
+            Equation("e3", ("der(x)", "w"), ("z",), solvable={"w": unique},
+                relation=Relation.parse("z = w * (1 + der(x)**2)")),
             differential("x", "e4"),
         ),
         ("x", "w"),
@@ -341,9 +338,7 @@ def test_a_derivative_that_is_used_elsewhere_too_is_not_avoided():
     everything = frozenset(["e1", "e2", "e3", "e4"])
     with pytest.raises(NotSolvableError, match="differentiates x"):
         realise(model, everything, "e1")
-    runner = Runner(
-        residual_generator(model, everything, "e1", differentiate=True), derivative_bandwidth=50.0
-    )
+    runner = Runner(residual_generator(model, everything, "e1", differentiate=True), derivative_bandwidth=50.0)
     rows = [{"u": 2.5, "y": 0.5 * 0.01 * k, "z": 2.0 * 1.25} for k in range(100)]
     assert abs(runner.run(rows, 0.01)[-1]) < 1e-9  # der(x) = 0.5, w = 2
 
@@ -353,7 +348,8 @@ def test_an_explicit_relation_can_be_checked():
     model = Model(
         "explicit",
         (
-            Equation("e1", ("der(x)",), ("u",), solvable={"der(x)": Solvable.UNIQUE}, relation=Relation.parse("der(x) = 2 * u")),
+            Equation("e1", ("der(x)",), ("u",), solvable={"der(x)": Solvable.UNIQUE},
+                relation=Relation.parse("der(x) = 2 * u")),
             Equation("e2", ("x",), ("y",), solvable={"x": Solvable.UNIQUE}, relation=Relation.parse("y = x")),
             differential("x", "e3"),
         ),
@@ -364,8 +360,7 @@ def test_an_explicit_relation_can_be_checked():
     rng = np.random.default_rng(5)
     rows = [{"u": float(a), "y": float(b)} for a, b in rng.normal(size=(40, 2))]
     results = [
-        Runner(residual_generator(model, everything, e), filter_bandwidth=3.0).run(rows, 0.02)
-        for e in ("e3", "e1")
+        Runner(residual_generator(model, everything, e), filter_bandwidth=3.0).run(rows, 0.02) for e in ("e3", "e1")
     ]
     close(results[0], results[1])
 
@@ -396,9 +391,7 @@ def test_the_code_is_plain_python(truck):
         source = write(name, realise(truck, choice.equations, choice.consistency)).source
         tree = ast.parse(source)
         called = {
-            node.func.id
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+            node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
         }
         assert called <= {
             "record",

@@ -114,7 +114,8 @@ def test_structure_alone(tmp_path):
         ('"m = y"', '"m = [y]"', "cannot contain this"),
         ('"m = y"', '"m = True"', "not a number"),
         ('"m = y"', '"m = (lambda: y)()"', "only a function by its name"),
-        ('unique = ["y"]\n[[loop]]', 'unique = ["x"]\n[[loop]]', r'equation.e3.unique.*does not contain the unknown "x"'),
+        ('unique = ["y"]\n[[loop]]', 'unique = ["x"]\n[[loop]]',
+         r'equation.e3.unique.*does not contain the unknown "x"'),
         ('multiple = ["x"]', 'multiple = ["x", "y"]', '"y" is unique already'),
         ('multiple = ["x"]', "", "2 solutions, but none is declared"),
         ('["sqrt(y)", "-sqrt(y)"]', '["sqrt(y)", "-sqrt(q)"]', r'equation.e2.solution.x.*"q" is no'),
@@ -148,11 +149,7 @@ def test_mistakes_are_named(tmp_path, old, new, said):
 
 
 def test_all_mistakes_at_once(tmp_path):
-    bad = (
-        GOOD.replace('"m = y"', '"m = z"')
-        .replace("x = [0, 1]", "x = [1, 0]")
-        .replace('"none"', '"never"')
-    )
+    bad = GOOD.replace('"m = y"', '"m = z"').replace("x = [0, 1]", "x = [1, 0]").replace('"none"', '"never"')
     with pytest.raises(InputErrors) as error:
         load_model(write(tmp_path, bad))
     assert len(error.value.errors) == 3
@@ -171,7 +168,9 @@ def test_explicit_states_by_file(load):
 
 @pytest.mark.parametrize("name", ["truck", "machine", "series_machine", "example_1", "example_4"])
 def test_what_is_declared_is_what_algebra_finds(load, name):
-    """Each solve that a shipped model declares, with its relation: as many solutions as declared, each of them right."""
+    """Each solve that a shipped model declares, with its relation: as many solutions as declared, each of them
+    right.
+    """
     model = load(name)
     symbols = Symbols(model)
     for e in model.equations:
@@ -185,15 +184,11 @@ def test_what_is_declared_is_what_algebra_finds(load, name):
                 continue  # e13, e19; and e1 of the machines, whose solutions depend on a sign
             for one in found:
                 rest = residual.subs(symbols.of[v], one[v])
-                values = {
-                    x: 0.5 + 0.1 * k for k, x in enumerate(sorted(rest.free_symbols, key=str))
-                }
+                values = {x: 0.5 + 0.1 * k for k, x in enumerate(sorted(rest.free_symbols, key=str))}
                 if name == "truck" and e.name == "e3":
                     values[symbols.of["p_f"]] = 2e5
                 left = rest.subs(values)
-                assert abs(complex(left.evalf())) < 1e-6, (
-                    (e.name, v) if not left.has(sympy.Function) else None
-                )
+                assert abs(complex(left.evalf())) < 1e-6, (e.name, v) if not left.has(sympy.Function) else None
 
 
 def test_names_that_records_have_already():

@@ -21,9 +21,7 @@ def test_example_1(load):
     expected = np.array([z["y"] - (1 + z["u"]) ** 2 for z in rows])
     for name in ("r_1", "r_2"):
         choice = model.residuals[name]
-        found = Runner(residual_generator(model, choice.equations, choice.consistency)).run(
-            rows, 0.1
-        )
+        found = Runner(residual_generator(model, choice.equations, choice.consistency)).run(rows, 0.1)
         close(found, expected)
 
 
@@ -38,9 +36,7 @@ def test_example_4(load):
     found = Runner(residual_generator(model, choice.equations, choice.consistency)).run(rows, 0.1)
     close(found, y[0] + held - y)
     choice = model.residuals["derivative"]
-    found = Runner(
-        residual_generator(model, choice.equations, choice.consistency), filter_bandwidth=2.0
-    ).run(rows, 0.1)
+    found = Runner(residual_generator(model, choice.equations, choice.consistency), filter_bandwidth=2.0).run(rows, 0.1)
     left = np.diff(y, prepend=y[0]) / 0.1 - np.concatenate([[0.0], u[:-1]])
     close(found, truck_data.low_pass(left, 2.0, 0.1))
 
@@ -145,7 +141,8 @@ def test_22_needs_a_derivative_within(load):
     model = Model(
         "(22)",
         (
-            Equation("e1", ("x_2",), ("u_1",), solvable={"x_2": Solvable.UNIQUE}, relation=Relation.parse("x_2 - u_1 = 0")),
+            Equation("e1", ("x_2",), ("u_1",), solvable={"x_2": Solvable.UNIQUE},
+                relation=Relation.parse("x_2 - u_1 = 0")),
             Equation("e2", ("der(x_2)", "x_1"), solvable={"x_1": Solvable.UNIQUE, "der(x_2)": Solvable.UNIQUE},
                      relation=Relation.parse("der(x_2) - x_1 = 0")),
             Equation("e3", ("x_1",), ("y_1",), relation=Relation.parse("sin(x_1) - y_1 = 0")),
@@ -158,9 +155,7 @@ def test_22_needs_a_derivative_within(load):
         realise(model, everything, "e3")
     loaded = residual_generator(model, everything, "e3", differentiate=True)
     rng = np.random.default_rng(4)
-    rows = [
-        {"u_1": float(a), "y_1": float(b)} for a, b in np.cumsum(rng.normal(size=(60, 2)), 0) * 0.02
-    ]
+    rows = [{"u_1": float(a), "y_1": float(b)} for a, b in np.cumsum(rng.normal(size=(60, 2)), 0) * 0.02]
     found = Runner(loaded, derivative_bandwidth=5.0).run(rows, 0.1)
     slope = derivative(np.array([z["u_1"] for z in rows]), 5.0, 0.1)
     close(found, np.sin(slope) - np.array([z["y_1"] for z in rows]))

@@ -36,18 +36,14 @@ def brute_force_msos(dense):
     for size in range(1, m + 1):
         for rows in combinations(range(m), size):
             variables = int(dense[list(rows)].any(0).sum())
-            if size == variables + 1 and all(
-                rank(dense, rows[:k] + rows[k + 1 :]) == size - 1 for k in range(size)
-            ):
+            if size == variables + 1 and all(rank(dense, rows[:k] + rows[k + 1 :]) == size - 1 for k in range(size)):
                 found.append(frozenset(rows))
     return set(found)
 
 
 def structure_of(dense):
     m, n = dense.shape
-    equations = tuple(
-        Equation(f"e{i}", tuple(f"x{j}" for j in range(n) if dense[i, j])) for i in range(m)
-    )
+    equations = tuple(Equation(f"e{i}", tuple(f"x{j}" for j in range(n) if dense[i, j])) for i in range(m))
     return Model("random", equations, tuple(f"x{j}" for j in range(n)))
 
 
@@ -101,14 +97,13 @@ def test_parts_cover_the_model(dense):
 def test_masks_of_many_words():
     rng = np.random.default_rng(3)
     dense = rng.random((7, 3 * BITS + 5)) < 0.3
-    assert (
-        unpack(pack([np.flatnonzero(row) for row in dense], dense.shape[1]), dense.shape[1])
-        == dense
-    ).all()
+    assert (unpack(pack([np.flatnonzero(row) for row in dense], dense.shape[1]), dense.shape[1]) == dense).all()
 
 
 def test_a_large_model_takes_several_words():
-    """A chain of 150 variables, both ends and the middle measured: three sets, of more equations than a word has bits."""
+    """A chain of 150 variables, both ends and the middle measured: three sets, of more equations than a word
+    has bits.
+    """
     names = [f"x{k}" for k in range(150)]
     chain = tuple(Equation(f"e{k}", (names[k], names[k + 1])) for k in range(149))
     model = Model("chain", chain, tuple(names)).with_sensors(["x0", "x75", "x149"])
@@ -127,9 +122,7 @@ def block_sets(structure, rows, columns):
     blocks = []
     for k in range(label.max() + 1):
         mine = np.flatnonzero(label == k)
-        blocks.append(
-            (frozenset(rows[i] for i in mine), frozenset(columns[pairs[i]] for i in mine))
-        )
+        blocks.append((frozenset(rows[i] for i in mine), frozenset(columns[pairs[i]] for i in mine)))
     return blocks
 
 
@@ -179,22 +172,13 @@ def test_sequences_and_classes(seed):
             derivative,
         )
         steps = s.sequence(names, check)
-        assert all(
-            (step.kind is Kind.SINGULAR) or len(step.equations) == len(step.variables)
-            for step in steps
-        )
+        assert all((step.kind is Kind.SINGULAR) or len(step.equations) == len(step.variables) for step in steps)
         computed = set()
-        for step in (
-            steps
-        ):  # each step needs only what is there: computed before, states, its own variables
+        for step in steps:  # each step needs only what is there: computed before, states, its own variables
             if step.kind is Kind.SOLVE:
-                needed = {
-                    v for e in step.equations for v in model.full_equations[index[e]].variables
-                }
+                needed = {v for e in step.equations for v in model.full_equations[index[e]].variables}
                 known = computed | set(step.variables)
-                known |= {
-                    v for other in steps if other.kind is Kind.INTEGRATE for v in other.variables
-                }
+                known |= {v for other in steps if other.kind is Kind.INTEGRATE for v in other.variables}
                 assert needed <= known
             computed |= set(step.variables)
 
@@ -238,9 +222,7 @@ def test_the_limit_says_what_to_do():
 
 
 @settings(max_examples=examples(60), deadline=None)
-@given(
-    st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=1, max_size=7).map(np.array)
-)
+@given(st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=1, max_size=7).map(np.array))
 def test_fewest_tests_are_those_of_brute_force(signature):
     chosen = fewest_tests(signature)
     names = [f"f{k}" for k in range(4)]
@@ -276,9 +258,7 @@ def test_sensor_places_are_those_of_brute_force(seed):
             if any(set(known) <= set(places) for known in enough):
                 continue
             mine = isolability_of_model(model.with_sensors(places))
-            if (mine.detectable == best.detectable).all() and (
-                mine.confused == best.confused
-            ).all():
+            if (mine.detectable == best.detectable).all() and (mine.confused == best.confused).all():
                 enough.add(tuple(sorted(places)))
     assert set(found) == enough
 

@@ -59,8 +59,7 @@ def solvable(model, equation, variable, status):
     return replace(
         model,
         equations=tuple(
-            replace(e, solvable={**e.solvable, variable: status}) if e.name == equation else e
-            for e in model.equations
+            replace(e, solvable={**e.solvable, variable: status}) if e.name == equation else e for e in model.equations
         ),
     )
 
@@ -144,9 +143,7 @@ def test_every_loop_is_needed(truck, msos, k, status):
 @pytest.mark.long
 @pytest.mark.parametrize("variables", [{"T_mj", "eta_gb"}, {"T_gbl", "eta_gb"}])
 def test_efficiency_loop_must_not_be_solvable(truck, msos, variables):
-    loop = replace(
-        truck.loops[0], equations=frozenset({"e19", "e21"}), variables=frozenset(variables)
-    )
+    loop = replace(truck.loops[0], equations=frozenset({"e19", "e21"}), variables=frozenset(variables))
     assert classify(replace(truck, loops=(*truck.loops, loop)), msos).table != TABLE_IV
 
 
@@ -170,9 +167,7 @@ def test_five_sets_have_no_unique_generator(truck, msos, candidates):
         assert len(without) == 5
         wanted = {"e4", "e5", "e6", "e8", "e11", "e33"}
         assert without == {
-            k
-            for k, e in enumerate(names)
-            if len(e) > 11 and wanted <= e and not e & {"e7", "e34", "e35"}
+            k for k, e in enumerate(names) if len(e) > 11 and wanted <= e and not e & {"e7", "e34", "e35"}
         }
 
 
@@ -206,7 +201,9 @@ def test_appendix_b(truck, msos, test, size):
 
 @pytest.mark.parametrize(("test", "size"), [("T5", 7), ("T6", 7), ("T7", 27)])
 def test_ours_are_among_them_too(truck, msos, test, size):
-    """T5 and T6 have no equation of the engine, the vehicle or the road; T7 has no other fault than the efficiency's."""
+    """T5 and T6 have no equation of the engine, the vehicle or the road; T7 has no other fault than the
+    efficiency's.
+    """
     equations = truck.residuals[test].equations
     assert len(equations) == size
     assert equations in names_of(truck, msos)
@@ -270,9 +267,7 @@ def test_signatures_and_isolability(truck, msos, candidates):
     every = signatures(truck, msos)
     hidden = {}
     for causality in ("SDI", "SI", "SD", "S"):
-        mine = isolability_of_tests(
-            truck.faults, every[candidates.sets(candidates.chosen(causality, "unique"))]
-        )
+        mine = isolability_of_tests(truck.faults, every[candidates.sets(candidates.chosen(causality, "unique"))])
         hidden[causality] = [f for f, d in zip(mine.faults, mine.detectable, strict=True) if not d]
         seen = mine.detectable
         assert (mine.confused[np.ix_(seen, seen)] == np.eye(seen.sum())).all()
@@ -282,7 +277,9 @@ def test_signatures_and_isolability(truck, msos, candidates):
 
 @pytest.mark.parametrize("explicit", [False, True])
 def test_table_i(load, explicit):
-    """(4): what the original algorithm takes for static differentiates. Explicit, it is the relation that is checked."""
+    """(4): what the original algorithm takes for static differentiates. Explicit, it is the relation that is
+    checked.
+    """
     model = load("example_4")
     model = model.explicit() if explicit else model
     found = classify(model, find_msos(counted(model)))

@@ -82,9 +82,7 @@ def test_random_models(seed):
     assert (signatures(model, ours) == (other.FSM(rows) > 0)).all()
     structural = isolability_of_model(model)
     seen = structural.detectable
-    assert (
-        structural.confused[np.ix_(seen, seen)] == other.IsolabilityAnalysis()[np.ix_(seen, seen)]
-    ).all()
+    assert (structural.confused[np.ix_(seen, seen)] == other.IsolabilityAnalysis()[np.ix_(seen, seen)]).all()
     detectable, _ = other.DetectabilityAnalysis()
     assert {f for f, d in zip(model.faults, seen, strict=True) if d} == set(detectable)
     if seen.any():
@@ -146,8 +144,6 @@ def test_parts_of_random_models(seed):
     dm = toolbox(model).GetDMParts()
     row = [structure.equations.index(x) for x in ours.over.equations]
     assert sorted(row) == sorted(int(i) for i in dm.Mp.row)
-    assert {structure.equations.index(x) for x in ours.under.equations} == {
-        int(i) for i in dm.Mm.row
-    }
+    assert {structure.equations.index(x) for x in ours.under.equations} == {int(i) for i in dm.Mm.row}
     blocks = {frozenset(structure.equations.index(x) for x in b.equations) for b in ours.just}
     assert blocks == {frozenset(int(i) for i in b.row) for b in dm.M0}

@@ -245,8 +245,6 @@ def test_a_gap_that_moves_half_a_turn_is_lost_sync():
     """No missed or added pulses explain it: another wheel, from one turn to the next."""
     times, _ = engine(seconds=1.0)
     cut = 58 * 12 + 30
-    result = followed(
-        np.concatenate([times[:cut], times[cut + 29 :] - times[cut + 29] + times[cut]])
-    )
+    result = followed(np.concatenate([times[:cut], times[cut + 29 :] - times[cut + 29] + times[cut]]))
     assert SYNC_LOST in result.fault.tolist()
     assert result.proven[-1]

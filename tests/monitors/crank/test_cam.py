@@ -31,9 +31,7 @@ def run(form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=N
     w = Wheel.parse("60-2")
     rng = np.random.default_rng(8)
     print("seed 8")
-    times = (healthy(w, SPEED, SECONDS, rng, ripple=((2.0, 0.01),), jitter=0.005) * 1e3).astype(
-        np.int64
-    )
+    times = (healthy(w, SPEED, SECONDS, rng, ripple=((2.0, 0.01),), jitter=0.005) * 1e3).astype(np.int64)
     if drop is not None:
         times = np.delete(times, drop)
     at, levels = cam_edges([((a + shift_deg) % 720, v) for a, v in edges], SPEED, SECONDS)
@@ -51,9 +49,7 @@ def run(form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=N
     )
     engine = build_engine([(0, load_database([shipped("dbc/crank.dbc")]))], [monitor], [])
     failed = []
-    sent = engine.process(
-        frames[~gone], lambda e: failed.extend(e["fault"][e["result"] == FAILED].tolist())
-    )
+    sent = engine.process(frames[~gone], lambda e: failed.extend(e["fault"][e["result"] == FAILED].tolist()))
     # Angles are compared where a frame of teeth has just come: its last tooth is the latest pulse.
     sent = sent[np.isin(sent["t_ns"], frames["t_ns"][np.isin(frames["can_id"], [0x700, 0x703])])]
     values = [SYNC.decode(payload(f), decode_choices=False) for f in sent]
@@ -69,18 +65,14 @@ def true_angle(times, stamp, form, teeth=58):
 
 
 @pytest.mark.parametrize("form", ["classic", "fd"])
-@pytest.mark.parametrize(
-    "edges", [HALF_MOON, ((350.0, 1), (10.0, 0)), ((0.0, 1), (180.0, 0), (300.0, 1), (500.0, 0))]
-)
+@pytest.mark.parametrize("edges", [HALF_MOON, ((350.0, 1), (10.0, 0)), ((0.0, 1), (180.0, 0), (300.0, 1), (500.0, 0))])
 def test_the_half_of_the_cycle_is_known_and_right(form, edges):
     failed, times, stamps, values = run(form, edges, edges)
     assert failed == []
     known = [k for k, v in enumerate(values) if v["CycleKnown"]]
     assert len(known) > 0.7 * len(values)
     for k in known:
-        assert values[k]["CrankAngle"] == pytest.approx(
-            true_angle(times, stamps[k], form), abs=0.02
-        )
+        assert values[k]["CrankAngle"] == pytest.approx(true_angle(times, stamps[k], form), abs=0.02)
     assert max(v["CrankAngle"] for v in values) > 600
 
 

@@ -159,9 +159,7 @@ def test_bus_loss_at_6000_rpm(form, share):
     print("seed 17")
     times = (healthy(w, [(0.0, 6000.0)], 20.0, rng) * 1e3).astype(np.int64)
     frames = tooth_frames(times, form)
-    lost = (
-        rng.random(len(frames)) < share
-    )  # from the first frame on: also before there is a place to lose
+    lost = rng.random(len(frames)) < share  # from the first frame on: also before there is a place to lose
     engine = engine_of(form)
     _, state = state_of(engine)
     failed, told, wrong = [], 0, 0

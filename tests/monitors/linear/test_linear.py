@@ -94,7 +94,8 @@ def test_faults_are_named_by_the_user_s_parts():
         ('name = "rudder"', 'name = "aileron"', "two inputs or outputs share a name"),
         ("Aircraft_Command.Rudder", "Aircraft_Command.Ruder", "no signal 'Ruder'"),
         ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [-1.0, -2.0]", "6 poles are needed, 2 are given"),
-        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [1.0, -2.0, -3.0, -4.0, -5.0, -6.0]", "outside the unit circle"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [1.0, -2.0, -3.0, -4.0, -5.0, -6.0]",
+         "outside the unit circle"),
         ("sample_ms = 100.0", "sample_ms = 100.0\nstate_noise = -1.0", "not negative"),
         ("sample_ms = 100.0", "sample_ms = 100.0\nwrong = 1", "wrong"),
     ],
@@ -116,9 +117,7 @@ def test_a_plant_that_is_not_observable_is_said_to_be_so(tmp_path):
         [0, 1.0, -1.0, 0],
     ]
     bare["c"] = [[0, 1.0, 0, 0], [0, 0, 0, 0], [1.0, 0, 0, 0]]
-    with pytest.raises(
-        ValueError, match="the sensors do not show .*load speed.*twist|twist.*load speed"
-    ):
+    with pytest.raises(ValueError, match="the sensors do not show .*load speed.*twist|twist.*load speed"):
         linear_observer.Params(**bare)
 
 
@@ -218,9 +217,7 @@ def test_evidence_has_the_size():
     for row in inputs(*flight((ACTUATOR,))):
         out[0]["n"] = 0
         BANK.step(s[0], c[0], row, out[0])
-        sizes += [
-            r["evidence"][0] for r in out[0]["results"][: out[0]["n"]] if r["result"] == FAILED
-        ]
+        sizes += [r["evidence"][0] for r in out[0]["results"][: out[0]["n"]] if r["result"] == FAILED]
     assert np.median(sizes) == pytest.approx(0.08, abs=0.01)
 
 

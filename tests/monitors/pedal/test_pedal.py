@@ -50,9 +50,7 @@ class Qualified:
 
     def __init__(self, engine):
         self.names = [slot.id.removeprefix("pedal.") for slot in engine.faults]
-        self.evidence = {
-            slot.id.removeprefix("pedal."): slot.fault.evidence for slot in engine.faults
-        }
+        self.evidence = {slot.id.removeprefix("pedal."): slot.fault.evidence for slot in engine.faults}
         self.events = []
 
     def __call__(self, events):
@@ -126,9 +124,7 @@ def test_a_drift_is_seen_in_a_pair_and_named_in_a_triple():
     triple, engine = found(drive(drifting, preset="brake_3"), "brake_3")
     assert triple.failed()[-1] == "channel_1_drifts"
     assert engine.readout()["pedal"]["isolated"] == 0b001
-    assert "channel_1_drifts" not in [f.name for f in PAIR.faults(PairParams())], (
-        "nobody could tell"
-    )
+    assert "channel_1_drifts" not in [f.name for f in PAIR.faults(PairParams())], "nobody could tell"
 
 
 @pytest.mark.skipif(not COMPILED, reason="seconds of samples")
@@ -147,9 +143,7 @@ def test_a_jump_of_all_channels_together():
     rng = np.random.default_rng(5)
 
     def row(travel):
-        return [
-            c.at_rest + travel * (c.at_full - c.at_rest) + rng.normal(0, 0.002) for c in channels
-        ]
+        return [c.at_rest + travel * (c.at_full - c.at_rest) + rng.normal(0, 0.002) for c in channels]
 
     travels = [0.3] * 100 + [0.8] * 10 + [0.3] * 300
     raw(engine, [row(travel) for travel in travels], "PED_Accelerator", seen)
@@ -199,9 +193,7 @@ def test_both_pedals_have_their_own_message_and_dtcs():
         assert len(set(codes)) == len(codes), "each fault its own"
 
 
-@pytest.mark.parametrize(
-    "voter", ["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"]
-)
+@pytest.mark.parametrize("voter", ["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"])
 def test_every_voter_can_be_chosen(voter):
     frames = drive(stroke="exponential", at_s=(0.05,))
     engine = engine_of(voter=voter)
@@ -252,9 +244,7 @@ def test_live_is_replay(seed, cuts):
     def outcome(batches):
         engine = engine_of(send=True)
         seen = []
-        sent = [
-            engine.process(batch, lambda events: seen.append(events.copy())) for batch in batches
-        ]
+        sent = [engine.process(batch, lambda events: seen.append(events.copy())) for batch in batches]
         return np.concatenate(seen).tobytes(), np.concatenate(sent).tobytes()
 
     places = np.cumsum(cuts) % len(frames)

@@ -110,9 +110,7 @@ def test_the_road_wheel_is_the_inverse_of_the_gear(road, cubic):
     """(2): pinion = F_SG(road wheel)."""
     _, c = ratio(gear=14.0, cubic=cubic)
     x = np.radians(road)
-    assert road_wheel.road_wheel(c, np.degrees(14.0 * x * (1 + cubic * x * x))) == pytest.approx(
-        road, abs=1e-6
-    )
+    assert road_wheel.road_wheel(c, np.degrees(14.0 * x * (1 + cubic * x * x))) == pytest.approx(road, abs=1e-6)
 
 
 def test_the_ratio_lies_on_straight_lines():

@@ -42,9 +42,7 @@ def reported(name, seed, per_second, longest_ns):
     late = paused(player.frames, np.random.default_rng(seed), per_second, longest_ns)
     replay(gateway, np.array_split(late, 200))
     gateway.close()
-    failed = [
-        (e["t_ns"] / 1e9, e["dtc"]) for e in events if e["event"] == "dtc" and e["status"] & 1
-    ]
+    failed = [(e["t_ns"] / 1e9, e["dtc"]) for e in events if e["event"] == "dtc" and e["status"] & 1]
     return failed, scenario
 
 

@@ -23,7 +23,9 @@ SENSOR = TruckFault(kind="machine_voltage_sensor")
 
 
 def internal(samples, volts, *, printed):
-    """(40) over a window without noise: corrected, with the leakage of the air drag, or as printed; r [rad/s], shape (n,)."""
+    """(40) over a window without noise: corrected, with the leakage of the air drag, or as printed; r [rad/s],
+    shape (n,).
+    """
     model = load_model(shipped("models/truck.toml"))
     p = {name: q.value for name, q in model.quantities.items()}
     inertia, ratio = model.tables["f_2"].y, model.tables["f_3"].y
@@ -58,9 +60,7 @@ def test_the_internal_form_of_the_voltage_sensors_fault():
     trace = follow(inputs(truck, SENSOR, 1), Params(), keep=True).trace
     samples = drive(truck, (SENSOR,), 400.0).samples
     edges = np.flatnonzero(np.diff(trace.settled[:40_000].astype(int))) + 1
-    first, last = next(
-        (a, b) for a, b in pairwise(edges) if trace.settled[a] and trace.t[b] - trace.t[a] > 80.0
-    )
+    first, last = next((a, b) for a, b in pairwise(edges) if trace.settled[a] and trace.t[b] - trace.t[a] > 80.0)
     assert 200.0 < trace.t[first] < 210.0
     assert np.median(samples["gear"][first:last]) == 12
     residual = trace.residual[first:last, 3] - trace.residual[first, 3]

@@ -58,9 +58,7 @@ def test_no_alarm_without_a_fault():
 @pytest.mark.parametrize(("system", "bits", "ranked"), [("ICDS", 0b1001, 52), ("RDS", 0b01001, 52)])
 def test_one_test_alone_is_an_ambiguity_group_and_the_second_isolates(system, bits, ranked):
     """The voltage sensor: T1 within a second, then only sensor and inverter explain it; T4 or T6 tells which."""
-    frames = frames_of(
-        TRUCK, driven("machine_voltage_sensor", 400.0), bus=0, rng=np.random.default_rng(3)
-    )
+    frames = frames_of(TRUCK, driven("machine_voltage_sensor", 400.0), bus=0, rng=np.random.default_rng(3))
     names = faults_of(TESTS[system])[0].evidence
     tests, explained = names[len(TESTS[system])], names[len(TESTS[system]) + 1]
     gateway, events = Gateway(configured(system=system)), []
@@ -92,7 +90,9 @@ def test_a_fault_that_goes_heals():
 
 @pytest.mark.long
 def test_missing_frames_are_stepped_over_and_gaps_begin_anew():
-    """1 % of the frames lost: sets without one are skipped, and nothing fires. Ten seconds of silence change nothing."""
+    """1 % of the frames lost: sets without one are skipped, and nothing fires. Ten seconds of silence change
+    nothing.
+    """
     rng = np.random.default_rng(8)
 
     def lossy(frames):
@@ -109,9 +109,7 @@ def test_missing_frames_are_stepped_over_and_gaps_begin_anew():
 def test_the_status_message_says_how_far_the_tests_are():
     """FDI_STATUS each 100 ms, decoded by cantools."""
     message = load_database(CONFIG.bus[0].database).message("FDI_STATUS")
-    frames = frames_of(
-        TRUCK, driven("battery_short", 400.0, 420.0), bus=0, rng=np.random.default_rng(1)
-    )
+    frames = frames_of(TRUCK, driven("battery_short", 400.0, 420.0), bus=0, rng=np.random.default_rng(1))
     gateway, sent = Gateway(CONFIG), []
     gateway.start(0)
     for k in range(0, len(frames), 4000):

@@ -1,4 +1,6 @@
-"""T7: its filter beside filterpy's, what it estimates, and what a truck that differs from the model does to the tests."""
+"""T7: its filter beside filterpy's, what it estimates, and what a truck that differs from the model does to
+the tests.
+"""
 
 import numpy as np
 import pytest
@@ -223,9 +225,7 @@ def test_a_truck_that_differs_is_diagnosed_with_the_same_thresholds(name):
 
 
 @compiled
-@pytest.mark.parametrize(
-    "name", ["engine +5 %", "brakes +10 %", "slope 1 %", "wind 5 m/s", "hills of 3 %"]
-)
+@pytest.mark.parametrize("name", ["engine +5 %", "brakes +10 %", "slope 1 %", "wind 5 m/s", "hills of 3 %"])
 def test_beyond_what_was_asked_it_is_silent_too(name):
     truck = TRUCK.model_copy(update=DISTURBANCES[name])
     peak, _, events = run(driven(truck=truck), 8100, truck=truck)
@@ -236,7 +236,9 @@ def test_beyond_what_was_asked_it_is_silent_too(name):
 @pytest.mark.long
 @compiled
 def test_the_papers_systems_do_not_stand_it():
-    """What is told as a limit: with thresholds of the undisturbed truck ICDS alarms at 2 % torque, MCDS at 0.3 % slope."""
+    """What is told as a limit: with thresholds of the undisturbed truck ICDS alarms at 2 % torque, MCDS at 0.3
+    % slope.
+    """
     for name, systems in (("engine +2 %", ["ICDS"]), ("slope 0.3 %", ["ICDS", "MCDS"])):
         truck = TRUCK.model_copy(update=OURS[name])
         for system in systems:

@@ -10,9 +10,7 @@ CONFIGS = by_config("crank")
 
 
 #: The way of its frames is that of one of them, or of CAN FD.
-SOME = [
-    config for config in sorted(CONFIGS) if FULL or config.endswith(("gateway.toml", "fd.toml"))
-]
+SOME = [config for config in sorted(CONFIGS) if FULL or config.endswith(("gateway.toml", "fd.toml"))]
 
 
 @pytest.mark.parametrize("config", SOME)

@@ -1,8 +1,8 @@
 """Real SocketCAN where this machine's kernel has none: the vcan tests inside user-mode Linux.
 
-Debian's user-mode-linux boots with the host's files in some seconds, without privileges. Tests in it run in real time and
-mostly wait: in each kernel several lanes run beside each other, each in a network namespace with a vcan0 to vcan2 of its
-own. In CI its absence is a failure. On a machine with a vcan0 of its own the marked tests run directly:
+Debian's user-mode-linux boots with the host's files in some seconds, without privileges. Tests in it run in real time
+and mostly wait: in each kernel several lanes run beside each other, each in a network namespace with a vcan0 to vcan2
+of its own. In CI its absence is a failure. On a machine with a vcan0 of its own the marked tests run directly:
 ``pytest -m vcan`` as root, with vcan0 to vcan2 (mtu 72) up.
 """
 
@@ -49,9 +49,7 @@ def test_the_vcan_tests_pass_in_a_real_kernel(kernel, tmp_path):
     environment = {k: v for k, v in os.environ.items() if k in keep}
     environment["PATH"] = f"{Path(sys.executable).parent}:/usr/sbin:/sbin:{environment['PATH']}"
     environment["GATEWAY_DEMAND_VCAN"] = "1"
-    (tmp_path / "environment").write_text(
-        "".join(f"{k}={shlex.quote(v)}\n" for k, v in environment.items())
-    )
+    (tmp_path / "environment").write_text("".join(f"{k}={shlex.quote(v)}\n" for k, v in environment.items()))
     lanes = [tmp_path / f"lane{k}" for k in range(len(KERNELS[kernel]))]
     for lane, files in zip(lanes, KERNELS[kernel], strict=True):
         lane.mkdir()
@@ -69,9 +67,9 @@ def test_the_vcan_tests_pass_in_a_real_kernel(kernel, tmp_path):
         timeout=1100,
         check=False,
     )  # fmt: skip
-    said = "".join(
-        (lane / "output").read_text() for lane in lanes if (lane / "output").exists()
-    ) or (booted.stdout + booted.stderr)
+    said = "".join((lane / "output").read_text() for lane in lanes if (lane / "output").exists()) or (
+        booted.stdout + booted.stderr
+    )
     print(said)
     for lane in lanes:
         assert (lane / "status").exists(), said

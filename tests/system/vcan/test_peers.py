@@ -117,20 +117,14 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
     assert "033629" in answers[1], "over ISO-TP, on the kernel's own CAN"
     assert "0336" in answers[2]
     seen = reports(live / "all.log")
-    assert {"Dtc": 0x033629, "Status": 0x2F, "FaultDetectionCounter": 127}.items() <= seen[
-        0
-    ].items()
+    assert {"Dtc": 0x033629, "Status": 0x2F, "FaultDetectionCounter": 127}.items() <= seen[0].items()
     assert len(seen) == 2
     # Three requests and a flow control: kernel filters kept CTW_BASE and our own frames back.
     assert events_in(live)[-1]["counters"]["unknown"] == 4
 
     ecu_only = tmp_path / "ecu.log"
     ecu_only.write_text(
-        "".join(
-            f"{line}\n"
-            for line in (live / "all.log").read_text().splitlines()
-            if re.search(r" 70[0-9]#", line)
-        )
+        "".join(f"{line}\n" for line in (live / "all.log").read_text().splitlines() if re.search(r" 70[0-9]#", line))
     )
     with (
         candump("-L", "vcan0", log=again / "all.log"),

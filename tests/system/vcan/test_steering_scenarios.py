@@ -7,9 +7,7 @@ from scenario_runs import by_config, play, run_all
 pytestmark = pytest.mark.vcan
 
 ((CONFIG, SCENARIOS),) = by_config("steering").items()
-HEALTHY, PARTS = (
-    next(p for p in SCENARIOS if p.stem == f"steering_{x}") for x in ("healthy", "parts")
-)
+HEALTHY, PARTS = (next(p for p in SCENARIOS if p.stem == f"steering_{x}") for x in ("healthy", "parts"))
 
 
 @pytest.mark.skipif(not FULL, reason="of the healthy ones one is enough: GATEWAY_TESTS=full")

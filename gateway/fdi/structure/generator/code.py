@@ -1,15 +1,16 @@
 """A residual generator as the source of a module with three kernels.
 
     reset(s, c)              the states that are carried begin at their given values
-    start(s, c, u)           the other states begin so that the residual does at zero, (24) and (25); ``u`` may be low-pass
+    start(s, c, u)           the other states begin so that the residual does at zero, (24) and (25); ``u`` may be
+    low-pass
                              filtered, as in (37) and (38)
     step(s, c, u, dt)        one sample, ``dt`` [s] after the one before (0 for the first behind a start); the residual
 
-Records: ``s`` of STATE, ``c`` of CONST (parameters, tables, bandwidths), ``u`` with a float field for each known variable.
-Where an equation gives no number (a division by zero, a root that is not real) the residual is NaN, and the states that
-depend on it keep their values.
-With several solutions (Remark 1) there is a branch, with states of its own, for each combination; the residual is the one
-nearest to zero, NaN if no branch has a real solution.
+Records: ``s`` of STATE, ``c`` of CONST (parameters, tables, bandwidths), ``u`` with a float field for each known
+variable. Where an equation gives no number (a division by zero, a root that is not real) the residual is NaN, and the
+states that depend on it keep their values.
+With several solutions (Remark 1) there is a branch, with states of its own, for each combination; the residual is the
+one nearest to zero, NaN if no branch has a real solution.
 """
 
 from __future__ import annotations
@@ -84,9 +85,7 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
     def written(self, expr: Algebra) -> str:
         """Return an expression as code; fractions are numbers."""
-        fractions = {
-            x: sympy.Float(float(x)) for x in expr.atoms(sympy.Rational) if not x.is_Integer
-        }
+        fractions = {x: sympy.Float(float(x)) for x in expr.atoms(sympy.Rational) if not x.is_Integer}
         return str(self.doprint(expr.xreplace(fractions)))
 
     def _print_Pow(self, expr: Algebra, rational: bool = False) -> str:  # noqa: N802
@@ -204,9 +203,7 @@ class _Writer:
         for k in range(len(statement.solutions)):
             last = k == len(statement.solutions) - 1
             lines.append("else:" if last else f"{'elif' if k else 'if'} {which} == {k}:")
-            lines += [
-                f"    {line}" for line in self.given(statement, k, f"{note}, solution {k + 1}")
-            ]
+            lines += [f"    {line}" for line in self.given(statement, k, f"{note}, solution {k + 1}")]
         return lines
 
     def given(self, statement: Statement, k: int, note: str) -> list[str]:
@@ -270,9 +267,7 @@ class _Writer:
         return self.branched(lines) if lines else ["pass"]
 
     def step(self) -> list[str]:
-        lines = [
-            f"{self.state(x)} += dt * s.d_{field_name(x)}{self.index}" for x in self.r.integrated
-        ]
+        lines = [f"{self.state(x)} += dt * s.d_{field_name(x)}{self.index}" for x in self.r.integrated]
         lines += self.chain(None)
         for v in self.r.outputs:
             lines.append(f"s.{_shown(v)}{self.index} = {self.names[self.of[v]]}")
@@ -309,11 +304,7 @@ class _Writer:
 
     def records(self) -> list[str]:
         form = f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
-        states = [
-            f"{name}: {form}"
-            for x in self.r.integrated
-            for name in (field_name(x), f"d_{field_name(x)}")
-        ]
+        states = [f"{name}: {form}" for x in self.r.integrated for name in (field_name(x), f"d_{field_name(x)}")]
         if self.r.transformed:
             states += [f"{name}: {form}" for name in (FILTERED, LAST, DRIVE)]
         states += [f"low_{field_name(x)}: {form}" for x in self.r.differentiated]
@@ -347,16 +338,11 @@ class _Writer:
         functions = [f for f in _MATH if f"{f}(" in text or (f in ("pi", "nan") and f in text)]
         runtime = [f for f in ("interpolate", "root", "sign") if f"{f}(" in text]
         imports = [f"from math import {', '.join(functions)}"] if functions else []
-        ours = (
-            [f"from gateway.fdi.structure.generator.runtime import {', '.join(runtime)}"]
-            if runtime
-            else []
-        )
+        ours = [f"from gateway.fdi.structure.generator.runtime import {', '.join(runtime)}"] if runtime else []
         lines = [
             f'"""Residual generator {self.name} of {self.model.name}: made from its model, not by hand.',
             "",
-            f"Consistency relation {r.consistency}"
-            + (f": {text}" if (text := self._relation()) else ""),
+            f"Consistency relation {r.consistency}" + (f": {text}" if (text := self._relation()) else ""),
             f"Sequence {shown(self.model, r.steps) or 'empty'}",
             '"""',
             "",
@@ -410,6 +396,4 @@ def write(name: str, realisation: Realisation) -> Generated:
     """
     writer = _Writer(name, realisation)
     rates = tuple(f"{z}_rate{order}" for z, order in writer.initial.rates)
-    return Generated(
-        name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated
-    )
+    return Generated(name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated)

@@ -114,7 +114,5 @@ def residual_generator(
     outputs: Sequence[str] = (),
 ) -> Loaded:
     """Return a residual generator of a model that runs (see :func:`realise` for the arguments and errors)."""
-    realisation = realise(
-        model, equations, consistency, differentiate=differentiate, start=start, outputs=outputs
-    )
+    realisation = realise(model, equations, consistency, differentiate=differentiate, start=start, outputs=outputs)
     return load(write(name or consistency, realisation))

@@ -4,11 +4,12 @@ Three kinds of state:
 
 - of **integral causality**, x := x + dt der(x), with der(x) of the sample before;
 - of the **state transformation** (20), where the consistency relation contains the derivative of a variable x that is
-  computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight and b held between two
-  samples at a distance h, the filter is r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)), d = exp(-alpha h); its
-  gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha h / 2 of
-  its slope.) It begins with r = 0, (25);
-- of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and the
+  computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight and b held between
+  two samples at a distance h, the filter is r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)), d = exp(-alpha h);
+  its gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha
+  h / 2 of its slope.) It begins with r = 0, (25);
+- of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and
+the
   filter's slope is taken for der(x).
 """
 
@@ -172,17 +173,13 @@ def _residual(symbols: Symbols, model: Model, consistency: str, transformed: str
     return _transformation(symbols, residual, transformed, consistency) if transformed else residual
 
 
-def _transformed(
-    model: Model, equations: frozenset[str], consistency: str, steps: tuple[Step, ...]
-) -> str:
+def _transformed(model: Model, equations: frozenset[str], consistency: str, steps: tuple[Step, ...]) -> str:
     """Return the variable whose derivative stands in the consistency relation and nowhere else, empty if none."""
     check = model.by_name[consistency]
     if check.differential:
         return check.differential
     state = check.derivative
-    if not state or not any(
-        s.kind is Kind.DIFFERENTIATE and state_of(s.variables[0]) == state for s in steps
-    ):
+    if not state or not any(s.kind is Kind.DIFFERENTIATE and state_of(s.variables[0]) == state for s in steps):
         return ""
     others = (e for e in model.equations if e.name in equations and not e.differential)
     elsewhere = any(der(state) in e.variables for e in others if e.name != consistency)
@@ -194,7 +191,5 @@ def _transformation(symbols: Symbols, residual: Algebra, state: str, consistency
     derivative = symbols.of[der(state)]
     slope = sympy.diff(residual, derivative)
     if slope == 0 or slope.has(derivative):
-        raise NotSolvableError(
-            f"equation {consistency} is not linear in der({state}): (20a) does not hold"
-        )
+        raise NotSolvableError(f"equation {consistency} is not linear in der({state}): (20a) does not hold")
     return residual.subs(derivative, 0) / slope

@@ -26,8 +26,8 @@ def solve(model: Model, symbols: Symbols, step: Step) -> tuple[Solution, ...]:
     """Return the solutions of a step; several are for Remark 1 of paper 004.
 
     Raises:
-        NotSolvableError: the model says that it cannot be solved, or says nothing of a loop; an equation is known by its
-            structure only; or algebra finds another number of solutions than the model declares.
+        NotSolvableError: the model says that it cannot be solved, or says nothing of a loop; an equation is known by
+            its structure only; or algebra finds another number of solutions than the model declares.
     """
     where = ", ".join(step.equations)
     what = ", ".join(step.variables)
@@ -60,14 +60,10 @@ def _linear(residual: Algebra, symbol: Algebra) -> Algebra | None:
     return sympy.cancel(found) if found.is_rational_function() else found
 
 
-def _one(
-    symbols: Symbols, equation: Equation, variable: str
-) -> tuple[tuple[Solution, ...], Solvable]:
+def _one(symbols: Symbols, equation: Equation, variable: str) -> tuple[tuple[Solution, ...], Solvable]:
     declared = equation.solvable.get(variable, Solvable.NONE)
     if declared is Solvable.NONE:
-        raise NotSolvableError(
-            f"equation {equation.name} cannot be solved for {variable}: not declared"
-        )
+        raise NotSolvableError(f"equation {equation.name} cannot be solved for {variable}: not declared")
     given = equation.solutions.get(variable)
     if given:
         return tuple({variable: symbols.expression(one)} for one in given), declared
@@ -81,9 +77,7 @@ def _one(
     linear = _linear(residual, symbol)
     if linear is not None:
         return ({variable: linear},), declared
-    return tuple(
-        {variable: one} for one in _solutions([residual], [symbol], equation.name)[0]
-    ), declared
+    return tuple({variable: one} for one in _solutions([residual], [symbol], equation.name)[0]), declared
 
 
 def _several(
@@ -93,26 +87,20 @@ def _several(
     loop = find_loop(model, step)
     if loop is None or loop.solvable is Solvable.NONE:
         why = "not declared" if loop is None else "declared as not solvable"
-        raise NotSolvableError(
-            f"algebraic loop {{{where}}} for {{{', '.join(step.variables)}}}: {why}"
-        )
+        raise NotSolvableError(f"algebraic loop {{{where}}} for {{{', '.join(step.variables)}}}: {why}")
     if loop.solutions:
         found = [{v: symbols.expression(e) for v, e in one.items()} for one in loop.solutions]
         return tuple(found), loop.solvable
     residuals = [symbols.residual(e.relation) for e in equations if e.relation is not None]
     wanted = [symbols.of[v] for v in step.variables]
     columns = _solutions(residuals, wanted, where)
-    return tuple(
-        dict(zip(step.variables, row, strict=True)) for row in zip(*columns, strict=True)
-    ), loop.solvable
+    return tuple(dict(zip(step.variables, row, strict=True)) for row in zip(*columns, strict=True)), loop.solvable
 
 
 def find_loop(model: Model, step: Step) -> Loop | None:
     """Return what a model declares of a loop."""
     equations, variables = frozenset(step.equations), frozenset(step.variables)
-    return next(
-        (x for x in model.loops if x.equations == equations and x.variables == variables), None
-    )
+    return next((x for x in model.loops if x.equations == equations and x.variables == variables), None)
 
 
 def _solutions(residuals: list[Algebra], wanted: list[Algebra], where: str) -> list[list[Algebra]]:
@@ -122,12 +110,8 @@ def _solutions(residuals: list[Algebra], wanted: list[Algebra], where: str) -> l
     try:
         found = sympy.solve(cleared, wanted, dict=True)
     except NotImplementedError as error:
-        raise NotSolvableError(
-            f"{where}: algebra does not solve it; give the solution in the model"
-        ) from error
+        raise NotSolvableError(f"{where}: algebra does not solve it; give the solution in the model") from error
     complete = [one for one in found if all(symbol in one for symbol in wanted)]
     if len(complete) != len(found) or not found:
-        raise NotSolvableError(
-            f"{where}: algebra does not solve it; give the solution in the model"
-        )
+        raise NotSolvableError(f"{where}: algebra does not solve it; give the solution in the model")
     return [[one[symbol] for one in complete] for symbol in wanted]

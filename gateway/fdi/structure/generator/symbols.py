@@ -64,11 +64,7 @@ class Symbols:
 
     def _tree(self, node: ast.expr) -> Algebra:
         if isinstance(node, ast.Constant):
-            return (
-                sympy.Integer(node.value)
-                if isinstance(node.value, int)
-                else sympy.Float(node.value)
-            )
+            return sympy.Integer(node.value) if isinstance(node.value, int) else sympy.Float(node.value)
         if isinstance(node, ast.Name):
             return sympy.pi if node.id == "pi" else self.of[node.id]
         if isinstance(node, ast.BinOp):
@@ -79,18 +75,14 @@ class Symbols:
                 return sympy.Not(value)
             return -value if isinstance(node.op, ast.USub) else value
         if isinstance(node, ast.IfExp):
-            return sympy.Piecewise(
-                (self._tree(node.body), self._tree(node.test)), (self._tree(node.orelse), True)
-            )
+            return sympy.Piecewise((self._tree(node.body), self._tree(node.test)), (self._tree(node.orelse), True))
         if isinstance(node, ast.BoolOp):
             join = sympy.And if isinstance(node.op, ast.And) else sympy.Or
             return join(*(self._tree(value) for value in node.values))
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             pairs = zip(node.ops, sides, sides[1:], strict=False)
-            return sympy.And(
-                *(_COMPARE[type(op)](self._tree(a), self._tree(b)) for op, a, b in pairs)
-            )
+            return sympy.And(*(_COMPARE[type(op)](self._tree(a), self._tree(b)) for op, a, b in pairs))
         return self._call(node)
 
     def _call(self, node: ast.expr) -> Algebra:

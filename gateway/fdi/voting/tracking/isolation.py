@@ -107,9 +107,7 @@ def judge(s: State, c: Const, trusted: int) -> None:
         if s.why[i] == DRIFTED:
             if inside:
                 mismatch.learn(s.mismatch, i, off, 1.0)
-            inside = inside and abs(s.mismatch.level[i] - mismatch.centre(s.mismatch, n)) < (
-                c.tolerance / 2.0
-            )
+            inside = inside and abs(s.mismatch.level[i] - mismatch.centre(s.mismatch, n)) < (c.tolerance / 2.0)
         if inside and not (s.why[i] == FROZEN and h.same[i] >= FEW):
             s.back[i] += 1
         else:

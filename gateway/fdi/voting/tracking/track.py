@@ -80,8 +80,6 @@ def follow(s: State, c: Const, i: int, dt: float) -> None:
     """Begin a new track on the line that channel ``i`` goes."""
     h = s.habits
     v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
-    motion.restart(
-        s.motion, s.z[i], v, c.variance, c.variance / 2.0 + c.bend * c.bend + v * v / 16.0
-    )
+    motion.restart(s.motion, s.z[i], v, c.variance, c.variance / 2.0 + c.bend * c.bend + v * v / 16.0)
     accept(s, c, 1 << i, FOLLOWED)
     s.sure = 0

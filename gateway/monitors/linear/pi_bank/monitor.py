@@ -77,14 +77,10 @@ def _faults(p: Params) -> tuple[Fault, ...]:
     ]
     for k, part in enumerate(p.input, start=1):
         text = f"actuator {part.name}: does something else than it is commanded"
-        found.append(
-            Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND)
-        )
+        found.append(Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND))
     for k, sensor in enumerate(p.output, start=1):
         text = f"sensor {sensor.name}: contradicts the others"
-        found.append(
-            Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND)
-        )
+        found.append(Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND))
     return tuple(found)
 
 
@@ -109,9 +105,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _report(
-    s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]
-) -> None:
+def _report(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
     """Report a test with size and innovations as evidence."""
     e = report(out, fault, failed, abs(value), limit)
     if not failed:

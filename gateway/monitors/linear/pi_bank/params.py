@@ -26,9 +26,7 @@ class Params(PlantParams):
         description="jumps: likelihood ratio on the innovations, latched; products: (15) and (16) of the paper",
     )
     start_s: float = Field(5.0, gt=0, description="at the start nothing is judged for so long [s]")
-    hold_s: float = Field(
-        2.0, gt=0, description="a sensor is well when it has been for so long [s]"
-    )
+    hold_s: float = Field(2.0, gt=0, description="a sensor is well when it has been for so long [s]")
 
     @model_validator(mode="after")
     def _bank_can_be_built(self) -> Self:
@@ -48,9 +46,7 @@ class Params(PlantParams):
         """The bank."""
         poles = None
         if self.poles is not None:
-            given = [
-                complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles
-            ]
+            given = [complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles]
             poles = tuple(exp(pole * self.sample_ms * 1e-3) for pole in given)
         return design(self.plant, self.noise, poles)
 

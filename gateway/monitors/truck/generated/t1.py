@@ -1,4 +1,4 @@
-"""Residual generator T1 of hybrid_truck: made from its model, not by hand.
+"""Residual generator T1 of truck: made from its model, not by hand.
 
 Consistency relation e34: U_em_sens = U_em + f_em_U_sens
 Sequence ({U_em}, {e7})

@@ -1,4 +1,4 @@
-"""Residual generator T2 of hybrid_truck: made from its model, not by hand.
+"""Residual generator T2 of truck: made from its model, not by hand.
 
 Consistency relation e11: I_b = I_em * U_em / U_b
 Sequence ({I_b}, {e33}), ({SoC}, {e4}), ({U_oc}, {e5}), ({U_b}, {e6}), ({I_em}, {e35}), ({u_gb}, {e18}), ({omega_gb}, {e37}), ({omega_mj}, {e23}), ({omega_em}, {e16}), ({U_em}, {e8})

@@ -1,4 +1,4 @@
-"""Residual generator T3_MCDS of hybrid_truck: made from its model, not by hand.
+"""Residual generator T3_MCDS of truck: made from its model, not by hand.
 
 Consistency relation e30: der(omega_w) = T_net / (J_tot * u_f**2 + m_v * r_w**2)
 Sequence ({omega_e}, {e36}), ({m_f}, {e1}), ({p_f}, {e3}), ({T_e}, {e2}), ({U_em}, {e7}), ({u_gb}, {e18}), ({omega_gb}, {e37}), ({omega_mj}, {e23}), ({omega_em}, {e16}), ({I_em}, {e8}), ({k_a}, {e9}), ({T_em}, {e10}), ({T_c}, {e12}), ({T_mj}, {e14}), ({J_mj}, {e15}), ({J_gb}, {e17}), ({T_gbl}, {e20}), ({eta_gb}, {e19}), ({T_gb}, {e21}), ({J_tot}, {e22}), ({m_v}, {e24}), ({omega_w}, {e32}), ({T_d}, {e25}), ({T_r}, {e26}), ({T_g}, {e27}), ({T_b}, {e28}), ({T_net}, {e29})

@@ -1,4 +1,4 @@
-"""Residual generator T5 of hybrid_truck: made from its model, not by hand.
+"""Residual generator T5 of truck: made from its model, not by hand.
 
 Consistency relation e37: omega_gb_sens = omega_gb
 Sequence ({U_em}, {e7}), ({I_em}, {e35}), ({omega_em}, {e8}), ({omega_mj}, {e16}), ({u_gb}, {e18}), ({omega_gb}, {e23})

@@ -1,4 +1,4 @@
-"""Residual generator T6 of hybrid_truck: made from its model, not by hand.
+"""Residual generator T6 of truck: made from its model, not by hand.
 
 Consistency relation e11: I_b = I_em * U_em / U_b
 Sequence ({I_b}, {e33}), ({SoC}, {e4}), ({U_oc}, {e5}), ({U_b}, {e6}), ({U_em}, {e34}), ({I_em}, {e35})

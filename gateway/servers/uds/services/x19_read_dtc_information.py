@@ -72,9 +72,7 @@ def _by_status(c: Context, rest: bytes) -> bytes:
 def _snapshot_identification(c: Context, _rest: bytes) -> bytes:
     """03 reportDTCSnapshotIdentification."""
     return b"".join(
-        bytes(entry.dtc) + bytes([frame.number])
-        for entry in c.memory.supported()
-        for frame in entry.freeze_frames
+        bytes(entry.dtc) + bytes([frame.number]) for entry in c.memory.supported() for frame in entry.freeze_frames
     )
 
 
@@ -169,11 +167,7 @@ def _permanent_status(c: Context, _rest: bytes) -> bytes:
 
 def _in_group(c: Context, group: int, entries: Iterable[Entry]) -> list[Entry]:
     refuse_unless(group in (EMISSION_GROUP, ALL_GROUPS), Nrc.REQUEST_OUT_OF_RANGE)
-    return [
-        entry
-        for entry in entries
-        if group == ALL_GROUPS or c.memory.definition(entry.fault).emission_related
-    ]
+    return [entry for entry in entries if group == ALL_GROUPS or c.memory.definition(entry.fault).emission_related]
 
 
 def _wwh_by_mask(c: Context, rest: bytes) -> bytes:

@@ -7,9 +7,7 @@ from gateway.servers.uds.nrc import Nrc, refuse_unless
 
 
 def _sub_functions(c: Context) -> SubFunctions:
-    return {
-        number: NOT_DEFAULT for level in c.security.levels for number in (2 * level - 1, 2 * level)
-    }
+    return {number: NOT_DEFAULT for level in c.security.levels for number in (2 * level - 1, 2 * level)}
 
 
 def _handle(c: Context, request: bytes) -> bytes:

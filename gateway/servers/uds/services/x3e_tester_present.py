@@ -9,6 +9,4 @@ def _handle(_c: Context, request: bytes) -> bytes:
     return bytes([request[1] & 0x7F])
 
 
-SERVICE = Service(
-    0x3E, "TesterPresent", _handle, lambda _: {0x00: ANY_SESSION}, shortest=2, longest=2
-)
+SERVICE = Service(0x3E, "TesterPresent", _handle, lambda _: {0x00: ANY_SESSION}, shortest=2, longest=2)

@@ -1,4 +1,4 @@
-"""0x85 ControlDTCSetting (ISO 14229-1, 9.10): status bytes are updated, or frozen; on again with the default session."""
+"""0x85 ControlDTCSetting (ISO 14229-1, 9.10): status bytes are updated or frozen; on again by default."""
 
 from __future__ import annotations
 
