@@ -14,7 +14,7 @@ ENGINE = (
     "engine",
     "bus/test_adapters.py",
     "signals/test_random_databases.py",
-    "signals/test_crc_and_codec.py",
+    "signals/test_tooth_codec.py",
 )
 MONITORS = ("monitors", "--ignore=monitors/crank")
 

@@ -35,8 +35,8 @@ from gateway.engine.wiring import Wired, wire
 from gateway.errors import InputError
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS
-from gateway.signals.crc import ALGORITHMS, crc8_table
 from gateway.signals.database import Database
+from gateway.signals.protection import protection
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
 
 
@@ -90,7 +90,8 @@ def build_engine(
     faults: list[FaultSlot] = []
     made = _handlers(monitors, wirings, plan, faults)
     vectors, triggers = _vectors(len(plan.messages), made.triggered)
-    check_rows = _checks(checks, plan, by_bus, vectors, faults)
+    crcs = protection.Tables()
+    check_rows = _checks(checks, plan, by_bus, vectors, faults, crcs)
     health = _health(buses, clock, faults)
     faults += reported
     verdicts = _verdicts(faults, debounces or {}, gates, plan)
@@ -98,6 +99,7 @@ def build_engine(
         plan,
         made,
         verdicts,
+        crcs,
         vectors=vectors,
         triggers=np.asarray(triggers, np.int32),
         checks=check_rows,
@@ -233,12 +235,13 @@ def _checks(
     databases: Mapping[int, Database],
     vectors: Any,
     faults: list[FaultSlot],
+    crcs: protection.Tables,
 ) -> Any:
     """Return the table of message checks; their faults are appended to ``faults``."""
     rows = table(len(checks), Check)
     for k, check in enumerate(checks):
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
-        faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults))
+        faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs)
     return rows
 
 
@@ -294,11 +297,11 @@ def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> 
                 )
 
 
-def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, **others: Any) -> Tables:
+def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protection.Tables, **others: Any) -> Tables:
     """Put all tables together; ``others`` are given as they are."""
     known = set(plan.message_names)
     emits, emit_signals = emission.fill(
-        made.emitted, [(entry.bus, entry.message.name) in known for entry in made.emitted]
+        made.emitted, [(entry.bus, entry.message.name) in known for entry in made.emitted], crcs
     )
     outbox, outbox_cells = emission.outbox()
     out, clock = table(1, RESULTS), table(1, Clock)
@@ -318,7 +321,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, **others: An
         sources=np.asarray(made.sources, np.int32),
         pool=made.pool,
         pool_ns=made.pool.view(np.int64),
-        crc_tables=np.stack([crc8_table(name) for name in ALGORITHMS]),
+        crc_tables=crcs.array(),
         debounces=verdicts.debounces,
         conditions=verdicts.conditions,
         roots=verdicts.roots,

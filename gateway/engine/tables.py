@@ -123,6 +123,8 @@ class ClockState(Record):
     invalid_values: i8
     crc_failed: i8
     repeated: i8
+    wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
+    window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")
     timeouts: i8
     results_lost: i8 = means("results that there was no room for")
     results_unknown: i8 = means("results of a fault that the monitor does not have")
@@ -162,7 +164,7 @@ class Tables(NamedTuple):
     pool: NDArray[np.float64]
     pool_ns: NDArray[np.int64]
     checks: NDArray[np.void]
-    crc_tables: NDArray[np.uint8]
+    crc_tables: NDArray[np.uint64]
     debounces: NDArray[np.void]
     conditions: NDArray[np.void]
     roots: NDArray[np.int32]

@@ -30,6 +30,8 @@ from gateway.jit.records import (
     u1,
     u1s,
     u4,
+    u8,
+    u8s,
     zeros,
 )
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
@@ -37,5 +39,5 @@ from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 __all__ = [
     "BOUNDSCHECK", "COMPILED", "Kernel", "Meaning", "Record", "bound", "cache_directory", "call_entry", "entry_point",
     "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel", "labels", "lowest_bit", "means", "record", "record_at",
-    "u1", "u1s", "u4", "zeros",
+    "u1", "u1s", "u4", "u8", "u8s", "zeros",
 ]  # fmt: skip

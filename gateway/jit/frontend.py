@@ -74,6 +74,10 @@ def _widened(kind: Any) -> Any:
 class Callee(CPUDispatcher):
     """A kernel as kernels call it."""
 
+    def __repr__(self) -> str:
+        """Return its name: types of tuples with kernels in them have it in theirs, and no address must come into code."""
+        return f"Callee({self.py_func.__module__}.{self.py_func.__qualname__})"
+
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Return how numba types a call (see its Dispatcher)."""
         python_signature, args = self._compiler.fold_argument_types(args, kws)

@@ -35,12 +35,14 @@ i8: TypeAlias = Annotated[int, "<i8"]
 i4: TypeAlias = Annotated[int, "<i4"]
 i2: TypeAlias = Annotated[int, "<i2"]
 i1: TypeAlias = Annotated[int, "i1"]
+u8: TypeAlias = Annotated[int, "<u8"]
 u4: TypeAlias = Annotated[int, "<u4"]
 u1: TypeAlias = Annotated[int, "u1"]
 #: Arrays of them, of the shape that follows: ``Annotated[f8s, 3, 4]``.
 f8s: TypeAlias = Annotated[NDArray[np.float64], "<f8"]
 i8s: TypeAlias = Annotated[NDArray[np.int64], "<i8"]
 i4s: TypeAlias = Annotated[NDArray[np.int32], "<i4"]
+u8s: TypeAlias = Annotated[NDArray[np.uint64], "<u8"]
 u1s: TypeAlias = Annotated[NDArray[np.uint8], "u1"]
 
 

@@ -1,10 +1,4 @@
-"""Decode kernels: one frame's payload into physical values, by the tables of a decode plan.
-
-The payload is read as 64-bit words. A little-endian signal starts at bit ``s`` of the payload: word
-``s >> 6``, shift ``s & 63``, what spills over comes from the next word. For a big-endian signal count
-bits from the first byte's most significant one: its last bit is ``q``; in byte-swapped words that is
-word ``q >> 6``, shift ``63 - (q & 63)``, and the spill comes from the word before.
-"""
+"""Decode kernels: one frame's payload into physical values, by the tables of a decode plan."""
 
 from __future__ import annotations
 
@@ -13,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gateway.jit import f8, i2, i4, kernel, record, u1, u4
+from gateway.signals.bits import read_bits
 
 OK, TOO_SHORT, UNKNOWN_MUX, INVALID_VALUE = 0, 1, 2, 3
 
@@ -97,16 +92,6 @@ def lookup(keys: Any, rows: Any, bus: int, can_id: int) -> int:
 
 
 @kernel
-def swapped(word: Any) -> Any:
-    """Return a 64-bit word with its bytes reversed."""
-    low8 = np.uint64(0x00FF00FF00FF00FF)
-    low16 = np.uint64(0x0000FFFF0000FFFF)
-    word = ((word >> np.uint64(8)) & low8) | ((word & low8) << np.uint64(8))
-    word = ((word >> np.uint64(16)) & low16) | ((word & low16) << np.uint64(16))
-    return (word >> np.uint64(32)) | (word << np.uint64(32))
-
-
-@kernel
 def ieee(bits: Any, exponent_bits: int, mantissa_bits: int) -> float:
     """Return the value of an IEEE 754 binary16, binary32 or binary64 pattern."""
     top = (1 << exponent_bits) - 1
@@ -129,28 +114,18 @@ def extract(words: Any, s: Any) -> float:
         words: payload, 8 little-endian uint64.
         s: record of SIGNAL.
     """
-    shift = np.uint64(s.shift)
-    if s.big == 1:
-        bits = swapped(words[s.word]) >> shift
-        if s.spill == 1:
-            bits |= swapped(words[s.word - 1]) << (np.uint64(64) - shift)
-    else:
-        bits = words[s.word] >> shift
-        if s.spill == 1:
-            bits |= words[s.word + 1] << (np.uint64(64) - shift)
-    unused = np.uint64(64 - s.length)
+    bits = read_bits(words, s)
     if s.kind == SIGNED:
+        unused = np.uint64(64 - s.length)
         raw = float(np.int64(bits << unused) >> np.int64(unused))
+    elif s.kind == UNSIGNED:
+        raw = float(bits)
+    elif s.kind == FLOAT32:
+        raw = ieee(bits, 8, 23)
+    elif s.kind == FLOAT64:
+        raw = ieee(bits, 11, 52)
     else:
-        bits = (bits << unused) >> unused
-        if s.kind == UNSIGNED:
-            raw = float(bits)
-        elif s.kind == FLOAT32:
-            raw = ieee(bits, 8, 23)
-        elif s.kind == FLOAT64:
-            raw = ieee(bits, 11, 52)
-        else:
-            raw = ieee(bits, 5, 10)
+        raw = ieee(bits, 5, 10)
     return float(raw * s.scale + s.offset)
 
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from gateway.jit import kernel
-from gateway.signals.decode import SIGNED, swapped
+from gateway.signals.bits import write_bits
+from gateway.signals.decode import SIGNED
 
 
 @kernel
@@ -33,15 +34,4 @@ def insert(words: Any, s: Any, value: float) -> None:
     else:
         # 2^64 - 1 is not a float64: what rounds up to 2^64 is the largest value.
         bits = np.uint64(raw) if raw < 2.0**64 else np.uint64(0xFFFFFFFFFFFFFFFF)
-    unused = np.uint64(64 - s.length)
-    bits = (bits << unused) >> unused
-    shift = np.uint64(s.shift)
-    if s.big == 1:
-        words[s.word] = swapped(swapped(words[s.word]) | (bits << shift))
-        if s.spill == 1:
-            rest = bits >> (np.uint64(64) - shift)
-            words[s.word - 1] = swapped(swapped(words[s.word - 1]) | rest)
-    else:
-        words[s.word] |= bits << shift
-        if s.spill == 1:
-            words[s.word + 1] |= bits >> (np.uint64(64) - shift)
+    write_bits(words, s, bits)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import EXTENDED
 from gateway.errors import InputError
 from gateway.jit import COMPILED
+from gateway.signals.bits import place
 from gateway.signals.database import Database
 from gateway.signals.decode import (
     FLOAT16,
@@ -155,15 +156,7 @@ def _valid_range(signal: Signal) -> tuple[float, float]:
 
 
 def _fill(row: Any, signal: Signal) -> None:
-    if signal.byte_order == "big_endian":
-        first = 8 * (signal.start // 8) + 7 - signal.start % 8
-        last = first + signal.length - 1
-        row["big"] = 1
-        row["word"], row["shift"] = last >> 6, 63 - (last & 63)
-    else:
-        row["word"], row["shift"] = signal.start >> 6, signal.start & 63
-    row["length"] = signal.length
-    row["spill"] = int(row["shift"]) + signal.length > 64
+    place(row, signal.start, signal.length, big=signal.byte_order == "big_endian")
     if signal.is_float:
         row["kind"] = _FLOATS[signal.length]
         row["low"], row["high"] = _valid_range(signal)

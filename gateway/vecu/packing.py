@@ -11,9 +11,8 @@ import numpy as np
 from cantools.database.can import Message, Signal
 from numpy.typing import ArrayLike, NDArray
 
-from gateway.signals.crc import ALGORITHMS, crc8_table
-
-_CRC = "crc8_sae_j1850"
+from gateway.signals.protection.own import prepared
+from gateway.signals.protection.protection import protect_all
 
 
 def _raw(signal: Signal, values: ArrayLike) -> NDArray[np.int64]:
@@ -62,14 +61,8 @@ def pack(message: Message, columns: Mapping[str, ArrayLike], crc: str = "Crc") -
         raw = _raw(signal, columns[signal.name])
         mask = (1 << signal.length) - 1
         words |= (raw & mask).astype(np.uint64) << np.uint64(signal.start)
-    data = words.astype("<u8").view(np.uint8).reshape(count, 8)[:, : message.length].copy()
-    at = message.get_signal_by_name(crc).start // 8
-    table, algorithm = crc8_table(_CRC), ALGORITHMS[_CRC]
-    value = np.full(count, algorithm.init, np.uint8)
-    for k in range(message.length):
-        if k != at:
-            value = table[value ^ data[:, k]]
-    for part in (message.frame_id & 0xFF, message.frame_id >> 8 & 0xFF):
-        value = table[value ^ np.uint8(part)]
-    data[:, at] = value ^ np.uint8(algorithm.xorout)
-    return data
+    payloads = np.zeros((count, 8), np.uint64)
+    payloads[:, 0] = words
+    row, tables = prepared(message, crc, None)
+    protect_all(payloads, np.full(count, message.length), row, tables, 0)
+    return payloads.view(np.uint8)[:, : message.length].copy()

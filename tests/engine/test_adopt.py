@@ -244,7 +244,7 @@ def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():
     ):
         names = [name for part in parts for name in part.dtype.names]
         assert sorted(names) == sorted(whole.dtype.names)
-    with pytest.raises(TypeError, match="two of its bases have counter"):
+    with pytest.raises(TypeError, match="two of its bases have bus"):
 
         class Both(DebounceState, CheckPlace):
             pass

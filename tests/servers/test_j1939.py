@@ -232,8 +232,10 @@ def test_dm5_counts_and_readiness(make):
 
 
 def test_freeze_frames(make):
-    more = 'freeze_frame = [{ spn = 190, signal = "M0.Value", length = 2, scale = 0.125 }, { spn ='
-    ' 84, signal = "M1.Value" }]\n'
+    more = (
+        'freeze_frame = [{ spn = 190, signal = "M0.Value", length = 2, scale = 0.125 },'
+        ' { spn = 84, signal = "M1.Value" }]\n'
+    )
     rig = make(faults={0: coded(0x7ABCD, 3)}, more=more)
     assert rig.of(0xFDB6, rig.request(0xFDB6)) == [bytes.fromhex("BE001E02 54001E01")]
     assert rig.of(0xFDB7, rig.request(0xFDB7)) == [bytes.fromhex("0000000000FFFFFF")]

@@ -6,28 +6,30 @@ that corrupt data cannot look like a physical fault. A jump of the counter (fram
 but the frame's data are good and are used (AUTOSAR E2E: OKSOMELOST against REPEATED).
 
 Failure type bytes (SAE J2012): 87 missing message, 82 alive counter incorrect, 83 protection
-calculation incorrect, 81 invalid serial data received, 29 signal invalid.
+calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 invalid configuration.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-import numpy as np
+from cantools.database.can import Message
 from pydantic import Field
 
 from gateway.common.times import NEVER
-from gateway.common.tomlfile import StrictModel
 from gateway.engine.instances import FaultSlot
 from gateway.errors import InputError
-from gateway.jit import Record, i4, i4s, i8, kernel, means, u1
+from gateway.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
-from gateway.signals.crc import ALGORITHMS, crc8
+from gateway.signals.bits import field_of, mask_of
 from gateway.signals.database import Database
+from gateway.signals.protection import protection
+from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
 
-TIMEOUT, COUNTER, CRC, LENGTH, VALUE = range(5)
+TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE = range(6)
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -57,7 +59,7 @@ FAULTS = (
         "CRC does not match the payload",
         ("received", "computed"),
         Debounce(failed_after=2, passed_after=50),
-        remedy="check the wires of the bus for disturbances; if every frame fails, the rule in [[bus.check]]",
+        remedy="check the wires of the bus for disturbances",
     ),
     Fault(
         "length",
@@ -75,37 +77,31 @@ FAULTS = (
         Debounce(failed_after=2, passed_after=50),
         remedy="check what the sender computes; and the type of the signal in the database",
     ),
+    Fault(
+        "rule",
+        "U0401-56",
+        "no frame ever passed its CRC or checksum: the configured rule is not the sender's",
+        ("frames", "received", "computed"),
+        Debounce(failed_after=1, passed_after=1, jump_down=True),
+        remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
+    ),
 )
 
-
-class CounterCheck(StrictModel):
-    """Alive counter: a signal that every transmission raises by one, modulo its range."""
-
-    signal: str = Field(description="name of the counter signal")
-    max_step: int = Field(1, ge=1, description="largest step that is not a failure")
-
-
-class CrcCheck(StrictModel):
-    """CRC over the payload without the CRC byte, then the data id (low byte first)."""
-
-    signal: str = Field(description="name of the CRC signal: 8 bits on a byte boundary")
-    algorithm: Literal["crc8_sae_j1850", "crc8_autosar"] = Field(
-        "crc8_sae_j1850", description="polynomial 0x1D, or 0x2F (AUTOSAR CRC8H2F)"
-    )
-    data_id: int | None = Field(None, ge=0, le=0xFFFF, description="16-bit data id appended to the payload")
+#: So many frames must fail from the start, and none pass, until the rule is doubted instead of the sender.
+MISFITS = 20
+#: Of these so many are kept, to try other rules on.
+SAMPLES = 4
 
 
 #: Base code of a DTC in TOML: a network code without its failure type.
 BaseCode = Annotated[str, Field(pattern=r"^U[0-3][0-9A-F]{3}$")]
 
 
-class Params(MonitorParams):
+class Params(MonitorParams, ProtectionParams):
     """Checks of one message."""
 
     message: str = Field(description="name of the message in the bus's database")
     timeout_ms: float | None = Field(None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched")
-    counter: CounterCheck | None = None
-    crc: CrcCheck | None = None
     length: bool = Field(True, description="judge frames shorter than the message")
     value: bool = Field(
         True,
@@ -125,7 +121,7 @@ class CheckPlace(Record):
     """Places in other tables."""
 
     fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
-    counter: i4 = means("place of the counter among the message's signals")
+    presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
     bus: u1
 
 
@@ -133,14 +129,8 @@ class CheckConst(Record):
     """What is asked of the message."""
 
     timeout_ns: i8 = means(unit="ns")
-    modulo: i4
-    max_step: i4
-    crc_byte: i4
-    data_id: i4
-    crc_init: i4
-    crc_xor: i4
-    crc_table: i4
     length: i4
+    protection: ProtectionConst
 
 
 class CheckState(Record):
@@ -148,45 +138,20 @@ class CheckState(Record):
 
     deadline_ns: i8 = means(unit="ns")
     silent_ns: i8 = means(unit="ns")
-    last_counter: i4
+    last_counter: i8
+    passed: i8 = means("frames whose checksum was right")
     unread: i4 = means("frames rejected since the counter was last read")
+    misfits: i4 = means("frames whose checksum was wrong before the first right one")
     seen: u1
+    window: u1 = means("of E2E: NO_DATA, STARTING, VALID, INVALID")
+    ok: u8 = means("bit k: the frame k frames ago was right")
+    wrong: u8 = means("bit k: its checksum was not")
+    samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
+    lengths: Annotated[i4s, SAMPLES]
 
 
 class Check(CheckState, CheckConst, CheckPlace):
     """The checks of one message."""
-
-
-@kernel
-def check_crc(check: Any, words: Any, length: int, tables: Any) -> tuple[int, int]:
-    """Return the CRC that a frame carries and the one its payload asks for.
-
-    Args:
-        check: record of :class:`Check`.
-        words: payload as 8 little-endian uint64 words.
-        length: payload length [byte].
-        tables: uint8, shape (algorithms, 256).
-    """
-    at = check.crc_byte
-    received = np.int64((words[at >> 3] >> np.uint64((at & 7) * 8)) & np.uint64(0xFF))
-    computed = crc8(
-        words,
-        length,
-        at,
-        check.data_id,
-        tables[check.crc_table],
-        check.crc_init,
-        check.crc_xor,
-    )
-    return int(received), int(computed)
-
-
-@kernel
-def counter_step(check: Any, received: int) -> int:
-    """Return by how much the alive counter rose since the last frame (1 at the first)."""
-    if check.seen == 0:
-        return 1
-    return int((received - check.last_counter) % check.modulo)
 
 
 @dataclass(frozen=True)
@@ -199,56 +164,67 @@ class CheckInstance:
 
 
 def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
-    """Return the signals that a check needs decoded."""
-    p = check.params
+    """Return the signals that a check needs decoded: those whose presence a multiplexer decides.
+
+    Raises:
+        InputError: the message is not there; its protection does not fit it.
+    """
+    message, asked = _message(check, database), _protection(check, database)
+    fields = [] if asked.checksum is None else [asked.field]
+    fields += [] if asked.counter is None else [asked.counter.field]
+    taken = sum(mask_of(field) for field in fields)
+    return [
+        SignalRef(check.bus, message.name, signal.name)
+        for signal in message.signals
+        if signal.multiplexer_ids and mask_of(field_of(signal)) & taken
+    ]
+
+
+def _key(check: CheckInstance) -> str:
+    return f'check of "{check.params.message}"'
+
+
+def _message(check: CheckInstance, database: Database) -> Message:
     try:
-        database.message(p.message)
-        if p.counter is None:
-            return []
-        database.signal(p.message, p.counter.signal)
+        return database.message(check.params.message)
     except InputError as error:
-        raise InputError(error.message, key=f'check of "{p.message}"', value=error.value) from error
-    return [SignalRef(check.bus, p.message, p.counter.signal)]
+        raise InputError(error.message, key=_key(check), value=error.value) from error
 
 
-def fill(row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int) -> list[FaultSlot]:
+def _protection(check: CheckInstance, database: Database) -> Protection:
+    try:
+        return protection_for(_message(check, database), check.params)
+    except InputError as error:
+        key = f"{_key(check)}.{error.key}" if error.key else _key(check)
+        raise InputError(error.message, key=key, value=error.value) from error
+
+
+def fill(
+    row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int, crcs: Tables
+) -> list[FaultSlot]:
     """Fill one row of checks; returns the faults it can report, in order."""
-    p = check.params
-    message = database.message(p.message)
-    asked = (
+    p, message, asked = check.params, _message(check, database), _protection(check, database)
+    summed = asked.checksum is not None
+    wanted = (
         p.timeout_ms is not None,
-        p.counter is not None,
-        p.crc is not None,
+        asked.counter is not None,
+        summed,
         p.length,
         p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
+        summed,
     )
     slots: list[FaultSlot] = []
-    for kind, wanted in enumerate(asked):
-        row["fault"][kind] = first_fault + len(slots) if wanted else -1
-        if wanted:
+    for kind, is_wanted in enumerate(wanted):
+        row["fault"][kind] = first_fault + len(slots) if is_wanted else -1
+        if is_wanted:
             fault = p.fault_of(kind)
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["bus"] = check.bus
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
-    if p.counter is not None:
-        signal = database.signal(p.message, p.counter.signal)
-        row["counter"] = plan.position(check.bus, p.message, p.counter.signal)
-        row["modulo"] = 1 << signal.length
-        row["max_step"] = p.counter.max_step
-    if p.crc is not None:
-        signal = database.signal(p.message, p.crc.signal)
-        big = signal.byte_order == "big_endian"
-        if signal.length != 8 or signal.start % 8 != (7 if big else 0):
-            raise InputError(
-                "a CRC signal has 8 bits on a byte boundary",
-                key=f"{p.message}.{p.crc.signal}",
-                value=f"start {signal.start}, length {signal.length}",
-            )
-        algorithm = ALGORITHMS[p.crc.algorithm]
-        row["crc_byte"] = signal.start // 8
-        row["data_id"] = -1 if p.crc.data_id is None else p.crc.data_id
-        row["crc_table"] = list(ALGORITHMS).index(p.crc.algorithm)
-        row["crc_init"], row["crc_xor"] = algorithm.init, algorithm.xorout
+    row["presence"] = -1
+    for ref in signals_of(check, database):
+        row["presence"] = plan.position(*ref)
+    protection.fill(row["protection"], asked, crcs)
     return slots

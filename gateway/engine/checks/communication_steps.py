@@ -4,22 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from gateway.bus.conditions import RUNNING
 from gateway.engine.checks.communication import (
     ACCEPT,
     COUNTER,
     CRC,
     LENGTH,
+    MISFITS,
     REJECT,
+    RULE,
+    SAMPLES,
     TIMEOUT,
     VALUE,
-    check_crc,
-    counter_step,
 )
 from gateway.engine.results import report_result, store_evidence
 from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
+from gateway.signals.protection.judge import FRAME_OK, judge_frame
+from gateway.signals.protection.protection import counter_of
+
+#: States of E2E's state machine.
+NO_DATA, STARTING, VALID, INVALID = range(4)
 
 
 @kernel
@@ -62,6 +70,131 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
 
 
 @kernel
+def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
+    """Test a frame's checksum; returns whether its data may be used.
+
+    While no frame has ever been right, frames are rejected, but the sender is not accused: it is the rule that is
+    doubted after :data:`MISFITS` of them.
+    """
+    received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
+    wrong = verdict != FRAME_OK
+    if wrong:
+        T.clock[0].crc_failed += 1
+        c.unread += 1
+        advance_window(T, c, False, True)
+    if wrong and c.passed == 0:
+        keep_misfit(T, t_ns, c, words, length, float(received), float(computed))
+        return False
+    if not wrong:
+        if c.passed & 0xFF == 0:  # now and then is enough: it cannot change any more
+            report_result(T, t_ns, c.fault[RULE], False, float(received), float(computed))
+        c.passed += 1
+    place = report_result(T, t_ns, c.fault[CRC], wrong, float(received), float(computed))
+    store_evidence(T, c.fault[CRC], place, 0, float(received))
+    store_evidence(T, c.fault[CRC], place, 1, float(computed))
+    return not wrong
+
+
+@kernel
+def keep_misfit(T: Any, t_ns: int, c: Any, words: Any, length: int, received: float, computed: float) -> None:
+    """Keep a frame that does not fit the rule; with the last of :data:`MISFITS` the rule is reported."""
+    at = c.misfits % SAMPLES
+    for k in range(8):
+        c.samples[at, k] = words[k]
+    c.lengths[at] = length
+    c.misfits = min(c.misfits + 1, 1 << 20)
+    if c.misfits >= MISFITS:
+        place = report_result(T, t_ns, c.fault[RULE], True, received, computed)
+        store_evidence(T, c.fault[RULE], place, 0, float(c.misfits))
+        store_evidence(T, c.fault[RULE], place, 1, received)
+        store_evidence(T, c.fault[RULE], place, 2, computed)
+
+
+@kernel
+def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
+    """Test a frame's alive counter; returns whether its data may be used.
+
+    A repeated frame's may not. One out of sequence is told; its data are used (AUTOSAR E2E: OK_SOME_LOST), but not
+    where the protection is strict, as E2E's profiles are beyond their largest step (WRONG_SEQUENCE).
+    """
+    p = c.protection
+    received = counter_of(words, p)
+    step = counter_step(c, received)
+    # The counters of rejected frames went by unread; those frames were not lost.
+    jumped = step < 0 or step > p.max_step + c.unread
+    c.unread = 0
+    place = report_result(T, t_ns, c.fault[COUNTER], jumped or step == 0, float(step), float(p.max_step))
+    store_evidence(T, c.fault[COUNTER], place, 0, float(step))
+    store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
+    store_evidence(T, c.fault[COUNTER], place, 2, float(received))
+    c.last_counter = received
+    c.seen = 1
+    if step == 0:
+        T.clock[0].repeated += 1
+        advance_window(T, c, False, False)
+        return False
+    if jumped and p.strict == 1:
+        T.clock[0].wrong_sequence += 1
+        advance_window(T, c, False, False)
+        return False
+    return advance_window(T, c, True, False)
+
+
+@kernel
+def counter_step(c: Any, received: int) -> int:
+    """Return by how much the alive counter rose since the last frame: 1 at the first, -1 for a value it cannot have."""
+    p = c.protection
+    if received < p.first or received >= p.first + p.modulus:
+        return -1
+    if c.seen == 0 or c.last_counter < p.first or c.last_counter >= p.first + p.modulus:
+        return 1
+    return int((received - c.last_counter) % p.modulus)
+
+
+@kernel
+def advance_window(T: Any, c: Any, ok: bool, wrong: bool) -> bool:
+    """Take a frame into E2E's state machine (PRS_E2EProtocol, 6.14); returns whether its data may be used.
+
+    Args:
+        T: the tables.
+        c: its record of CHECK.
+        ok: it was right and in sequence.
+        wrong: its checksum was not right.
+    """
+    p = c.protection
+    if p.windowed == 0:
+        return ok
+    one = np.uint64(1)
+    c.ok = (c.ok << one) | (one if ok else np.uint64(0))
+    c.wrong = (c.wrong << one) | (one if wrong else np.uint64(0))
+    if c.window == NO_DATA:
+        if wrong:
+            return False
+        c.window = STARTING
+    at = c.window - 1
+    seen = (~np.uint64(0)) >> np.uint64(64 - p.window[at])
+    right, errors = bits_set(c.ok & seen), bits_set(c.wrong & seen)
+    enough = right >= p.min_ok[at] and errors <= p.max_error[at]
+    if enough:
+        c.window = VALID
+    elif c.window != STARTING or errors > p.max_error[at]:
+        c.window = INVALID
+    if ok and c.window != VALID:
+        T.clock[0].window_rejected += 1
+    return ok and c.window == VALID
+
+
+@kernel
+def bits_set(value: Any) -> int:
+    """Return how many bits of a uint64 are set."""
+    count = 0
+    while value != np.uint64(0):
+        value &= value - np.uint64(1)
+        count += 1
+    return count
+
+
+@kernel
 def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int, bad: int) -> int:
     """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
 
@@ -86,29 +219,10 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
     if status not in (OK, INVALID_VALUE):
         c.unread += 1
         return REJECT
-    if c.fault[CRC] >= 0:
-        received, computed = check_crc(c, words, length, T.crc_tables)
-        place = report_result(T, t_ns, c.fault[CRC], received != computed, received, computed)
-        store_evidence(T, c.fault[CRC], place, 0, received)
-        store_evidence(T, c.fault[CRC], place, 1, computed)
-        if received != computed:
-            clock.crc_failed += 1
-            c.unread += 1
+    if c.presence < 0 or T.present[c.presence] == 1:
+        if c.fault[CRC] >= 0 and not checksum_fits(T, t_ns, c, words, length):
             return REJECT
-    if c.fault[COUNTER] >= 0:
-        received = int(T.values[c.counter])
-        step_by = counter_step(c, received)
-        # The counters of rejected frames went by unread; those frames were not lost.
-        wrong = step_by == 0 or step_by > c.max_step + c.unread
-        c.unread = 0
-        place = report_result(T, t_ns, c.fault[COUNTER], wrong, step_by, c.max_step)
-        store_evidence(T, c.fault[COUNTER], place, 0, step_by)
-        store_evidence(T, c.fault[COUNTER], place, 1, c.last_counter)
-        store_evidence(T, c.fault[COUNTER], place, 2, received)
-        c.last_counter = received
-        c.seen = 1
-        if step_by == 0:
-            clock.repeated += 1
+        if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):
             return REJECT
     if c.fault[VALUE] >= 0:
         value = T.values[bad] if bad >= 0 else 0.0

@@ -22,7 +22,7 @@ KERNELS = {
     "scenarios": (
         ("test_crank_scenarios.py",),
         ("test_pedal_scenarios.py",),
-        ("test_steering_scenarios.py", "test_linear_scenarios.py", "test_hybrid_scenarios.py"),
+        ("test_steering_scenarios.py", "test_linear_scenarios.py", "test_truck_scenarios.py"),
     ),
     "interfaces": (("test_peers.py",), ("test_supervision.py", "test_socketcan.py")),
     "clock": (("test_clock.py",),),

@@ -1,0 +1,129 @@
+"""Raw bits of a payload: the one place where a field is read and written, by its word, shift and byte order.
+
+The payload is read as 64-bit words. A little-endian field starts at bit ``s`` of the payload: word ``s >> 6``, shift
+``s & 63``, what spills over comes from the next word. For a big-endian field count bits from the first byte's most
+significant one: its last bit is ``q``; in byte-swapped words that is word ``q >> 6``, shift ``63 - (q & 63)``, and the
+spill comes from the word before.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from cantools.database.can.signal import Signal
+
+from gateway.jit import Record, kernel, u1
+
+
+class Field(Record):
+    """Where a field of at most 64 bits lies; records of SIGNAL have the same names."""
+
+    word: u1
+    shift: u1
+    length: u1
+    big: u1
+    spill: u1
+
+
+def place(row: Any, start: int, length: int, *, big: bool) -> None:
+    """Fill where a field lies.
+
+    Args:
+        row: of :class:`Field`, or of SIGNAL.
+        start: as a database numbers it: of the lowest bit, big-endian of the highest one.
+        length: its bits.
+        big: most significant bit first.
+    """
+    if big:
+        first = 8 * (start // 8) + 7 - start % 8
+        last = first + length - 1
+        row["big"] = 1
+        row["word"], row["shift"] = last >> 6, 63 - (last & 63)
+    else:
+        row["word"], row["shift"] = start >> 6, start & 63
+    row["length"] = length
+    row["spill"] = int(row["shift"]) + length > 64
+
+
+def field_of(signal: Signal) -> Any:
+    """Return the place of a signal's bits, as a record of :class:`Field`."""
+    row = np.zeros(1, Field.dtype)[0]
+    place(row, signal.start, signal.length, big=signal.byte_order == "big_endian")
+    return row
+
+
+def field_at(byte: int, bits: int, *, big: bool = False, shift: int = 0) -> Any:
+    """Return the place of a number in a header.
+
+    Args:
+        byte: the first of its bytes.
+        bits: how many.
+        big: most significant byte first.
+        shift: of its lowest bit in the byte, where it takes less than a byte.
+    """
+    row = np.zeros(1, Field.dtype)[0]
+    start = 8 * byte + (7 if big else shift)
+    place(row, start, bits, big=big)
+    return row
+
+
+def mask_of(row: Any) -> int:
+    """Return the bits of a payload that a field takes, bit 0 of the first byte lowest."""
+    words = np.zeros(8, np.uint64)
+    write_bits(words, row.view(np.recarray) if not hasattr(row, "word") else row, np.uint64(0xFFFFFFFFFFFFFFFF))
+    return int.from_bytes(words.tobytes(), "little")
+
+
+@kernel
+def swapped(word: Any) -> Any:
+    """Return a 64-bit word with its bytes reversed."""
+    low8 = np.uint64(0x00FF00FF00FF00FF)
+    low16 = np.uint64(0x0000FFFF0000FFFF)
+    word = ((word >> np.uint64(8)) & low8) | ((word & low8) << np.uint64(8))
+    word = ((word >> np.uint64(16)) & low16) | ((word & low16) << np.uint64(16))
+    return (word >> np.uint64(32)) | (word << np.uint64(32))
+
+
+@kernel
+def read_bits(words: Any, s: Any) -> Any:
+    """Return a field's raw bits, uint64.
+
+    Args:
+        words: payload, 8 little-endian uint64.
+        s: record of :class:`Field`, or of SIGNAL.
+    """
+    shift = np.uint64(s.shift)
+    if s.big == 1:
+        bits = swapped(words[s.word]) >> shift
+        if s.spill == 1:
+            bits |= swapped(words[s.word - 1]) << (np.uint64(64) - shift)
+    else:
+        bits = words[s.word] >> shift
+        if s.spill == 1:
+            bits |= words[s.word + 1] << (np.uint64(64) - shift)
+    unused = np.uint64(64 - s.length)
+    return (bits << unused) >> unused
+
+
+@kernel
+def write_bits(words: Any, s: Any, bits: Any) -> None:
+    """Put raw bits into a field that is zero; what is beyond its length is left out.
+
+    Args:
+        words: payload, 8 little-endian uint64.
+        s: record of :class:`Field`, or of SIGNAL.
+        bits: uint64.
+    """
+    unused = np.uint64(64 - s.length)
+    bits = (bits << unused) >> unused
+    shift = np.uint64(s.shift)
+    if s.big == 1:
+        words[s.word] = swapped(swapped(words[s.word]) | (bits << shift))
+        if s.spill == 1:
+            rest = bits >> (np.uint64(64) - shift)
+            words[s.word - 1] = swapped(swapped(words[s.word - 1]) | rest)
+    else:
+        words[s.word] |= bits << shift
+        if s.spill == 1:
+            words[s.word + 1] |= bits >> (np.uint64(64) - shift)

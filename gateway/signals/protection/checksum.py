@@ -1,0 +1,213 @@
+"""Checksums of a payload: CRCs, sums and exclusive ors of bytes or nibbles, in one form that one kernel computes.
+
+What rules of carmakers and AUTOSAR's profiles differ in is data: which bytes, in which order, what goes in before and
+after them (an identifier, one byte of a list by the counter), and what is done to the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from gateway.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
+from gateway.signals.bits import mask_of
+from gateway.signals.protection.crc import Crc, register_of
+
+NONE, CRC, SUM, XOR = range(4)
+
+#: Bytes that go in before or after a payload at most.
+MOST_EXTRA = 8
+
+#: Values of the counter that a list of data ids has an entry for.
+LIST = 16
+
+NOWHERE, BEFORE, AFTER = range(3)
+
+
+@dataclass(frozen=True)
+class Checksum:
+    """A checksum of one message.
+
+    Attributes:
+        crc: the polynomial; None: a sum, or an exclusive or.
+        xor: exclusive or instead of a sum.
+        nibbles: of half bytes instead of bytes.
+        first: byte that it begins with.
+        last: byte before which it ends, None: the frame's length.
+        backwards: from the last byte to the first.
+        before: bytes that go in before the payload.
+        after: bytes that go in after it.
+        by_counter: of these 16 bytes the one of the counter's value goes in, too; empty: none.
+        list_after: after the payload, else before it.
+        plus: added to a sum, or first value of an exclusive or.
+        plus_length: the frame's length is added, too.
+        negative: the sum is taken from ``plus`` instead of added to it.
+        xorout: applied to the result of a sum.
+    """
+
+    crc: Crc | None = None
+    xor: bool = False
+    nibbles: bool = False
+    first: int = 0
+    last: int | None = None
+    backwards: bool = False
+    before: Sequence[int] = ()
+    after: Sequence[int] = ()
+    by_counter: Sequence[int] = ()
+    list_after: bool = True
+    plus: int = 0
+    plus_length: bool = False
+    negative: bool = False
+    xorout: int = 0
+
+
+class ChecksumConst(Record):
+    """A checksum as the kernel computes it."""
+
+    kind: u1
+    width: u1 = means("of the result", "bit")
+    reflected: u1 = means("bytes go in with their least significant bit first")
+    turned: u1 = means("the result's bits are reversed")
+    nibbles: u1
+    backwards: u1
+    plus_length: u1
+    negative: u1
+    listed: u1 = means("where a byte of the list goes in: NOWHERE, BEFORE, AFTER")
+    before: u1 = means("how many bytes go in before")
+    after: u1
+    table: i4 = means("place of its table among the tables of CRCs")
+    first: i4
+    last: i4 = means("-1: the frame's length")
+    plus: i8
+    init: u8
+    xorout: u8
+    skipped: u8 = means("bit k: byte k of the payload is the checksum's own")
+    cleared: Annotated[u8s, 8] = means("bits of the payload that count as zero: the checksum's own")
+    before_bytes: Annotated[u1s, MOST_EXTRA]
+    after_bytes: Annotated[u1s, MOST_EXTRA]
+    list_bytes: Annotated[u1s, LIST]
+
+
+def fill_checksum(row: Any, asked: Checksum, field: Any, table: int) -> None:
+    """Fill a record of :class:`ChecksumConst`.
+
+    Args:
+        row: zeroed.
+        asked: the checksum.
+        field: where it lies, a record of :class:`gateway.signals.bits.Field`.
+        table: place of its table, for a CRC.
+    """
+    assert len(asked.before) <= MOST_EXTRA
+    assert len(asked.after) <= MOST_EXTRA
+    assert len(asked.by_counter) in (0, LIST)
+    own = mask_of(field)
+    row["cleared"] = np.frombuffer(own.to_bytes(64, "little"), "<u8")
+    row["skipped"] = sum(1 << k for k in range(64) if own >> (8 * k) & 0xFF == 0xFF)
+    row["width"] = int(field["length"])
+    row["first"], row["last"] = asked.first, -1 if asked.last is None else asked.last
+    row["nibbles"], row["backwards"] = asked.nibbles, asked.backwards
+    row["before"], row["after"] = len(asked.before), len(asked.after)
+    row["before_bytes"][: len(asked.before)] = asked.before
+    row["after_bytes"][: len(asked.after)] = asked.after
+    if asked.by_counter:
+        row["listed"] = AFTER if asked.list_after else BEFORE
+        row["list_bytes"] = asked.by_counter
+    if asked.crc is None:
+        row["kind"] = XOR if asked.xor else SUM
+        row["plus"], row["plus_length"], row["negative"] = asked.plus, asked.plus_length, asked.negative
+        row["xorout"] = asked.xorout
+        return
+    crc = asked.crc
+    assert crc.width == field["length"], "checked where it is read"
+    row["kind"], row["table"], row["width"] = CRC, table, crc.width
+    row["reflected"], row["turned"] = crc.refin, crc.refin != crc.refout
+    row["init"], row["xorout"] = register_of(crc), crc.xorout
+
+
+@kernel
+def take_byte(register: Any, byte: Any, reflect: int, table: Any) -> Any:
+    """Return a CRC's register after a byte; uint64 all of them."""
+    if reflect == 1:
+        return (register >> np.uint64(8)) ^ table[(register ^ byte) & np.uint64(0xFF)]
+    return (register << np.uint64(8)) ^ table[(register >> np.uint64(56)) ^ byte]
+
+
+@kernel
+def payload_byte(words: Any, p: Any, k: int) -> Any:
+    """Return byte ``k`` of a payload without the checksum's own bits, uint64."""
+    at = k >> 3
+    return ((words[at] & ~p.cleared[at]) >> np.uint64((k & 7) * 8)) & np.uint64(0xFF)
+
+
+@kernel
+def reversed_bits(value: Any, width: int) -> Any:
+    """Return a value with its ``width`` bits in reverse order, uint64."""
+    turned = np.uint64(0)
+    for _ in range(width):
+        turned = (turned << np.uint64(1)) | (value & np.uint64(1))
+        value >>= np.uint64(1)
+    return turned
+
+
+@kernel
+def crc_of(words: Any, length: int, counter: int, p: Any, table: Any) -> Any:
+    """Return a payload's CRC, uint64; arguments as of :func:`checksum_of`, ``table`` of shape (256,)."""
+    register = np.uint64(p.init)
+    for k in range(p.before):
+        register = take_byte(register, np.uint64(p.before_bytes[k]), p.reflected, table)
+    if p.listed == BEFORE:
+        register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
+    last = length if p.last < 0 else min(p.last, length)
+    for j in range(p.first, last):
+        k = p.first + last - 1 - j if p.backwards == 1 else j
+        if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(0):
+            register = take_byte(register, payload_byte(words, p, k), p.reflected, table)
+    if p.listed == AFTER:
+        register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
+    for k in range(p.after):
+        register = take_byte(register, np.uint64(p.after_bytes[k]), p.reflected, table)
+    if p.reflected == 0:
+        register >>= np.uint64(64 - p.width)
+    if p.turned == 1:
+        register = reversed_bits(register, p.width)
+    return register ^ p.xorout
+
+
+@kernel
+def sum_of(words: Any, length: int, p: Any) -> Any:
+    """Return a payload's sum or exclusive or, uint64; arguments as of :func:`checksum_of`."""
+    total = np.int64(0)
+    last = length if p.last < 0 else min(p.last, length)
+    for k in range(p.first, last):
+        byte = np.int64(payload_byte(words, p, k))
+        if p.kind == XOR:
+            total ^= (byte >> 4) ^ (byte & 15) if p.nibbles == 1 else byte
+        else:
+            total += (byte >> 4) + (byte & 15) if p.nibbles == 1 else byte
+    if p.plus_length == 1:
+        total += length
+    if p.kind == XOR:
+        total ^= p.plus
+    else:
+        total = p.plus - total if p.negative == 1 else p.plus + total
+    unused = np.uint64(64 - p.width)
+    return ((np.uint64(total) ^ p.xorout) << unused) >> unused
+
+
+@kernel
+def checksum_of(words: Any, length: int, counter: int, p: Any, tables: Any) -> Any:
+    """Return the checksum of a payload, uint64.
+
+    Args:
+        words: payload, 8 little-endian uint64, zero beyond its length.
+        length: payload length [byte].
+        counter: the payload's own, for a list of data ids.
+        p: record of :class:`ChecksumConst`.
+        tables: uint64, shape (CRCs, 256).
+    """
+    if p.kind == CRC:
+        return crc_of(words, length, counter, p, tables[p.table])
+    return sum_of(words, length, p)

@@ -1,0 +1,39 @@
+"""Whether a frame is as its protection says: constants, checksum; the counter's step; the state machine over frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.jit import kernel
+from gateway.signals.bits import read_bits
+from gateway.signals.protection.checksum import checksum_of
+from gateway.signals.protection.protection import counter_of, same_constants
+
+FRAME_OK, FRAME_CHECKSUM, FRAME_CONSTANT = range(3)
+
+
+@kernel
+def judge_frame(words: Any, length: int, p: Any, tables: Any) -> Any:
+    """Compare a frame's checksum and constants with what they should be.
+
+    Args:
+        words: payload, 8 little-endian uint64, zero beyond its length.
+        length: payload length [byte].
+        p: record of :class:`gateway.signals.protection.protection.ProtectionConst`.
+        tables: of the CRCs, uint64, shape (CRCs, 256).
+
+    Returns:
+        the checksum received and the one computed, uint64, and FRAME_OK, FRAME_CHECKSUM or FRAME_CONSTANT.
+    """
+    received = computed = np.uint64(0)
+    verdict = FRAME_OK
+    if p.has_checksum == 1:
+        received = read_bits(words, p.field)
+        computed = checksum_of(words, length, counter_of(words, p), p.checksum, tables)
+        if received != computed:
+            verdict = FRAME_CHECKSUM
+    if not same_constants(words, p):
+        verdict = FRAME_CONSTANT
+    return received, computed, verdict

@@ -1,0 +1,278 @@
+"""What a user says of a message's protection, and what comes of it for a message of a database."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from pydantic import BeforeValidator, Field, model_validator
+
+from gateway.common.tomlfile import StrictModel
+from gateway.errors import InputError, nearest
+from gateway.signals.bits import field_of
+from gateway.signals.protection.checksum import LIST, MOST_EXTRA, Checksum
+from gateway.signals.protection.crc import KNOWN, Crc
+from gateway.signals.protection.e2e import Header, protection_of
+from gateway.signals.protection.protection import Counter, Protection, Window
+from gateway.signals.protection.rules import RULES, Frame
+
+Byte = Annotated[int, Field(ge=0, le=0xFF)]
+
+#: Names that databases of cars give to checksums and counters (opendbc's convention first), ending so.
+CHECKSUMS = ("CHECKSUM", "CHKSUM", "CHKSM", "CRC")
+COUNTERS = ("COUNTER", "ALIVE", "CNT", "FRAMECNT")
+
+
+class CounterCheck(StrictModel):
+    """Alive counter: a signal that every transmission raises by one, modulo its values."""
+
+    signal: str = Field(description="name of the counter signal")
+    max_step: int = Field(1, ge=1, description="largest step that is not a failure")
+    modulus: int | None = Field(None, ge=2, description="how many values it has; default: all that its bits have")
+    first: int = Field(0, ge=0, description="the lowest of them")
+
+
+class DataId(StrictModel):
+    """Bytes that go into a CRC beside the payload."""
+
+    bytes: tuple[Byte, ...] = Field(min_length=1, max_length=LIST, description="by_counter: 16, one a counter value")
+    place: Literal["before", "after", "by_counter"] = Field(
+        "after", description="before or after the payload; by_counter: after it, the one of the counter's value"
+    )
+
+    @model_validator(mode="after")
+    def _as_many(self) -> Self:
+        if self.place == "by_counter" and len(self.bytes) != LIST:
+            raise ValueError(f"by_counter: {LIST} bytes, one for each value of the counter")
+        if self.place != "by_counter" and len(self.bytes) > MOST_EXTRA:
+            raise ValueError(f"at most {MOST_EXTRA} bytes")
+        return self
+
+
+class CrcCheck(StrictModel):
+    """A CRC over the payload without the CRC itself, and a data id."""
+
+    signal: str = Field(description="name of the CRC signal")
+    algorithm: Literal[
+        "crc8_sae_j1850", "crc8_autosar", "crc16_ccitt_false", "crc16_xmodem", "crc16_arc", "crc32", "crc32_autosar",
+        "crc64_xz",
+    ] = Field("crc8_sae_j1850", description="a known CRC; or give width and poly")  # fmt: skip
+    width: int | None = Field(None, ge=4, le=64, description="of the CRC [bit]; with poly, instead of algorithm")
+    poly: int | None = Field(None, ge=1, description="without its highest term")
+    init: int = Field(0, ge=0, description="first value of the register")
+    refin: bool = Field(False, description="bytes go in with their least significant bit first")
+    refout: bool = Field(False, description="the register is reflected at the end")
+    xorout: int = Field(0, ge=0, description="applied at the end")
+    over: tuple[int, int] | None = Field(
+        None, description="[first byte, byte after the last one]; default: the whole payload"
+    )
+    data_id: Annotated[int, Field(ge=0, le=0xFFFF)] | DataId | None = Field(
+        None, description="16 bits after the payload, low byte first; or { bytes = [...], place = ... }"
+    )
+
+    @model_validator(mode="after")
+    def _one_polynomial(self) -> Self:
+        own = {"init", "refin", "refout", "xorout"} & self.model_fields_set
+        if (self.width is None) != (self.poly is None):
+            raise ValueError("width and poly are given together")
+        if self.width is None and own:
+            raise ValueError(f"{', '.join(sorted(own))}: of a CRC with width and poly")
+        if self.width is not None and "algorithm" in self.model_fields_set:
+            raise ValueError("give algorithm, or width and poly")
+        width = self.crc.width
+        for name in ("poly", "init", "xorout"):
+            if getattr(self.crc, name) >> width:
+                raise ValueError(f"{name} has more than {width} bits")
+        if self.over is not None and not 0 <= self.over[0] < self.over[1] <= 64:
+            raise ValueError("over: [first byte, byte after the last one], within 0 and 64")
+        return self
+
+    @property
+    def crc(self) -> Crc:
+        """Its polynomial."""
+        if self.width is None or self.poly is None:
+            return KNOWN[self.algorithm]
+        return Crc(self.width, self.poly, self.init, self.refin, self.refout, self.xorout)
+
+    def checksum(self) -> Checksum:
+        """Return what is computed."""
+        first, last = self.over or (0, None)
+        given = self.data_id
+        if isinstance(given, int):
+            return Checksum(self.crc, first=first, last=last, after=(given & 0xFF, given >> 8))
+        if given is None:
+            return Checksum(self.crc, first=first, last=last)
+        key = {"before": "before", "after": "after", "by_counter": "by_counter"}[given.place]
+        return Checksum(self.crc, first=first, last=last, **{key: given.bytes})  # type: ignore[arg-type]
+
+
+class SumCheck(StrictModel):
+    """A carmaker's rule, or a sum or exclusive or of bytes or half bytes."""
+
+    rule: str = Field(description="a carmaker's rule; or sum, xor")
+    signal: str | None = Field(None, description="name of the checksum signal; default: the one called so")
+    of: Literal["bytes", "nibbles"] = Field("bytes", description="what a sum or an exclusive or is of")
+    plus: int = Field(0, description="added to a sum; first value of an exclusive or")
+    negative: bool = Field(False, description="the sum is taken from plus")
+    xorout: int = Field(0, ge=0, description="applied to a sum at the end")
+    over: tuple[int, int] | None = Field(None, description="as of a CRC")
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        known = sorted([*RULES, "sum", "xor"])
+        if self.rule not in known:
+            raise ValueError(f"the rules are {', '.join(known)}{nearest(self.rule, known)}")
+        own = {"of", "plus", "negative", "xorout", "over"} & self.model_fields_set
+        if self.rule in RULES and own:
+            raise ValueError(f"{', '.join(sorted(own))}: of sum and xor; {self.rule} says it itself")
+        return self
+
+    def checksum(self, message: Message) -> Checksum:
+        """Return what is computed for a message."""
+        if self.rule in RULES:
+            return RULES[self.rule](Frame(message.frame_id, message.is_extended_frame, message.length))
+        first, last = self.over or (0, None)
+        return Checksum(
+            xor=self.rule == "xor", nibbles=self.of == "nibbles", first=first, last=last, plus=self.plus,
+            negative=self.negative, xorout=self.xorout,
+        )  # fmt: skip
+
+
+class WindowParams(StrictModel):
+    """AUTOSAR's E2E state machine: a frame is used while enough of the last ones are right.
+
+    Each key is one number, or three: while starting, while valid, while invalid.
+    """
+
+    size: tuple[int, int, int] = Field(description="frames that are looked back at, 1 to 64")
+    min_ok: tuple[int, int, int] = Field(description="right ones that it takes")
+    max_error: tuple[int, int, int] = Field(description="wrong ones that it bears")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _threefold(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        return {key: [value] * 3 if isinstance(value, int) else value for key, value in data.items()}
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        for size, ok, error in zip(self.size, self.min_ok, self.max_error, strict=True):
+            if not 1 <= size <= 64:
+                raise ValueError("size: 1 to 64 frames")
+            if not 0 <= ok <= size or not 0 <= error <= size:
+                raise ValueError("min_ok and max_error: 0 to size")
+        return self
+
+
+class E2eCheck(StrictModel):
+    """An AUTOSAR E2E profile."""
+
+    profile: Literal["P01", "P02", "P04", "P05", "P06", "P07", "P11", "P22"]
+    data_id: int = Field(0, ge=0, description="16 bits; 32 with P04 and P07")
+    data_ids: tuple[Byte, ...] = Field((), description="of P02 and P22: 16, one a counter value")
+    data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field("both", description="of P01 and P11")
+    offset: int = Field(0, ge=0, le=62, description="first byte of the header")
+    max_delta: int = Field(1, ge=1, description="largest step of the counter that is used")
+    window: WindowParams | None = Field(None, description="E2E state machine; none: each frame is judged alone")
+
+    def protection(self, message: Message) -> Protection:
+        """Return it for a message.
+
+        Raises:
+            InputError: what the profile does not have, or lacks.
+        """
+        window = None
+        if self.window is not None:
+            window = Window(self.window.size, self.window.min_ok, self.window.max_error)
+        header = Header(
+            message.length, self.data_id, self.data_ids, self.data_id_mode, self.offset, self.max_delta, window
+        )
+        return protection_of(self.profile, header)
+
+
+def _by_name(value: Any) -> Any:
+    return {"rule": value} if isinstance(value, str) else value
+
+
+#: A rule by its name, or a table.
+ChecksumText = Annotated[SumCheck, BeforeValidator(_by_name)]
+
+
+class ProtectionParams(StrictModel):
+    """How a message is protected: keys of a check, of a virtual ECU's message, ..."""
+
+    counter: CounterCheck | None = None
+    crc: CrcCheck | None = None
+    checksum: ChecksumText | None = Field(None, description='a carmaker\'s rule ("toyota"), sum, or xor')
+    e2e: E2eCheck | None = Field(None, description="AUTOSAR E2E profile")
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        given = [name for name in ("crc", "checksum", "e2e") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)}: a message has one of them")
+        if self.e2e is not None and self.counter is not None:
+            raise ValueError("e2e has a counter of its own")
+        return self
+
+
+def _signal(message: Message, name: str | None, called: tuple[str, ...], what: str) -> Signal:
+    """Return a signal by its name, or by what such signals are called."""
+    names = [signal.name for signal in message.signals]
+    if name is None:
+        found = [n for n in names if n.upper().rstrip("0123456789_").endswith(called)]
+        if len(found) != 1:
+            text = f"which signal of {message.name} is the {what}? Give signal; it has {', '.join(names)}"
+            raise InputError(text, key="signal")
+        name = found[0]
+    if name not in names:
+        raise InputError(f"{message.name} has no such signal{nearest(name, names)}", key="signal", value=name)
+    return next(signal for signal in message.signals if signal.name == name)
+
+
+def _counter(message: Message, asked: CounterCheck) -> Counter:
+    signal = _signal(message, asked.signal, COUNTERS, "counter")
+    if signal.is_float or signal.length > 32:
+        raise InputError("a counter is an integer of at most 32 bits", key="counter.signal", value=asked.signal)
+    values = 1 << signal.length
+    modulus = values - asked.first if asked.modulus is None else asked.modulus
+    if asked.first + modulus > values:
+        text = f"{signal.length} bits have {values} values"
+        raise InputError(text, key="counter.modulus", value=modulus)
+    return Counter(field_of(signal), modulus, asked.first, asked.max_step)
+
+
+def protection_for(message: Message, asked: ProtectionParams) -> Protection:
+    """Return the protection of a message.
+
+    Raises:
+        InputError: signals that it does not have, a checksum of another width, ...; the key is that of the table.
+    """
+    if asked.e2e is not None:
+        try:
+            return asked.e2e.protection(message)
+        except InputError as error:
+            raise InputError(error.message, key=f"e2e.{error.key}", value=error.value) from error
+    counter = None if asked.counter is None else _counter(message, asked.counter)
+    if asked.crc is not None:
+        signal = _signal(message, asked.crc.signal, CHECKSUMS, "CRC")
+        if signal.length != asked.crc.crc.width:
+            text = f"the CRC has {asked.crc.crc.width} bits, its signal {signal.length}"
+            raise InputError(text, key="crc.signal", value=signal.name)
+        checksum: Checksum = asked.crc.checksum()
+        if checksum.by_counter and counter is None:
+            raise InputError("a data id by_counter needs the counter", key="crc.data_id", value="by_counter")
+        name = asked.crc.algorithm if asked.crc.width is None else f"crc{asked.crc.width}"
+        return Protection(checksum, field_of(signal), counter, name=name)
+    if asked.checksum is not None:
+        signal = _signal(message, asked.checksum.signal, CHECKSUMS, "checksum")
+        checksum = asked.checksum.checksum(message)
+        if checksum.crc is not None and checksum.crc.width != signal.length:
+            text = f"{asked.checksum.rule} has {checksum.crc.width} bits, its signal {signal.length}"
+            raise InputError(text, key="checksum.signal", value=signal.name)
+        if checksum.by_counter and counter is None:
+            counter = _counter(message, CounterCheck(signal=_signal(message, None, COUNTERS, "counter").name))
+        return Protection(checksum, field_of(signal), counter, name=asked.checksum.rule)
+    return Protection(counter=counter)

@@ -1,0 +1,190 @@
+"""The protection of one message: checksum, alive counter, header; checked and made by the same kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
+from gateway.signals.bits import Field, mask_of, read_bits, write_bits
+from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
+from gateway.signals.protection.crc import KNOWN, Crc, table_of
+
+
+@dataclass(frozen=True)
+class Counter:
+    """An alive counter.
+
+    Attributes:
+        field: where it lies, a record of :class:`gateway.signals.bits.Field`.
+        modulus: how many values it has.
+        first: the lowest of them.
+        max_step: largest step that is not a failure.
+    """
+
+    field: Any
+    modulus: int
+    first: int = 0
+    max_step: int = 1
+
+
+@dataclass(frozen=True)
+class Window:
+    """The state machine of AUTOSAR's E2E (PRS_E2EProtocol, 6.14): how many of the last frames must be right.
+
+    Attributes:
+        size: frames that are looked back at, 1 to 64: while starting, while valid, while invalid.
+        min_ok: right ones that a state needs at least.
+        max_error: wrong ones that it bears at most.
+    """
+
+    size: tuple[int, int, int]
+    min_ok: tuple[int, int, int]
+    max_error: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Protection:
+    """How a message is protected.
+
+    Attributes:
+        checksum: what is computed; None: nothing.
+        field: where it lies, a record of :class:`gateway.signals.bits.Field`.
+        counter: None: there is none.
+        constants: fields of a header with the value that they always have.
+        strict: a frame out of sequence is not used (E2E), else it is, and told.
+        window: state machine over the frames; None: each frame is judged alone.
+        name: of the rule, for people.
+    """
+
+    checksum: Checksum | None = None
+    field: Any = None
+    counter: Counter | None = None
+    constants: Sequence[tuple[Any, int]] = ()
+    strict: bool = False
+    window: Window | None = None
+    name: str = ""
+
+
+class ProtectionConst(Record):
+    """The protection of a message as the kernels want it."""
+
+    checksum: ChecksumConst
+    field: Field = means("of the checksum")
+    counter: Field
+    has_checksum: u1
+    has_counter: u1
+    strict: u1
+    windowed: u1
+    modulus: i8
+    first: i8
+    max_step: i4
+    window: Annotated[i4s, 3] = means("frames looked back at: starting, valid, invalid")
+    min_ok: Annotated[i4s, 3]
+    max_error: Annotated[i4s, 3]
+    constant: Annotated[u8s, 8] = means("bits of the header that are always the same")
+    is_constant: Annotated[u8s, 8] = means("which these are")
+    owned: Annotated[u8s, 8] = means("all bits that the protection makes")
+
+
+class Tables:
+    """The tables of the CRCs that are in use."""
+
+    def __init__(self) -> None:
+        self._places: dict[tuple[int, int, bool], int] = {}
+
+    def place(self, crc: Crc) -> int:
+        """Return the place of a CRC's table, making room for it."""
+        return self._places.setdefault((crc.width, crc.poly, crc.refin), len(self._places))
+
+    def array(self) -> NDArray[np.uint64]:
+        """Return all of them, shape (CRCs, 256)."""
+        known = KNOWN["crc8_sae_j1850"]
+        keys = list(self._places) or [(known.width, known.poly, known.refin)]
+        return np.stack([table_of(*key) for key in keys])
+
+
+def fill(row: Any, asked: Protection, tables: Tables) -> None:
+    """Fill a record of :class:`ProtectionConst`, zeroed before."""
+    if asked.checksum is not None:
+        row["has_checksum"] = 1
+        row["field"] = asked.field
+        crc = asked.checksum.crc
+        fill_checksum(row["checksum"], asked.checksum, asked.field, 0 if crc is None else tables.place(crc))
+    if asked.counter is not None:
+        counter = asked.counter
+        row["has_counter"] = 1
+        row["counter"] = counter.field
+        row["modulus"], row["first"], row["max_step"] = counter.modulus, counter.first, counter.max_step
+    row["strict"] = asked.strict
+    if asked.window is not None:
+        row["windowed"] = 1
+        row["window"], row["min_ok"], row["max_error"] = asked.window.size, asked.window.min_ok, asked.window.max_error
+    bits = mask = 0
+    for field, value in asked.constants:
+        words = np.zeros(8, np.uint64)
+        write_bits(words, field, np.uint64(value))
+        bits |= int.from_bytes(words.tobytes(), "little")
+        mask |= mask_of(field)
+    row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")
+    row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
+    mask |= 0 if asked.checksum is None else mask_of(asked.field)
+    mask |= 0 if asked.counter is None else mask_of(asked.counter.field)
+    row["owned"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
+
+
+@kernel
+def counter_of(words: Any, p: Any) -> int:
+    """Return a payload's alive counter, 0 where it has none."""
+    if p.has_counter == 0:
+        return 0
+    return int(np.int64(read_bits(words, p.counter)))
+
+
+@kernel
+def same_constants(words: Any, p: Any) -> bool:
+    """Return whether the header's constants are what they should be."""
+    for k in range(8):
+        if (words[k] ^ p.constant[k]) & p.is_constant[k] != np.uint64(0):
+            return False
+    return True
+
+
+@kernel
+def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
+    """Put counter, constants and checksum into a payload, whatever their bits are before.
+
+    Args:
+        words: payload, 8 little-endian uint64, zero beyond its length.
+        length: payload length [byte].
+        counter: how many frames were sent before; of it the counter is made.
+        p: record of :class:`ProtectionConst`.
+        tables: of the CRCs, uint64, shape (CRCs, 256).
+    """
+    for k in range(8):
+        words[k] = (words[k] & ~p.owned[k]) | p.constant[k]
+    value = np.int64(0)
+    if p.has_counter == 1:
+        value = p.first + counter % p.modulus
+        write_bits(words, p.counter, np.uint64(value))
+    if p.has_checksum == 1:
+        write_bits(words, p.field, checksum_of(words, length, int(value), p.checksum, tables))
+
+
+@kernel
+def protect_all(words: Any, lengths: Any, p: Any, tables: Any, sent: int) -> None:
+    """Protect frames of one message that are sent one after the other.
+
+    Args:
+        words: payloads, uint64, shape (frames, 8).
+        lengths: int64, shape (frames,) [byte].
+        p: record of :class:`ProtectionConst`.
+        tables: of the CRCs.
+        sent: how many were sent before.
+    """
+    for k in range(words.shape[0]):
+        protect(words[k], lengths[k], sent + k, p, tables)

@@ -1,0 +1,227 @@
+"""Checksums, counters and E2E profiles beside programs that nobody here wrote: crccheck, autosar-e2e, opendbc."""
+
+import random
+
+import crccheck.crc
+import e2e
+import numpy as np
+import pytest
+from amount import amount, examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from opendbc.can.dbc import DBC
+from opendbc.can.packer import CANPacker
+
+from gateway.errors import InputError
+from gateway.signals.bits import Field, field_at, mask_of, place
+from gateway.signals.protection.checksum import Checksum
+from gateway.signals.protection.crc import Crc
+from gateway.signals.protection.e2e import Header, protection_of
+from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
+from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect
+from gateway.signals.protection.rules import RULES, Frame
+
+
+class Checked:
+    """A protection as the kernels have it."""
+
+    def __init__(self, protection):
+        self.tables = Tables()
+        self.rows = np.zeros(1, ProtectionConst.dtype)
+        fill(self.rows[0], protection, self.tables)
+        self.row = self.rows.view(np.recarray)[0]
+        self.arrays = self.tables.array()
+
+    def words(self, data):
+        return np.frombuffer(bytes(data).ljust(64, b"\0"), "<u8").copy()
+
+    def protect(self, data, counter):
+        words = self.words(data)
+        protect(words, len(data), counter, self.row, self.arrays)
+        return words.tobytes()[: len(data)]
+
+    def fits(self, data):
+        received, computed, verdict = judge_frame(self.words(data), len(data), self.row, self.arrays)
+        return verdict == FRAME_OK and received == computed
+
+
+CRCS = [
+    crc for crc in (getattr(crccheck.crc, name) for name in dir(crccheck.crc))
+    if isinstance(crc, type) and issubclass(crc, crccheck.crc.CrcBase) and crc._names and 4 <= crc._width <= 64
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("theirs", CRCS, ids=lambda crc: crc._names[0])
+def test_every_crc_of_the_catalogue(theirs):
+    ours = Crc(
+        theirs._width,
+        theirs._poly,
+        theirs._initvalue,
+        theirs._reflect_input,
+        theirs._reflect_output,
+        theirs._xor_output,
+    )
+    rng = random.Random(theirs._width)
+    field = field_at(56, theirs._width)
+    checked = Checked(Protection(Checksum(ours, last=56), field))
+    for length in (1, 8, 56):
+        data = rng.randbytes(length)
+        made = checked.protect(data + bytes(64 - length), 0) if length == 56 else None
+        computed = judge_frame(checked.words(data), length, checked.row, checked.arrays)[1]
+        assert int(computed) == theirs.calc(data)
+        assert made is None or int.from_bytes(made[56:], "little") == theirs.calc(data)
+
+
+def test_there_are_many_crcs():
+    assert len(CRCS) > 80
+    assert {crc._width for crc in CRCS} >= {4, 5, 6, 7, 8, 10, 16, 32, 64}
+
+
+#: Profile -> what makes a frame, bytes of the header, bits of the data id.
+E2E = {
+    "P01": (e2e.p01.e2e_p01_protect, 2, 16),
+    "P02": (e2e.p02.e2e_p02_protect, 2, 0),
+    "P04": (e2e.p04.e2e_p04_protect, 12, 32),
+    "P05": (e2e.p05.e2e_p05_protect, 3, 16),
+    "P06": (e2e.p06.e2e_p06_protect, 5, 16),
+    "P07": (e2e.p07.e2e_p07_protect, 20, 32),
+    "P11": (e2e.p11.e2e_p11_protect, 2, 16),
+}
+MODES = {"both": "BOTH", "alternating": "ALT", "low": "LOW", "nibble": "NIBBLE"}
+CASES = [
+    (profile, mode) for profile in E2E for mode in {"P01": MODES, "P11": ("both", "nibble")}.get(profile, ("both",))
+]
+
+
+def drawn(profile, mode, seed):
+    """Return a random header, and what makes a frame for it as autosar-e2e does."""
+    rng = random.Random(f"{profile} {mode} {seed}")
+    make, header, bits = E2E[profile]
+    length = rng.choice([n for n in (2, 4, 8, 12, 16, 24, 32, 64) if n > header])
+    offset = 0 if profile == "P02" else rng.randint(0, length - header)
+    if profile == "P02":
+        ids = bytes(rng.randbytes(16))
+        return Header(length, data_ids=ids), lambda data: make(data, ids, increment_counter=True)
+    data_id = rng.getrandbits(bits)
+    options = {"offset": offset, "increment_counter": True}
+    if profile in ("P01", "P11"):
+        if mode == "nibble":
+            data_id &= 0xFFF
+        options["data_id_mode"] = getattr(getattr(e2e, profile.lower()), f"E2E_{profile}_DATAID_{MODES[mode]}")
+    return Header(length, data_id, mode=mode, offset=offset), lambda data: make(data, data_id, **options)
+
+
+@pytest.mark.parametrize(("profile", "mode"), CASES)
+def test_e2e_frames_of_another_program_are_accepted_and_any_flip_is_not(profile, mode):
+    for seed in range(amount(20)):
+        header, theirs = drawn(profile, mode, seed)
+        checked = Checked(protection_of(profile, header))
+        rng = random.Random(seed)
+        data = bytearray(rng.randbytes(header.length))
+        for sent in range(20):
+            for k in range(header.offset + E2E[profile][1], header.length):
+                data[k] = rng.getrandbits(8)
+            theirs(data)
+            assert checked.fits(data), f"seed {seed}, frame {sent}"
+        counters = mask_of(protection_of(profile, header).counter.field)
+        for bit in range(8 * header.length):
+            flipped = bytearray(data)
+            flipped[bit // 8] ^= 1 << bit % 8
+            # Alternating ids tell counters apart by their parity only; all other bits are covered.
+            assert not checked.fits(flipped) or counters >> bit & 1, f"seed {seed}, bit {bit}"
+
+
+@pytest.mark.parametrize(("profile", "mode"), CASES)
+def test_e2e_frames_of_ours_are_theirs(profile, mode):
+    for seed in range(amount(20)):
+        header, _ = drawn(profile, mode, seed)
+        checked = Checked(protection_of(profile, header))
+        check = getattr(getattr(e2e, profile.lower()), f"e2e_{profile.lower()}_check")
+        options = {} if profile == "P02" else {"offset": header.offset}
+        if profile in ("P01", "P11"):
+            options["data_id_mode"] = getattr(getattr(e2e, profile.lower()), f"E2E_{profile}_DATAID_{MODES[mode]}")
+        for sent in range(40):
+            data = bytearray(checked.protect(random.Random(sent).randbytes(header.length), sent))
+            known = bytes(header.data_ids) if profile == "P02" else header.data_id
+            assert check(data, known, **options), f"seed {seed}, frame {sent}"
+            assert checked.fits(data)
+
+
+DATABASES = {
+    "body": "comma_body", "chrysler": "chrysler_pacifica_2017_hybrid_generated", "fca_giorgio": "fca_giorgio",
+    "honda": "honda_civic_touring_2016_can_generated", "hyundai_canfd": "hyundai_canfd_generated",
+    "psa": "psa_aee2010_r3", "subaru": "subaru_global_2017_generated", "tesla": "tesla_model3_party",
+    "toyota": "toyota_new_mc_pt_generated", "volkswagen_mlb": "vw_mlb", "volkswagen_mqb": "vw_mqb",
+    "volkswagen_pq": "vw_pq",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", DATABASES)
+def test_frames_of_opendbc_s_packer_are_accepted_and_any_flip_is_not(rule):
+    name = DATABASES[rule]
+    packer, rng, tried = CANPacker(name), random.Random(rule), 0
+    for message in DBC(name).msgs.values():
+        field = next((s for s in message.sigs.values() if s.calc_checksum is not None), None)
+        if field is None or message.size > 64:
+            continue
+        tried += 1
+        row = np.zeros(1, Field.dtype)[0]
+        place(row, field.start_bit, field.size, big=not field.is_little_endian)
+        frame = Frame(message.address, message.address > 0x7FF, message.size)
+        checked = Checked(Protection(RULES[rule](frame), row))
+        for _ in range(amount(4)):
+            values = {
+                s.name: rng.getrandbits(s.size) * s.factor + s.offset for s in message.sigs.values() if s is not field
+            }
+            _, data, _ = packer.make_can_msg(message.name, 0, values)
+            assert checked.fits(data), f"{message.name} {data.hex()}"
+            covered = 0
+            for bit in range(8 * len(data)):
+                flipped = bytearray(data)
+                flipped[bit // 8] ^= 1 << bit % 8
+                covered += not checked.fits(flipped)
+            assert covered >= 8 * len(data) - 16, f"{message.name}: what a rule leaves out is a byte or two"
+    assert tried >= 2
+
+
+@given(st.integers(0, 511), st.integers(1, 64), st.booleans(), st.randoms())
+@settings(max_examples=examples(100), deadline=None)
+def test_fields_are_written_as_they_are_read(start, length, big, rng):
+    row = np.zeros(1, Field.dtype)[0]
+    first = 8 * (start // 8) + 7 - start % 8 if big else start
+    if first + length > 512:
+        return
+    place(row, start, length, big=big)
+    checked = Checked(Protection(Checksum(plus=12345), row))
+    data = rng.randbytes(64)
+    made = checked.protect(data, 0)
+    assert checked.fits(made)
+    own = mask_of(row)
+    assert own.bit_count() == length
+    difference = int.from_bytes(made, "little") ^ int.from_bytes(data, "little")
+    assert difference & ~own == 0
+
+
+def test_the_header_s_constants_are_checked():
+    header = Header(16, data_id=0x12345678)
+    checked = Checked(protection_of("P04", header))
+    other = Checked(protection_of("P04", Header(16, data_id=0x12345679)))
+    data = other.protect(bytes(16), 3)
+    assert judge_frame(checked.words(data), 16, checked.row, checked.arrays)[2] == FRAME_CONSTANT
+
+
+@pytest.mark.parametrize(
+    ("profile", "header", "key"),
+    [
+        ("P04", Header(8), "offset"),
+        ("P01", Header(8, data_id=1 << 16), "data_id"),
+        ("P11", Header(8, mode="low"), "data_id_mode"),
+        ("P02", Header(8, data_id=3), "data_ids"),
+        ("P01", Header(8, data_ids=(1,) * 16), "data_ids"),
+        ("P02", Header(8, data_ids=(1,) * 16, offset=1), "offset"),
+    ],
+)
+def test_what_a_profile_does_not_have_is_refused(profile, header, key):
+    with pytest.raises(InputError) as told:
+        protection_of(profile, header)
+    assert told.value.key == key
