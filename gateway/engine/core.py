@@ -10,6 +10,7 @@ import numpy as np
 from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
 from gateway.engine import loop
 from gateway.engine.checks.bus_health import COUNTED
+from gateway.engine.checks.communication import RULE, SAMPLES
 from gateway.engine.debounce import fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
@@ -51,6 +52,7 @@ class Engine:
         self._now, self._offset = clock["now_ns"], clock["offset_ns"]
         self._events, self._to_send = clock["events"], clock["sent"]
         self._run: Callable[..., int] = self._first_run
+        self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
 
     def state_of(self, monitor: int) -> Any:
         """Return the state records of a monitor, shape (1,)."""
@@ -215,6 +217,20 @@ class Engine:
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "timed", "held"}
         hidden |= {"events", "sent", "fed", "taken", "reported"}
         return {name: int(clock[name]) for name in names if name not in hidden}
+
+    def misfits(self, fault: int) -> tuple[int, list[bytes]] | None:
+        """Return which check has doubts about its rule, and payloads that do not fit it.
+
+        Args:
+            fault: index of the fault; None is returned if it is none of a rule.
+        """
+        checks = self.tables.checks
+        index = self._rules.get(fault)
+        if index is None:
+            return None
+        row = checks[index]
+        kept = min(int(row["misfits"]), SAMPLES)
+        return index, [row["samples"][k].tobytes()[: int(row["lengths"][k])] for k in range(kept)]
 
     def error_counters(self, bus: int) -> dict[str, int]:
         """Return the error frames of a bus by class, and the frames lost in its queues."""

@@ -75,7 +75,7 @@ class Callee(CPUDispatcher):
     """A kernel as kernels call it."""
 
     def __repr__(self) -> str:
-        """Return its name: types of tuples with kernels in them have it in theirs, and no address must come into code."""
+        """Return its name: it comes into code by the types of tuples with kernels in them; an address must not."""
         return f"Callee({self.py_func.__module__}.{self.py_func.__qualname__})"
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

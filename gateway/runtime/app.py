@@ -37,6 +37,7 @@ from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
+from gateway.runtime.doubts import Doubts
 from gateway.runtime.told import (
     clear_event,
     clock_event,
@@ -120,6 +121,7 @@ class Gateway:
         self._entries: set[str] = set()  # before the clear that is done now
         self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
+        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._tell)
         self.event_count = 0
 
     def finish(self, t_ns: int) -> Frames:
@@ -159,6 +161,7 @@ class Gateway:
         """
         self.memory.succeed(old.memory)
         self._upkeep.succeed(old._upkeep)
+        self._doubts.succeed(old._doubts)
         self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
@@ -210,10 +213,12 @@ class Gateway:
             patience_s: how long a single change is waited for, before other things are done [s].
         """
         self._upkeep.write_beside(executor, patience_s)
+        self._doubts.seek_beside()
 
     def close(self) -> None:
         """Close the fault memory."""
         self._upkeep.close()
+        self._doubts.close()
         self.store.close()
 
     def feed(self, frames: Frames) -> Frames:
@@ -295,6 +300,8 @@ class Gateway:
             if kind == CLOCK_STEPPED:
                 self._on_step(event)
                 continue
+            if kind == QUALIFIED_FAILED:
+                self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
             changes = self.memory.apply(event, self._observe)
             told = self._note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
@@ -339,6 +346,7 @@ class Gateway:
             asked: whether somebody asks for what there is now.
         """
         now = self.engine.now_ns
+        self._doubts.poll()
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:

@@ -11,6 +11,7 @@ from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health
+from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot
@@ -46,6 +47,7 @@ class Parts:
         slots: mailbox slots of all signals that a name outside the engine stands for.
         cycles: names of the operation cycles, in the engine's order.
         security: of the UDS server; its key functions have been found.
+        checks: of messages, in the engine's order.
     """
 
     databases: tuple[Database, ...]
@@ -55,6 +57,7 @@ class Parts:
     slots: dict[str, int]
     cycles: tuple[str, ...]
     security: Security
+    checks: tuple[CheckInstance, ...]
 
 
 def prepare(config: Config, file: Path | None = None) -> Parts:
@@ -103,6 +106,7 @@ def assemble(resolved: Resolved) -> Parts:
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
         tuple(resolved.cycles),
         resolved.security,
+        resolved.checks,
     )
 
 

@@ -246,5 +246,5 @@ def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():
         assert sorted(names) == sorted(whole.dtype.names)
     with pytest.raises(TypeError, match="two of its bases have bus"):
 
-        class Both(DebounceState, CheckPlace):
+        class Both(HandlerPlace, CheckPlace):
             pass

@@ -163,6 +163,9 @@ class WindowParams(StrictModel):
                 raise ValueError("size: 1 to 64 frames")
             if not 0 <= ok <= size or not 0 <= error <= size:
                 raise ValueError("min_ok and max_error: 0 to size")
+        # PRS_E2EProtocol: else the frame that makes it valid makes it invalid again.
+        if self.min_ok[1] > min(self.min_ok) or self.max_error[1] < max(self.max_error):
+            raise ValueError("while valid it takes no more right ones, and bears no fewer wrong ones, than else")
         return self
 
 
@@ -218,8 +221,12 @@ class ProtectionParams(StrictModel):
         return self
 
 
-def _signal(message: Message, name: str | None, called: tuple[str, ...], what: str) -> Signal:
-    """Return a signal by its name, or by what such signals are called."""
+def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str) -> Signal:
+    """Return a signal by its name, or by what such signals are called.
+
+    Raises:
+        InputError: there is none, or several are called so.
+    """
     names = [signal.name for signal in message.signals]
     if name is None:
         found = [n for n in names if n.upper().rstrip("0123456789_").endswith(called)]
@@ -233,7 +240,7 @@ def _signal(message: Message, name: str | None, called: tuple[str, ...], what: s
 
 
 def _counter(message: Message, asked: CounterCheck) -> Counter:
-    signal = _signal(message, asked.signal, COUNTERS, "counter")
+    signal = signal_of(message, asked.signal, COUNTERS, "counter")
     if signal.is_float or signal.length > 32:
         raise InputError("a counter is an integer of at most 32 bits", key="counter.signal", value=asked.signal)
     values = 1 << signal.length
@@ -257,7 +264,7 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
             raise InputError(error.message, key=f"e2e.{error.key}", value=error.value) from error
     counter = None if asked.counter is None else _counter(message, asked.counter)
     if asked.crc is not None:
-        signal = _signal(message, asked.crc.signal, CHECKSUMS, "CRC")
+        signal = signal_of(message, asked.crc.signal, CHECKSUMS, "CRC")
         if signal.length != asked.crc.crc.width:
             text = f"the CRC has {asked.crc.crc.width} bits, its signal {signal.length}"
             raise InputError(text, key="crc.signal", value=signal.name)
@@ -267,12 +274,12 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
         name = asked.crc.algorithm if asked.crc.width is None else f"crc{asked.crc.width}"
         return Protection(checksum, field_of(signal), counter, name=name)
     if asked.checksum is not None:
-        signal = _signal(message, asked.checksum.signal, CHECKSUMS, "checksum")
+        signal = signal_of(message, asked.checksum.signal, CHECKSUMS, "checksum")
         checksum = asked.checksum.checksum(message)
         if checksum.crc is not None and checksum.crc.width != signal.length:
             text = f"{asked.checksum.rule} has {checksum.crc.width} bits, its signal {signal.length}"
             raise InputError(text, key="checksum.signal", value=signal.name)
         if checksum.by_counter and counter is None:
-            counter = _counter(message, CounterCheck(signal=_signal(message, None, COUNTERS, "counter").name))
+            counter = _counter(message, CounterCheck(signal=signal_of(message, None, COUNTERS, "counter").name))
         return Protection(checksum, field_of(signal), counter, name=asked.checksum.rule)
     return Protection(counter=counter)

@@ -139,7 +139,7 @@ def test_silence_fails_at_the_very_deadline():
 
 
 def test_a_crc_of_another_width_is_refused():
-    with pytest.raises(InputError, match=r'check of "CTW_PT4".crc.signal.*the CRC has 8 bits, its signal 16'):
+    with pytest.raises(InputError, match=r'check of "CTW_PT4".crc.signal.*the CRC has 8 bits, its signal 12'):
         run([], crc={"signal": "Pt0"})
     with pytest.raises(InputError, match="did you mean FrameCnt"):
         run([], counter={"signal": "FrameCount"})

@@ -1,0 +1,66 @@
+"""Which known rules fit frames of a message: for a check that no frame passes, the rule may be another one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from cantools.database.can import Message
+
+from gateway.errors import InputError
+from gateway.signals.bits import Field, mask_of, place
+from gateway.signals.protection.checksum import Checksum
+from gateway.signals.protection.crc import KNOWN
+from gateway.signals.protection.judge import judge_frame
+from gateway.signals.protection.params import COUNTERS, signal_of
+from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
+from gateway.signals.protection.rules import RULES, Frame
+
+
+def _candidates(message: Message) -> Iterator[tuple[str, Checksum]]:
+    """Yield known checksums by the text that a configuration has for them."""
+    for name, rule in RULES.items():
+        made = rule(Frame(message.frame_id, message.is_extended_frame, message.length))
+        yield f'checksum = "{name}"', made
+    low, high = message.frame_id & 0xFF, message.frame_id >> 8 & 0xFF
+    for name, crc in KNOWN.items():
+        text = f'crc = {{ algorithm = "{name}"'
+        yield f"{text} }}", Checksum(crc)
+        yield f"{text}, data_id = 0x{message.frame_id & 0xFFFF:X} }}", Checksum(crc, after=(low, high))
+        yield f'{text}, data_id = {{ bytes = [{low}, {high}], place = "before" }} }}', Checksum(crc, before=(low, high))
+        yield f'{text}, data_id = {{ bytes = [{high}, {low}], place = "after" }} }}', Checksum(crc, after=(high, low))
+    for kind in ("sum", "xor"):
+        for of in ("bytes", "nibbles"):
+            text = f'checksum = {{ rule = "{kind}", of = "{of}" }}'
+            yield text, Checksum(xor=kind == "xor", nibbles=of == "nibbles")
+
+
+def fitting(message: Message, field: np.void, payloads: Sequence[bytes]) -> list[str]:
+    """Return the known checksums that all payloads have, as a configuration says them.
+
+    Args:
+        message: that the payloads are of.
+        field: where the checksum lies, a record of :class:`gateway.signals.bits.Field`.
+        payloads: different ones; with four of them a checksum of 8 bits fits by chance once in 4 x 10^9.
+    """
+    counter = None
+    try:
+        signal = signal_of(message, None, COUNTERS, "counter")
+        at = np.zeros(1, Field.dtype)[0]
+        place(at, signal.start, signal.length, big=signal.byte_order == "big_endian")
+        counter = Counter(at, 1 << signal.length)
+    except InputError:
+        pass  # then no rule with a list of data ids can fit
+    words = [np.frombuffer(data.ljust(64, b"\0"), "<u8").copy() for data in payloads]
+    assert mask_of(field)
+    found: list[str] = []
+    for text, checksum in _candidates(message):
+        if checksum.crc is not None and checksum.crc.width != field["length"]:
+            continue
+        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+        fill(rows[0], Protection(checksum, field, counter), tables)
+        row, crcs = rows.view(np.recarray)[0], tables.array()
+        judged = [judge_frame(each, len(data), row, crcs) for each, data in zip(words, payloads, strict=True)]
+        if all(received == computed for received, computed, _ in judged):
+            found.append(text)
+    return found

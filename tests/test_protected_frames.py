@@ -1,0 +1,226 @@
+"""Protected messages by configuration, through a whole gateway: frames that other programs made, and faults in them."""
+
+import random
+
+import e2e
+import pytest
+from opendbc.can.dbc import DBC
+from opendbc.can.packer import CANPacker
+
+from gateway.bus.frames import EXTENDED, FD, empty, put
+from gateway.config.load import load_config
+from gateway.errors import InputError, InputErrors
+from gateway.runtime.app import Gateway
+
+MS = 1_000_000
+HEAD = 'VERSION ""\nNS_ :\nBS_:\nBU_: A B\n'
+
+
+def write(folder, messages, check, *, more="", name="car.dbc"):
+    (folder / name).write_text(HEAD + messages)
+    path = folder / "gateway.toml"
+    path.write_text(
+        f'[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["{name}"]\n{more}'
+        f"health = {{ watched = false }}\n[[bus.check]]\n{check}\n"
+    )
+    return path
+
+
+class Car:
+    """A gateway that is fed frames 10 ms apart, and tells what it makes of them."""
+
+    def __init__(self, config):
+        self.gateway = Gateway(load_config(config))
+        self.events, self.t_ns = [], 0
+        self.gateway.listen(self.events.append)
+        self.gateway.start(1)
+
+    def feed(self, payloads, can_id=0x100):
+        frames = empty(len(payloads))
+        for k, data in enumerate(payloads):
+            self.t_ns += 10 * MS
+            flags = FD if len(data) > 8 else 0
+            put(frames, k, self.t_ns, can_id, bytes(data), flags=flags)
+        self.gateway.feed(frames)
+        return self
+
+    def failed(self):
+        """Return the faults that were found, in order."""
+        told = [e for e in self.events if e["event"] == "dtc" and e["status"] & 1]
+        return list(dict.fromkeys(e["fault"].split(".", 2)[2] for e in told))
+
+    def of(self, kind):
+        return [event for event in self.events if event["event"] == kind]
+
+
+def e2e_p01(count, data_id=0x1234, length=8, seed=1, mode=e2e.p01.E2E_P01_DATAID_BOTH):
+    rng, data, frames = random.Random(seed), bytearray(length), []
+    for _ in range(count):
+        data[2:] = rng.randbytes(length - 2)
+        e2e.p01.e2e_p01_protect(data, data_id, data_id_mode=mode)
+        frames.append(bytes(data))
+    return frames
+
+
+P01 = 'message = "M"\ne2e = { profile = "P01", data_id = 0x1234 }'
+PLAIN = 'BO_ 256 M: 8 A\n SG_ Speed : 16|16@1+ (1,0) [0|0] "" B\n'
+
+
+@pytest.fixture
+def p01(tmp_path):
+    return Car(write(tmp_path, PLAIN, P01))
+
+
+def test_a_healthy_counter_from_0_to_14_wraps_in_silence(p01):
+    p01.feed(e2e_p01(3000))
+    assert p01.failed() == []
+    assert not [e for e in p01.of("monitor") if e["result"] == "failed"]
+    assert p01.gateway.engine.counters()["crc_failed"] == 0
+
+
+@pytest.mark.parametrize("bit", range(0, 64, 7))
+def test_flips_are_the_crc_s_fault(p01, bit):
+    frames = e2e_p01(40)
+    for k in (20, 21, 22):
+        broken = bytearray(frames[k])
+        broken[bit // 8] ^= 1 << bit % 8
+        frames[k] = bytes(broken)
+    assert p01.feed(frames).failed() == ["crc"]
+
+
+def test_repeats_losses_and_swaps_are_the_counter_s_fault(tmp_path):
+    frames = e2e_p01(60)
+    lost = frames[:20] + frames[20:40:3] + frames[40:]
+    repeated = frames[:20] + [frames[19]] * 3 + frames[20:]
+    swapped = frames[:20] + [frames[k + (2, 0, -2)[k % 3]] for k in range(21, 33)] + frames[33:]
+    for broken in (lost, repeated, swapped):
+        assert Car(write(tmp_path, PLAIN, P01)).feed(broken).failed() == ["counter"]
+
+
+def test_a_frame_out_of_sequence_is_not_used_with_e2e_and_is_without(tmp_path):
+    frames = e2e_p01(30)
+    strict = Car(write(tmp_path, PLAIN, P01)).feed([*frames[:10], frames[15]])
+    assert strict.gateway.engine.counters()["wrong_sequence"] == 1
+    lenient = Car(write(tmp_path, PLAIN, P01.replace("0x1234", "0x1234, max_delta = 6"))).feed(
+        [*frames[:10], frames[15]]
+    )
+    assert lenient.gateway.engine.counters()["wrong_sequence"] == 0
+
+
+WINDOW = "window = { size = 10, min_ok = [3, 2, 5], max_error = [2, 3, 3] }"
+
+
+def test_the_state_machine_uses_frames_only_while_enough_are_right(tmp_path):
+    car = Car(write(tmp_path, PLAIN, P01.replace("0x1234", f"0x1234, {WINDOW}")))
+    frames = e2e_p01(60)
+    rejected = []
+    for k, data in enumerate(frames):
+        broken = bytearray(data)
+        broken[4] ^= 20 <= k < 24  # four wrong ones: more than it bears
+        before = car.gateway.engine.counters()["window_rejected"]
+        car.feed([bytes(broken)])
+        rejected.append(car.gateway.engine.counters()["window_rejected"] - before)
+    assert rejected[:3] == [1, 1, 0], "three right ones before the first is used"
+    assert sum(rejected[3:20]) == 0
+    assert rejected[24:26] == [1, 1]
+    assert rejected[35:] == [0] * 25, "used again, once the window is clear"
+
+
+def test_fd_with_64_bytes(tmp_path):
+    check = 'message = "M"\ne2e = { profile = "P07", data_id = 0x12345678, offset = 8 }'
+    car = Car(write(tmp_path, 'BO_ 256 M: 64 A\n SG_ Speed : 0|16@1+ (1,0) [0|0] "" B\n', check))
+    data, frames = bytearray(64), []
+    for k in range(100):
+        data[40] = k
+        e2e.p07.e2e_p07_protect(data, 0x12345678, offset=8)
+        frames.append(bytes(data))
+    assert car.feed(frames).failed() == []
+    frames[-3:] = [data[:50] + b"x" + data[51:] for data in frames[-3:]]
+    assert car.feed(frames[-3:]).failed() == ["crc"]
+
+
+MUXED = (
+    "BO_ 256 M: 8 A\n"
+    ' SG_ Page M : 0|8@1+ (1,0) [0|1] "" B\n'
+    ' SG_ CHECKSUM m1 : 63|8@0+ (1,0) [0|255] "" B\n'
+    ' SG_ Plain m0 : 8|16@1+ (1,0) [0|0] "" B\n'
+    ' SG_ Speed m1 : 8|16@1+ (1,0) [0|0] "" B\n'
+)
+
+
+def test_a_multiplexed_checksum_is_tested_where_it_is(tmp_path):
+    car = Car(write(tmp_path, MUXED, 'message = "M"\nchecksum = "toyota"'))
+    rng, frames = random.Random(3), []
+    for k in range(200):
+        data = bytes([k % 2]) + rng.randbytes(6)
+        frames.append(data + bytes([sum(data) + 8 + 0x01 & 0xFF if k % 2 else rng.getrandbits(8)]))
+    assert car.feed(frames).failed() == []
+    broken = [bytes([1]) + rng.randbytes(6) + b"\x00" for _ in range(3)]
+    assert car.feed(broken).failed() == ["crc"]
+
+
+def test_j1939_by_pgn_with_several_senders(tmp_path):
+    message = f'BO_ {0x18FEF100 | 0x80000000} M: 8 A\n SG_ Speed : 16|16@1+ (1,0) [0|0] "" B\n'
+    car = Car(write(tmp_path, message, P01, more='match = "pgn"\n'))
+    one, other = e2e_p01(100), e2e_p01(100, seed=2)
+    for sent in zip(one, other, strict=True):
+        for address, data in zip((0x17, 0x21), sent, strict=True):
+            car.feed([data], can_id=0x18FEF100 | address | EXTENDED)
+    assert "crc" not in car.failed()
+
+
+def test_a_rule_that_no_frame_passes_is_doubted_not_the_sender(tmp_path):
+    packer, names = CANPacker("toyota_new_mc_pt_generated"), DBC("toyota_new_mc_pt_generated").name_to_msg
+    message = names["STEERING_LKA"]
+    text = f'BO_ {message.address} M: {message.size} A\n SG_ CHECKSUM : 39|8@0+ (1,0) [0|0] "" B\n'
+    car = Car(write(tmp_path, text, 'message = "M"\nchecksum = "honda"'.replace("honda", "subaru")))
+    frames = [packer.make_can_msg("STEERING_LKA", 0, {"STEER_TORQUE_CMD": k * 3})[1] for k in range(300)]
+    car.feed(frames, can_id=message.address)
+    assert car.failed() == ["rule"]
+    (told,) = car.of("protection")
+    assert (told["bus"], told["message"], told["rule"]) == ("b", "M", "subaru")
+    assert told["fits"] == ['checksum = "toyota"']
+    (dtc,) = [e for e in car.of("dtc") if e["status"] & 1]
+    assert dtc["dtc"].endswith("-56")
+    # With the rule that was told, all is well.
+    fine = Car(write(tmp_path, text, f'message = "M"\n{told["fits"][0]}'))
+    assert fine.feed(frames, can_id=message.address).failed() == []
+
+
+def test_after_one_right_frame_the_sender_is_judged(p01):
+    frames = e2e_p01(60)
+    broken = [bytes([data[0] ^ 1]) + data[1:] for data in frames[1:]]
+    assert p01.feed([frames[0], *broken]).failed() == ["crc"]
+    assert p01.of("protection") == []
+
+
+@pytest.mark.parametrize(
+    ("check", "said"),
+    [
+        ('message = "M"\nchecksum = "toyotta"', "did you mean toyota?"),
+        ('message = "M"\nchecksum = "toyota"', "which signal of M is the checksum? Give signal; it has Speed"),
+        ('message = "M"\nchecksum = { rule = "sum", signal = "Sped" }', "did you mean Speed?"),
+        ('message = "M"\ncrc = { signal = "Speed" }', "the CRC has 8 bits, its signal 16"),
+        ('message = "M"\ncrc = { signal = "Speed", width = 16 }', "width and poly are given together"),
+        ('message = "M"\ncrc = { signal = "Speed", width = 16, poly = 0x11021 }', "poly has more than 16 bits"),
+        ('message = "M"\ne2e = { profile = "P02" }', "P02 wants a list of 16 data ids"),
+        ('message = "M"\ne2e = { profile = "P04" }', "P04's header has 12 bytes, the message 8"),
+        ('message = "M"\ne2e = { profile = "P01" }\ncounter = { signal = "Speed" }', "e2e has a counter of its own"),
+        (
+            'message = "M"\nchecksum = "toyota"\ne2e = { profile = "P01" }',
+            "checksum and e2e: a message has one of them",
+        ),
+        ('message = "M"\ncounter = { signal = "Speed", modulus = 70000 }', "16 bits have 65536 values"),
+        ('message = "M"\ne2e = { profile = "P01", window = { size = 65, min_ok = 1, max_error = 1 } }', "1 to 64"),
+        (
+            'message = "M"\ne2e = { profile = "P01", window = { size = 9, min_ok = [3, 5, 5], max_error = 1 } }',
+            "while valid it takes no more right ones, and bears no fewer wrong ones",
+        ),
+    ],
+)
+def test_mistakes_are_one_line_that_names_file_key_and_value(tmp_path, check, said):
+    with pytest.raises((InputError, InputErrors)) as told:
+        Gateway(load_config(write(tmp_path, PLAIN, check)), file=tmp_path / "gateway.toml")
+    (line,) = str(told.value).splitlines()
+    assert said in line
+    assert "gateway.toml" in line
