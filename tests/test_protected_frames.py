@@ -224,3 +224,49 @@ def test_mistakes_are_one_line_that_names_file_key_and_value(tmp_path, check, sa
     (line,) = str(told.value).splitlines()
     assert said in line
     assert "gateway.toml" in line
+
+
+ATTRIBUTES = (
+    'BA_DEF_ BO_ "E2E_Profile" STRING ;\nBA_DEF_ BO_ "E2E_DataID" INT 0 65535;\nBA_DEF_ BO_ "E2E_DataIDMode" STRING ;\n'
+    'BA_DEF_DEF_ "E2E_Profile" "";\nBA_DEF_DEF_ "E2E_DataID" 0;\nBA_DEF_DEF_ "E2E_DataIDMode" "";\n'
+    'BA_ "E2E_Profile" BO_ 256 "PROFILE_01";\nBA_ "E2E_DataID" BO_ 256 4660;\n'
+    'BA_ "E2E_DataIDMode" BO_ 256 "E2E_P01_DATAID_LOW";\n'
+)
+NAMED = (
+    'BO_ 256 M: 8 A\n SG_ COUNTER : 7|4@0+ (1,0) [0|15] "" B\n SG_ CHECKSUM : 63|8@0+ (1,0) [0|255] "" B\n'
+    'BO_ 257 Plain: 8 A\n SG_ Speed : 16|16@1+ (1,0) [0|0] "" B\n'
+)
+
+
+def test_auto_takes_what_attributes_say_and_check_says_so(tmp_path, capsys):
+    from gateway.cli.check import check
+
+    path = write(tmp_path, PLAIN + ATTRIBUTES, 'message = "M"\nprotection = "auto"')
+    assert check(path, schema_wanted=False, json=False) == 0
+    said = capsys.readouterr().out
+    assert 'taken: b.M: e2e = { profile = "P01", data_id = 4660, data_id_mode = "low" }, as attributes' in said
+    assert Car(path).feed(e2e_p01(100, mode=e2e.p01.E2E_P01_DATAID_LOW)).failed() == []
+    frames = e2e_p01(100)
+    assert Car(path).feed(frames).failed() == ["rule"], "these are of another mode"
+
+
+def test_auto_takes_opendbc_s_names_and_says_where_it_takes_nothing(tmp_path):
+    more = '\n[[bus.check]]\nmessage = "Plain"\nlost = "U0101"\ninvalid = "U0402"\nprotection = "auto"'
+    path = write(tmp_path, NAMED, f'message = "M"\nprotection = "auto"{more}', name="toyota_mine.dbc")
+    car = Car(path)
+    one, other = car.gateway.notes
+    assert 'checksum = { rule = "toyota", signal = "CHECKSUM" }, by the name of toyota_mine.dbc' in one
+    assert 'counter = { signal = "COUNTER" }, by its name' in one
+    assert other.startswith("b.Plain: nothing")
+    frames = []
+    for k in range(100):
+        data = bytes([k % 16 << 4, *range(6)])
+        frames.append(data + bytes([sum(data) + 8 + 1 & 0xFF]))
+    assert car.feed(frames).failed() == []
+    assert car.feed([frames[-1]] * 4).failed() == ["counter"]
+
+
+def test_auto_is_given_alone(tmp_path):
+    path = write(tmp_path, PLAIN, 'message = "M"\nprotection = "auto"\nchecksum = "toyota"')
+    with pytest.raises(InputErrors, match="give it, or the rest"):
+        load_config(path)

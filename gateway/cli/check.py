@@ -44,6 +44,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         )
         return 2
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
+    notes = list(gateway.notes)
     gateway.close()
     warnings = [
         f"{entry.name}: {text}"
@@ -53,11 +54,13 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     ]
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "warnings": warnings})
+        print_json({"ok": True, "faults": faults, "taken": notes, "warnings": warnings})
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
             print(f"  {fault['dtc']}  {fault['fault']}: {fault['description']}")
+        for text in notes:
+            print(f"taken: {text}")
         for text in warnings:
             print(f"warning: {text}")
     return 0

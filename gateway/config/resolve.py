@@ -5,7 +5,7 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -26,6 +26,7 @@ from gateway.monitors.conformance import checked_emission
 from gateway.monitors.contract import Monitor, MonitorParams
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
+from gateway.signals.protection.auto import automatic
 from gateway.signals.tables import SignalRef
 
 #: Databases of messages that the gateway itself sends.
@@ -49,6 +50,7 @@ class Resolved:
         shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
         signals: each name outside of the engine that stands for a signal -> that signal.
         security: of the UDS server; its key functions have been found.
+        notes: what was taken where the configuration leaves it to the databases, one line each.
     """
 
     config: Config
@@ -63,6 +65,7 @@ class Resolved:
     shown: tuple[str, ...]
     signals: Mapping[str, SignalRef]
     security: Security
+    notes: tuple[str, ...]
 
 
 def resolve(config: Config) -> Resolved:
@@ -74,15 +77,15 @@ def resolve(config: Config) -> Resolved:
     databases = load_databases(config)
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
+    notes: list[str] = []
+    monitors = tuple(_monitor(config, entry, databases) for entry in config.monitor)
+    checks = tuple(_checks(config, databases, notes))
     return Resolved(
         config=config,
         databases=databases,
-        monitors=tuple(_monitor(config, entry, databases) for entry in config.monitor),
-        checks=tuple(
-            CheckInstance(check, index, f"{bus.name}.{check.message}")
-            for index, bus in enumerate(config.bus)
-            for check in bus.check
-        ),
+        monitors=monitors,
+        checks=checks,
+        notes=tuple(notes),
         buses=tuple(BusInstance(bus.name, bus.health) for bus in config.bus),
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
@@ -118,6 +121,23 @@ def load_databases(config: Config) -> tuple[Database, ...]:
     if wrong:
         raise InputErrors(wrong)
     return tuple(loaded)
+
+
+def _checks(config: Config, databases: tuple[Database, ...], notes: list[str]) -> Iterator[CheckInstance]:
+    """Yield the checks of messages; what databases say of protections is put in, and noted."""
+    for index, bus in enumerate(config.bus):
+        for check in bus.check:
+            params = check
+            if check.protection == "auto":
+                try:
+                    message = databases[index].message(check.message)
+                except InputError as error:
+                    raise InputError(error.message, key=f'check of "{check.message}"', value=error.value) from error
+                taken, why = automatic(message, databases[index].file_of(check.message))
+                found = {name: getattr(taken, name) for name in ("e2e", "checksum", "counter")}
+                params = check.model_copy(update=found)
+                notes.append(f"{bus.name}.{check.message}: {why}")
+            yield CheckInstance(params, index, f"{bus.name}.{check.message}")
 
 
 def _monitor(config: Config, entry: MonitorConfig, databases: tuple[Database, ...]) -> MonitorInstance:

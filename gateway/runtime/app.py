@@ -410,6 +410,11 @@ class Gateway:
         for listener in self._listeners:
             listener(event)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken where the configuration leaves it to the databases, one line each."""
+        return self._parts.notes
+
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""
         return {

@@ -48,6 +48,7 @@ class Parts:
         cycles: names of the operation cycles, in the engine's order.
         security: of the UDS server; its key functions have been found.
         checks: of messages, in the engine's order.
+        notes: what was taken where the configuration leaves it to the databases.
     """
 
     databases: tuple[Database, ...]
@@ -58,6 +59,7 @@ class Parts:
     cycles: tuple[str, ...]
     security: Security
     checks: tuple[CheckInstance, ...]
+    notes: tuple[str, ...]
 
 
 def prepare(config: Config, file: Path | None = None) -> Parts:
@@ -107,6 +109,7 @@ def assemble(resolved: Resolved) -> Parts:
         tuple(resolved.cycles),
         resolved.security,
         resolved.checks,
+        resolved.notes,
     )
 
 

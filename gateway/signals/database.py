@@ -29,6 +29,7 @@ class Database:
 
     def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:
         self._files = dict.fromkeys(str(file) for _, file in messages)
+        self._file_of = {message.name: file for message, file in messages}
         count = Counter(message.name for message, _ in messages)
         self._messages = {m.name: m for m, _ in messages if count[m.name] == 1}
         self._ambiguous = {
@@ -58,6 +59,14 @@ class Database:
             where = ", ".join(self._files) or "a database: this bus has none"
             raise InputError(f"no message {name!r} in {where}{nearest(name, known)}")
         return found
+
+    def file_of(self, message: str) -> Path:
+        """Return the file that a message came from.
+
+        Raises:
+            InputError: there is no such message.
+        """
+        return self._file_of[self.message(message).name]
 
     def signal(self, message: str, name: str) -> Signal:
         """Return a signal of a message by name.

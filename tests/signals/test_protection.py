@@ -225,3 +225,16 @@ def test_what_a_profile_does_not_have_is_refused(profile, header, key):
     with pytest.raises(InputError) as told:
         protection_of(profile, header)
     assert told.value.key == key
+
+
+def test_profile_22_by_the_vectors_of_its_specification():
+    """PRS_E2EProtocol (AUTOSAR FO), examples of profile 22: ids 1 to 16, counter 1, all other bytes zero."""
+    ids = tuple(range(1, 17))
+    short = Checked(protection_of("P22", Header(8, data_ids=ids)))
+    assert short.protect(bytes(8), 1) == bytes.fromhex("1B01000000000000")
+    offset = Checked(protection_of("P22", Header(16, data_ids=ids, offset=8)))
+    assert offset.protect(bytes(16), 1) == bytes(8) + bytes.fromhex("1401000000000000")
+    rng = random.Random(22)
+    for counter in range(16):
+        data = bytearray(short.protect(rng.randbytes(8), counter))
+        assert e2e.p02.e2e_p02_check(bytes(data), bytes(ids)), "without an offset it is profile 2"

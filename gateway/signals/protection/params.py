@@ -210,12 +210,17 @@ class ProtectionParams(StrictModel):
     crc: CrcCheck | None = None
     checksum: ChecksumText | None = Field(None, description='a carmaker\'s rule ("toyota"), sum, or xor')
     e2e: E2eCheck | None = Field(None, description="AUTOSAR E2E profile")
+    protection: Literal["auto"] | None = Field(
+        None, description="auto: as names and attributes in the database say; gateway check prints what was taken"
+    )
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         given = [name for name in ("crc", "checksum", "e2e") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)}: a message has one of them")
+        if self.protection is not None and (given or self.counter is not None):
+            raise ValueError("protection = auto takes what the database says; give it, or the rest")
         if self.e2e is not None and self.counter is not None:
             raise ValueError("e2e has a counter of its own")
         return self
