@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
@@ -56,20 +56,16 @@ class Entry:
     near_misses: int
 
 
+#: Fields that an entry has as its record keeps them.
+_TAKEN = tuple({f.name for f in fields(Entry)} & {f.name for f in fields(Record)} - {"dtc", "status", "freeze_frames"})
+
+
 def entry_of(record: Record) -> Entry:
     """Return a stored record as an entry."""
     return Entry(
-        Dtc(record.dtc),
-        record.id,
-        STATUS[record.status],
-        record.occurrence,
-        record.first_ns,
-        record.last_ns,
-        record.evidence,
-        record.inputs,
-        tuple(record.freeze_frames[number] for number in sorted(record.freeze_frames)),
-        record.failed_cycles,
-        record.aged_cycles,
-        record.peak_fdc,
-        record.near_misses,
+        dtc=Dtc(record.dtc),
+        fault=record.id,
+        status=STATUS[record.status],
+        freeze_frames=tuple(record.freeze_frames[number] for number in sorted(record.freeze_frames)),
+        **{name: getattr(record, name) for name in _TAKEN},
     )
