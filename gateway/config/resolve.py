@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Any
 
 from cantools.database.can import Message
+from cantools.database.can.signal import Signal
 
 from gateway.common.resources import shipped
 from gateway.config.model import Config, MonitorConfig
@@ -23,7 +24,7 @@ from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission
-from gateway.monitors.contract import Monitor, MonitorParams
+from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
@@ -78,7 +79,9 @@ def resolve(config: Config) -> Resolved:
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
     notes: list[str] = []
-    monitors = tuple(_monitor(config, entry, databases) for entry in config.monitor)
+    monitors = tuple(
+        each for at, entry in enumerate(config.monitor) for each in _monitors(config, entry, databases, at)
+    )
     checks = tuple(_checks(config, databases, notes))
     return Resolved(
         config=config,
@@ -140,11 +143,26 @@ def _checks(config: Config, databases: tuple[Database, ...], notes: list[str]) -
             yield CheckInstance(params, index, f"{bus.name}.{check.message}")
 
 
-def _monitor(config: Config, entry: MonitorConfig, databases: tuple[Database, ...]) -> MonitorInstance:
+def _monitors(
+    config: Config, entry: MonitorConfig, databases: tuple[Database, ...], at: int
+) -> Iterator[MonitorInstance]:
+    """Yield a configured monitor, or its parts."""
     monitor, params = monitor_of(entry)
     bus = config.bus_index(entry.bus)
     sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
-    return MonitorInstance(entry.name, monitor, params, bus, entry.priority, entry.signals, sent)
+    parts, several = monitor.capability(Parts), [params]
+    if parts is not None:
+
+        def find(name: str) -> Signal:
+            message, _, signal = entry.signals.get(name, name).rpartition(".")
+            return databases[bus].signal(message, signal)
+
+        try:
+            several = list(parts.of(params, find, config.bus[bus].name))
+        except InputError as error:
+            raise InputError(error.message, key=f"monitor[{at}].{error.key}", value=error.value) from error
+    for k, part in enumerate(several):
+        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, k)
 
 
 def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database) -> Message:

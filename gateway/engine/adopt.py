@@ -91,9 +91,9 @@ def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
 
 
 def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
-    places = {instance.name: k for k, instance in enumerate(old.monitors)}
+    places = {(instance.name, instance.part): k for k, instance in enumerate(old.monitors)}
     for k, instance in enumerate(new.monitors):
-        before = places.get(instance.name)
+        before = places.get((instance.name, instance.part))
         if before is None or not _alike(instance, old.monitors[before], buses):
             continue
         new.state_of(k)[:] = old.state_of(before)

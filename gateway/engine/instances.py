@@ -17,6 +17,7 @@ class MonitorInstance:
 
     ``signals`` maps a default ``"Message.Signal"`` to the user's own, or to ``"bus.Message.Signal"`` of another bus;
     ``priority`` 0 steps first.
+    ``part`` tells several of one name apart, that are parts of one configured monitor.
     ``emission`` is the message its results are sent in; None: they are not sent.
     """
 
@@ -27,6 +28,7 @@ class MonitorInstance:
     priority: int = 0
     signals: Mapping[str, str] = field(default_factory=dict)
     emission: Message | None = None
+    part: int = 0
 
 
 @dataclass(frozen=True)

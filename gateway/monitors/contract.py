@@ -316,9 +316,21 @@ class Warnings:
     of: Callable[[Any], tuple[str, ...]]
 
 
+@dataclass(frozen=True)
+class Parts:
+    """One configured monitor that steps in several parts: each has its own inputs, and steps when they come.
+
+    Attributes:
+        of: parameters, ``"Message.Signal"`` -> the signal in the database, name of the bus -> parameters of each part.
+            The names of the parts' faults differ; all are ``<monitor>.<fault>``.
+    """
+
+    of: Callable[[Any, Callable[[str], Any], str], Sequence[Any]]
+
+
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Calibration | CusumCalibration | Readout | Warnings
-C = TypeVar("C", Calibration, CusumCalibration, Readout, Warnings)
+Capability = Calibration | CusumCalibration | Parts | Readout | Warnings
+C = TypeVar("C", Calibration, CusumCalibration, Parts, Readout, Warnings)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,61 @@
+"""What can be wrong with a signal, with its failure type (SAE J2012-DA, table of failure type bytes)."""
+
+from __future__ import annotations
+
+from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.signal.params import PartParams, Watched
+
+BELOW, ABOVE, LOW, HIGH, GRADIENT, STUCK, INVALID, UNDEFINED, ALL_ONES, NOISE = range(10)
+
+#: Kind -> name, failure type byte, description, what to do.
+KINDS = (
+    ("below", "21", "below what its circuit can give", "check the sensor's wires: short to ground, open circuit"),
+    ("above", "22", "above what its circuit can give", "check the sensor's wires: short to battery, open circuit"),
+    ("low", "84", "below the plausible range", "compare with another measurement; check the sensor"),
+    ("high", "85", "above the plausible range", "compare with another measurement; check the sensor"),
+    ("gradient", "27", "changes faster than it can", "check for a loose contact"),
+    ("stuck", "2A", "does not move where it must", "check the sensor, its mounting, and its sender"),
+    ("invalid", "86", "its sender says that it has no value", "read the sender's own DTCs"),
+    ("undefined", "81", "has a value that the database does not know", "check the sender's software and the database"),
+    ("all_ones", "29", "all bits are set", "check the sender: not initialised, or no value"),
+    ("noise", "2F", "scatters more than it may", "check screening and ground of the sensor"),
+)
+
+
+def kinds_of(watched: Watched) -> list[int]:
+    """Return which faults a signal can have."""
+    p = watched.limits
+    asked = (
+        p.electrical is not None,
+        p.electrical is not None,
+        p.plausible is not None,
+        p.plausible is not None,
+        p.gradient is not None,
+        p.stuck is not None,
+        bool(watched.codes),
+        bool(watched.values),
+        watched.ones is not None,
+        p.noise is not None,
+    )
+    return [kind for kind, is_asked in enumerate(asked) if is_asked]
+
+
+def faults(p: PartParams) -> tuple[Fault, ...]:
+    """Return the faults of a part's signals, in the order of the signals and of :data:`KINDS`."""
+    found = []
+    for watched in p.watched:
+        unit = f" [{watched.unit}]" if watched.unit else ""
+        debounce = Debounce(failed_ms=watched.limits.failed_ms, passed_ms=watched.limits.passed_ms)
+        for kind in kinds_of(watched):
+            name, failure_type, text, remedy = KINDS[kind]
+            found.append(
+                Fault(
+                    f"{watched.name}.{name}",
+                    f"{watched.code}-{failure_type}",
+                    f"{watched.limits.signal}: {text}",
+                    (f"value{unit}", f"before{unit}"),
+                    debounce,
+                    remedy=remedy,
+                )
+            )
+    return tuple(found)

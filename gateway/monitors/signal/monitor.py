@@ -1,0 +1,201 @@
+"""Plausibility of any signal: one step a frame looks at the signals that it carries, and at no others.
+
+A value that is none (an invalid code, all bits set, one that the database does not know) says so and is not tested
+further, nor remembered; one beyond what its circuit can give is not tested for plausibility. So a broken wire is one
+fault.
+
+The scatter is that of second differences: d_k = x_k - 2 x_(k-1) + x_(k-2) of a course without corners is noise alone,
+with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided by 6.
+"""
+
+from __future__ import annotations
+
+from math import inf, isnan, nan, sqrt
+from typing import Any
+
+import numpy as np
+
+from gateway.jit import kernel
+from gateway.monitors.contract import Connection, Fault, Monitor, Out, Parts, Signal, report
+from gateway.monitors.signal.faults import (
+    ABOVE,
+    ALL_ONES,
+    BELOW,
+    GRADIENT,
+    HIGH,
+    INVALID,
+    LOW,
+    NOISE,
+    STUCK,
+    UNDEFINED,
+    faults,
+    kinds_of,
+)
+from gateway.monitors.signal.params import MOST_SIGNALS, Params, PartParams
+from gateway.monitors.signal.parts import parts
+from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One, State
+
+
+@kernel
+def tell(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, limit: float) -> None:
+    """Report a test, if it is asked for."""
+    if p.fault[kind] >= 0:
+        evidence = report(out, p.fault[kind], failed, value, limit)
+        evidence.value = value
+        evidence.before = s.before
+
+
+@kernel
+def beyond(p: One, s: Course, kind: int, over: float) -> bool:
+    """Return whether a limit is broken: from ``over`` > 0 on, until it is kept by the hysteresis."""
+    if over > 0.0:
+        s.beyond[kind] = 1
+    elif over < -p.hysteresis or p.hysteresis == 0.0:
+        s.beyond[kind] = 0
+    return bool(s.beyond[kind] == 1)
+
+
+@kernel
+def is_none(out: Any, p: One, s: Course, x: float) -> bool:
+    """Test whether a value is none; returns True if it is."""
+    code = False
+    for k in range(p.codes):
+        code = code or x == p.code[k]
+    known = p.values == 0
+    for k in range(p.values):
+        known = known or x == p.allowed[k]
+    ones = x == p.ones
+    tell(out, p, s, INVALID, code, x, x)
+    tell(out, p, s, ALL_ONES, ones and not code, x, p.ones)
+    tell(out, p, s, UNDEFINED, not (known or code or ones), x, x)
+    return code or ones or not known
+
+
+@kernel
+def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool:
+    """Return whether a signal has not moved where it must."""
+    if s.valid == 0 or abs(x - s.anchor) > p.stuck_by:
+        s.anchor, s.still_s, s.other = x, 0.0, other
+        return False
+    if p.moving_by > 0.0:
+        if isnan(s.other):
+            s.other = other
+        return abs(other - s.other) >= p.moving_by
+    if p.during_low > -inf and not p.during_low <= other <= p.during_high:
+        s.still_s = 0.0
+    else:
+        s.still_s += seconds
+    return bool(s.still_s >= p.stuck_s)
+
+
+@kernel
+def scatter(p: One, s: Course, x: float) -> float:
+    """Return a signal's standard deviation around its course, 0 until there are samples enough."""
+    if s.valid < 2:
+        s.variance = 0.0
+        return 0.0
+    second = x - 2.0 * s.before + s.second
+    weight = max(p.weight, 1.0 / (s.valid - 1))
+    s.variance += weight * (second * second / 6.0 - s.variance)
+    return sqrt(s.variance) if s.valid > p.samples else 0.0
+
+
+@kernel
+def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None:
+    """Test one value of a signal."""
+    if is_none(out, p, s, x):
+        s.valid = 0
+        return
+    seconds = (t_ns - s.before_ns) * 1e-9 if s.valid > 0 else 0.0
+    below = beyond(p, s, BELOW, p.electrical_low - x)
+    above = beyond(p, s, ABOVE, x - p.electrical_high)
+    tell(out, p, s, BELOW, below, x, p.electrical_low)
+    tell(out, p, s, ABOVE, above, x, p.electrical_high)
+    if not (below or above):
+        tell(out, p, s, LOW, beyond(p, s, LOW, p.low - x), x, p.low)
+        tell(out, p, s, HIGH, beyond(p, s, HIGH, x - p.high), x, p.high)
+    if p.fault[GRADIENT] >= 0 and s.valid > 0 and seconds > 0.0:
+        rate = abs(x - s.before) / seconds
+        evidence = report(out, p.fault[GRADIENT], rate > p.gradient, rate, p.gradient)
+        evidence.value, evidence.before = x, s.before
+    if p.fault[STUCK] >= 0:
+        stuck = has_stuck(p, s, x, other, seconds)
+        evidence = report(out, p.fault[STUCK], stuck, s.still_s, p.stuck_s)
+        evidence.value, evidence.before = x, s.before
+    if p.fault[NOISE] >= 0:
+        deviation = scatter(p, s, x)
+        if s.valid > p.samples:
+            tell(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation)
+    s.second, s.before, s.before_ns = s.before, x, t_ns
+    s.valid += 1
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
+    """Look at the signals that a frame carries."""
+    for k in range(c.signals):
+        x = u.value[k]
+        if not isnan(x):  # a multiplexed one that has not come yet
+            look(out, c.one[k], s.one[k], u.t_ns, x, u.other[k])
+
+
+def _connect(p: PartParams) -> dict[str, Connection]:
+    values = [Signal(watched.limits.signal, triggers=True, optional=True) for watched in p.watched]
+    others: list[Signal | None] = []
+    for watched in p.watched:
+        asked = watched.limits.stuck
+        name = None if asked is None else asked.during or asked.moving
+        others.append(None if name is None else Signal(name, optional=True))
+    return {"value": _filled(values), "other": _filled(others)}
+
+
+def _filled(signals: list[Any]) -> list[Signal | None]:
+    return [*signals, *[None] * (MOST_SIGNALS - len(signals))]
+
+
+def _prepare(p: PartParams, s: Any, c: Any) -> None:
+    c["signals"] = len(p.watched)
+    number = 0
+    for k, watched in enumerate(p.watched):
+        one, limits, course = c["one"][k], watched.limits, s["one"][k]
+        one["electrical_low"], one["electrical_high"] = limits.electrical or (-inf, inf)
+        one["low"], one["high"] = limits.plausible or (-inf, inf)
+        one["hysteresis"] = limits.hysteresis
+        one["gradient"] = limits.gradient or inf
+        one["during_low"], one["during_high"] = -inf, inf
+        if limits.stuck is not None:
+            one["stuck_s"], one["stuck_by"] = limits.stuck.seconds, limits.stuck.by
+            one["during_low"], one["during_high"] = limits.stuck.within or (-inf, inf)
+            one["moving_by"] = limits.stuck.moving_by or 0.0
+        if limits.noise is not None:
+            one["deviation"], one["samples"] = limits.noise.deviation, limits.noise.samples
+            one["weight"] = 1.0 / limits.noise.samples
+        one["ones"] = nan if watched.ones is None else watched.ones
+        one["codes"], one["values"] = len(watched.codes), len(watched.values)
+        one["code"][: len(watched.codes)] = watched.codes
+        one["allowed"][: len(watched.values)] = watched.values
+        one["fault"] = -1
+        for kind in kinds_of(watched):
+            one["fault"][kind] = number
+            number += 1
+        course["before"] = course["second"] = course["anchor"] = course["other"] = np.nan
+
+
+def _faults(p: Any) -> tuple[Fault, ...]:
+    return faults(p)
+
+
+MONITOR = Monitor(
+    type="signal",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    step=step,
+    connect=_connect,  # type: ignore[arg-type] # of its parts
+    prepare=_prepare,  # type: ignore[arg-type]
+    faults=_faults,
+    capabilities=(Parts(parts),),
+)

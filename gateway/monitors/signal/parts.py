@@ -1,0 +1,117 @@
+"""From the signals that a user names to parts of the monitor, one a message, limits in numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from cantools.database.can.signal import Signal
+
+from gateway.errors import InputError, nearest
+from gateway.monitors.signal.codes import network_codes
+from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES, Limits, Params, PartParams, Watched
+
+#: Texts of values that stand for no value, in capitals.
+_NONE = ("SNA", "INVALID", "NOT AVAILABLE", "NOT_AVAILABLE", "UNAVAILABLE", "NOT VALID", "UNDEFINED", "INIT", "ERROR")
+
+
+def _choices(signal: Signal) -> dict[float, str]:
+    """Return the texts of a signal's values: physical value -> text in capitals."""
+    found = {}
+    for raw, text in (signal.choices or {}).items():
+        found[float(raw * signal.scale + signal.offset)] = str(text).upper()
+    return found
+
+
+def _is_none(text: str) -> bool:
+    words = text.replace("_", " ").split()
+    return any(name in text if " " in name or "_" in name else name in words for name in _NONE)
+
+
+def _codes(limits: Limits, signal: Signal, key: str) -> tuple[float, ...]:
+    """Return the values that stand for no value.
+
+    Raises:
+        InputError: a text that no value has; too many.
+    """
+    choices = _choices(signal)
+    if limits.invalid == "auto":
+        found = [value for value, text in choices.items() if _is_none(text)]
+    else:
+        found = []
+        for asked in limits.invalid:
+            if isinstance(asked, str):
+                having = [value for value, text in choices.items() if text == asked.upper()]
+                if not having:
+                    known = list(choices.values())
+                    text = f"no value of {limits.signal} has this text{nearest(asked.upper(), known)}"
+                    raise InputError(text, key=f"{key}.invalid", value=asked)
+                found += having
+            else:
+                found.append(float(asked))
+    if len(found) > MOST_CODES:
+        raise InputError(f"at most {MOST_CODES} invalid codes", key=f"{key}.invalid", value=len(found))
+    return tuple(sorted(found))
+
+
+def _watched(limits: Limits, signal: Signal, code: str, key: str) -> Watched:
+    """Return a signal with its limits in numbers.
+
+    Raises:
+        InputError: what the database does not say, or cannot be.
+    """
+    values: tuple[float, ...] = ()
+    if limits.undefined:
+        values = tuple(sorted(_choices(signal)))
+        if not values:
+            raise InputError("the database gives its values no texts", key=f"{key}.undefined", value=limits.signal)
+        if len(values) > MOST_VALUES:
+            raise InputError(f"at most {MOST_VALUES} values", key=f"{key}.undefined", value=len(values))
+    ones = None
+    if limits.all_ones:
+        if signal.is_float:
+            raise InputError("a floating-point signal", key=f"{key}.all_ones", value=limits.signal)
+        raw = -1 if signal.is_signed else (1 << signal.length) - 1
+        ones = float(raw * signal.scale + signal.offset)
+    name = limits.name or limits.signal.rpartition(".")[2]
+    return Watched(
+        limits=limits, name=name, code=limits.code or code, unit=signal.unit or "",
+        codes=_codes(limits, signal, key), values=values, ones=ones,
+    )  # fmt: skip
+
+
+def parts(p: Any, find: Callable[[str], Signal], bus: str) -> list[PartParams]:
+    """Return the parts of the monitor, one or more a message.
+
+    Args:
+        p: parameters as configured.
+        find: ``"Message.Signal"`` -> the signal.
+        bus: name of the bus.
+
+    Raises:
+        InputError: a signal that is not there; what the database does not say.
+    """
+    assert isinstance(p, Params)
+    given = [limits.code for limits in p.signal if limits.code is not None]
+    codes = network_codes((f"{bus}.{limits.signal}" for limits in p.signal), given)
+    by_message: dict[str, list[Watched]] = {}
+    for k, limits in enumerate(p.signal):
+        key = f"signal[{k}]"
+        try:
+            signal = find(limits.signal)
+        except InputError as error:
+            raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
+        watched = _watched(limits, signal, codes[f"{bus}.{limits.signal}"], key)
+        if watched.codes or watched.values or watched.ones is not None or _asks(limits):
+            by_message.setdefault(limits.signal.rpartition(".")[0], []).append(watched)
+        else:
+            raise InputError("nothing is asked of it", key=key, value=limits.signal)
+    return [
+        PartParams(signal=tuple(w.limits for w in some), watched=tuple(some))
+        for found in by_message.values()
+        for some in (found[at : at + MOST_SIGNALS] for at in range(0, len(found), MOST_SIGNALS))
+    ]
+
+
+def _asks(p: Limits) -> bool:
+    return any(getattr(p, name) is not None for name in ("electrical", "plausible", "gradient", "stuck", "noise"))

@@ -1,0 +1,76 @@
+"""Records of the monitor of signals: one part looks at the signals of one message."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway.jit import Record, f8, f8s, i4, i4s, i8, means
+from gateway.monitors.contract import Inputs as Event
+from gateway.monitors.signal.faults import KINDS
+from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES
+
+
+class Inputs(Event):
+    """The signals of a message, and those that say whether one of them must move."""
+
+    value: Annotated[f8s, MOST_SIGNALS]
+    other: Annotated[f8s, MOST_SIGNALS] = means("whose being in a range, or movement, asks for movement")
+
+
+class One(Record):
+    """What is asked of one signal; limits that are not are infinite."""
+
+    electrical_low: f8
+    electrical_high: f8
+    low: f8
+    high: f8
+    hysteresis: f8
+    gradient: f8 = means("per second")
+    stuck_s: f8
+    stuck_by: f8
+    during_low: f8
+    during_high: f8
+    moving_by: f8 = means("0: time counts")
+    deviation: f8
+    weight: f8 = means("of a sample in the mean")
+    samples: i8 = means("before the mean counts")
+    ones: f8 = means("NaN: not asked for")
+    codes: i4
+    values: i4
+    code: Annotated[f8s, MOST_CODES]
+    allowed: Annotated[f8s, MOST_VALUES]
+    fault: Annotated[i4s, len(KINDS)] = means("number of each fault; -1: not asked for")
+
+
+class Const(Record):
+    """What is asked of the signals."""
+
+    signals: i8
+    one: Annotated[list[One], MOST_SIGNALS]
+
+
+class Course(Record):
+    """What is remembered of one signal."""
+
+    valid: i8 = means("values so far, since the last that was none")
+    before: f8
+    second: f8 = means("value before that")
+    before_ns: i8 = means(unit="ns")
+    anchor: f8 = means("where it last moved to")
+    still_s: f8 = means("how long it has been there while it should move", "s")
+    other: f8 = means("what the other signal was then")
+    variance: f8 = means("mean of the squared scatter")
+    beyond: Annotated[i4s, len(KINDS)] = means("1: beyond a limit, until it is back by the hysteresis")
+
+
+class State(Record):
+    """What is remembered of the signals."""
+
+    one: Annotated[list[Course], MOST_SIGNALS]
+
+
+class Evidence(Record):
+    """What a test looked at."""
+
+    value: f8
+    before: f8

@@ -1,0 +1,180 @@
+"""Limits of any signal: each kind beside a model in plain NumPy, what the database says, what is refused."""
+
+import numpy as np
+import pytest
+from amount import amount
+from car import Car, write
+
+from gateway.config.load import load_config
+from gateway.errors import InputError, InputErrors
+from gateway.runtime.app import Gateway
+
+DBC = (
+    'BO_ 256 Wheel: 8 A\n SG_ Speed : 0|16@1- (0.01,0) [-300|300] "km/h" B\n SG_ Gear : 16|8@1+ (1,0) [0|255] "" B\n'
+    'BO_ 257 Body: 8 A\n SG_ Moving : 0|16@1- (0.1,0) [0|0] "km/h" B\n'
+    'VAL_ 256 Gear 0 "Park" 1 "Drive" 2 "Reverse" 15 "SNA" ;\n'
+)
+NOW = "failed_ms = 1.0, passed_ms = 1.0"
+
+
+def monitor(*signals):
+    listed = "".join(f"    {{ {signal} }},\n" for signal in signals)
+    return f'[[monitor]]\nname = "w"\ntype = "signal"\nsignal = [\n{listed}]\n'
+
+
+def car(folder, *signals, more="", period_ms=10.0):
+    return Car(write(folder, DBC, monitor(*signals) + more), period_ms)
+
+
+def frames(speeds, gears=None):
+    gears = [0] * len(speeds) if gears is None else gears
+    return [
+        round(speed * 100).to_bytes(2, "little", signed=True) + bytes([gear, 0, 0, 0, 0, 0])
+        for speed, gear in zip(speeds, gears, strict=True)
+    ]
+
+
+def hysteresis(over, width):
+    state, told = False, []
+    for x in over:
+        if x > 0:
+            state = True
+        elif x < -width or width == 0:
+            state = False
+        told.append(state)
+    return told
+
+
+def case(kind, x, rng):
+    """Return the limits to ask for, and what the model says of each sample."""
+    limit = float(np.quantile(np.abs(x), 0.7))
+    width = min(float(rng.choice([0.0, 2.0])), limit / 2)
+    if kind == "gradient":
+        rate = np.abs(np.diff(x)) / 0.01
+        limit = float(np.quantile(rate, 0.9)) + 0.5
+        return f"gradient = {limit}", [False, *(rate > limit)]
+    if kind == "noise":
+        return "noise = { deviation = 3.0, samples = 20 }", scatter(x, 20, 3.0)
+    table = "electrical" if kind in ("below", "above") else "plausible"
+    over = x - limit if kind in ("above", "high") else -limit - x
+    return f"{table} = [{-limit}, {limit}], hysteresis = {width}", hysteresis(over, width)
+
+
+@pytest.mark.parametrize("kind", ["below", "above", "low", "high", "gradient", "noise"])
+def test_random_courses_beside_a_model_in_numpy(tmp_path, kind):
+    """With a debounce of half a period a test's verdict is there before the next frame comes."""
+    for seed in range(amount(20, 4, 2)):
+        print("seed", seed)
+        rng = np.random.default_rng([seed, len(kind)])
+        x = np.round(np.cumsum(rng.normal(0, 3, 400)), 2)
+        asked, model = case(kind, x, rng)
+        made = car(tmp_path, f'signal = "Wheel.Speed", {asked}, failed_ms = 5.0, passed_ms = 5.0').feed(frames(x))
+        told = [e for e in made.of("dtc") if e["fault"].endswith(kind)]
+        changes = {int(e["t_ns"] // 10_000_000): bool(e["status"] & 1) for e in told}
+        state = False
+        for k, failed in enumerate(model[:-1], 1):
+            state = changes.get(k, state)
+            assert failed is None or state == failed, f"frame {k}, seed {seed}"
+
+
+def scatter(x, samples, deviation):
+    """Model of the scatter: None while there are too few samples."""
+    mean, told = 0.0, []
+    for k in range(len(x)):
+        if k >= 2:
+            second = x[k] - 2 * x[k - 1] + x[k - 2]
+            mean += max(1 / samples, 1 / (k - 1)) * (second * second / 6 - mean)
+        told.append(None if k <= samples else bool(np.sqrt(mean) > deviation))
+    return told
+
+
+def test_a_broken_wire_is_one_fault(tmp_path):
+    made = car(tmp_path, f'signal = "Wheel.Speed", electrical = [-250, 250], plausible = [-200, 200], {NOW}')
+    made.feed(frames([10.0] * 20 + [300.0] * 20))
+    assert made.failed() == ["Speed.above"]
+
+
+def test_stuck_by_time_while_another_signal_is_in_a_range(tmp_path):
+    made = car(
+        tmp_path,
+        'signal = "Wheel.Speed", stuck = { seconds = 0.5, by = 0.05, during = "Body.Moving", within = [5, 1000] }, '
+        + NOW,
+    )
+    still = frames([10.0] * 100)
+    made.feed(still)
+    assert made.failed() == [], "the car stands"
+    made.feed([(100).to_bytes(2, "little") + bytes(6)], can_id=0x101)
+    made.feed(still[:40])
+    assert made.failed() == []
+    made.feed(still)
+    assert made.failed() == ["Speed.stuck"]
+    made.feed(frames([11.0, 12.0, 13.0]))
+    assert not made.of("dtc")[-1]["status"] & 1
+
+
+def test_stuck_while_another_signal_moves(tmp_path):
+    made = car(
+        tmp_path, f'signal = "Wheel.Speed", stuck = {{ seconds = 1.0, moving = "Body.Moving", moving_by = 8.0 }}, {NOW}'
+    )
+    for k in range(60):
+        made.feed([(k * 10).to_bytes(2, "little") + bytes(6)], can_id=0x101)
+        made.feed(frames([k / 10]))
+    assert made.failed() == [], "both move"
+    for k in range(60, 80):
+        made.feed([(k * 10).to_bytes(2, "little") + bytes(6)], can_id=0x101)
+        made.feed(frames([5.9]))
+    assert made.failed() == ["Speed.stuck"]
+
+
+def test_invalid_codes_come_from_the_texts_and_end_all_other_tests(tmp_path):
+    made = car(tmp_path, f'signal = "Wheel.Gear", plausible = [0, 5], undefined = true, all_ones = true, {NOW}')
+    made.feed(frames([0.0] * 20, [1] * 10 + [15] * 10))
+    assert made.failed() == ["Gear.invalid"]
+    made.feed(frames([0.0] * 20, [1] * 10 + [7] * 10))
+    assert made.failed() == ["Gear.invalid", "Gear.undefined"]
+    made.feed(frames([0.0] * 20, [1] * 10 + [255] * 10))
+    assert made.failed() == ["Gear.invalid", "Gear.undefined", "Gear.all_ones"]
+
+
+def test_dtcs_are_the_signal_s_own_and_stay_when_others_come(tmp_path):
+    def codes(*signals):
+        gateway = Gateway(load_config(write(tmp_path, DBC, monitor(*signals))))
+        return {definition.id: str(definition.dtc) for definition in gateway.catalogue}
+
+    one = codes('signal = "Wheel.Speed", plausible = [0, 1]')
+    both = codes('signal = "Wheel.Gear", undefined = true', 'signal = "Wheel.Speed", plausible = [0, 1]')
+    assert one.items() <= both.items()
+    assert {code[-2:] for code in one.values()} >= {"84", "85"}
+    own = codes('signal = "Wheel.Speed", plausible = [0, 1], code = "C0035"')
+    assert own["w.Speed.high"] == "C0035-85"
+
+
+def test_more_signals_than_a_part_has_room_for(tmp_path):
+    many = "".join(f' SG_ S{k} : {k}|1@1+ (1,0) [0|0] "" B\n' for k in range(30))
+    text = monitor(*(f'signal = "Many.S{k}", plausible = [0, 0.5], {NOW}' for k in range(30)))
+    made = Car(write(tmp_path, f"BO_ 256 Many: 8 A\n{many}", text))
+    made.feed([(1 << 29 | 1).to_bytes(8, "little")] * 10)
+    assert made.failed() == ["S0.high", "S29.high"]
+
+
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        (
+            'signal = "Wheel.Sped", plausible = [0, 1]',
+            r"monitor.0..signal.0..signal = 'Wheel.Sped': .*did you mean Speed",
+        ),
+        ('signal = "Wheel.Speed"', "nothing is asked of it"),
+        ('signal = "Wheel.Speed", plausible = [1, 0]', "the least value is below the greatest"),
+        ('signal = "Wheel.Speed", undefined = true', "the database gives its values no texts"),
+        ('signal = "Wheel.Gear", invalid = ["SNAA"]', "no value of Wheel.Gear has this text; did you mean SNA"),
+        ('signal = "Wheel.Speed", plausible = [0, 1], hysteresis = 1', "less than half of plausible"),
+        ('signal = "Wheel.Speed", stuck = { seconds = 1, during = "Body.Moving" }', "during and within"),
+        ('signal = "Wheel.Speed", gradiant = 3', "did you mean gradient"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, signal, said):
+    with pytest.raises((InputError, InputErrors), match=said) as told:
+        Gateway(load_config(write(tmp_path, DBC, monitor(signal))), file=tmp_path / "gateway.toml")
+    (line,) = str(told.value).splitlines()
+    assert "gateway.toml" in line
