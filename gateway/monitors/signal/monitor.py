@@ -120,7 +120,9 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
         evidence.value, evidence.before = x, s.before
     if p.fault[STUCK] >= 0:
         stuck = has_stuck(p, s, x, other, seconds)
-        evidence = report(out, p.fault[STUCK], stuck, s.still_s, p.stuck_s)
+        moved = p.moving_by > 0.0
+        still = abs(other - s.other) if moved else s.still_s
+        evidence = report(out, p.fault[STUCK], stuck, still, p.moving_by if moved else p.stuck_s)
         evidence.value, evidence.before = x, s.before
     if p.fault[NOISE] >= 0:
         deviation = scatter(p, s, x)
@@ -164,7 +166,7 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         one["gradient"] = limits.gradient or inf
         one["during_low"], one["during_high"] = -inf, inf
         if limits.stuck is not None:
-            one["stuck_s"], one["stuck_by"] = limits.stuck.seconds, limits.stuck.by
+            one["stuck_s"], one["stuck_by"] = limits.stuck.seconds or inf, limits.stuck.by
             one["during_low"], one["during_high"] = limits.stuck.within or (-inf, inf)
             one["moving_by"] = limits.stuck.moving_by or 0.0
         if limits.noise is not None:

@@ -23,7 +23,7 @@ Range = Annotated[
 class Stuck(StrictModel):
     """When a signal must move."""
 
-    seconds: float = Field(gt=0, le=86400, description="so long without moving is a fault [s]")
+    seconds: float | None = Field(None, gt=0, le=86400, description="so long without moving is a fault [s]")
     by: float = Field(0.0, ge=0, description="a change of no more than this is no movement, signal's unit")
     during: str | None = Field(None, description='only while this signal is in within: "Message.Signal"')
     within: Range | None = Field(None, description="of during, its unit")
@@ -36,6 +36,8 @@ class Stuck(StrictModel):
             raise ValueError("during and within are given together")
         if (self.moving is None) != (self.moving_by is None):
             raise ValueError("moving and moving_by are given together")
+        if (self.seconds is None) == (self.moving is None):
+            raise ValueError("give seconds, or moving: another signal that says when this one must")
         if self.during is not None and self.moving is not None:
             raise ValueError("give during, or moving")
         return self

@@ -113,9 +113,7 @@ def test_stuck_by_time_while_another_signal_is_in_a_range(tmp_path):
 
 
 def test_stuck_while_another_signal_moves(tmp_path):
-    made = car(
-        tmp_path, f'signal = "Wheel.Speed", stuck = {{ seconds = 1.0, moving = "Body.Moving", moving_by = 8.0 }}, {NOW}'
-    )
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {{ moving = "Body.Moving", moving_by = 8.0 }}, {NOW}')
     for k in range(60):
         made.feed([(k * 10).to_bytes(2, "little") + bytes(6)], can_id=0x101)
         made.feed(frames([k / 10]))
