@@ -154,8 +154,9 @@ def _monitors(
     if parts is not None:
 
         def find(name: str) -> Signal:
-            message, _, signal = entry.signals.get(name, name).rpartition(".")
-            return databases[bus].signal(message, signal)
+            *named, message, signal = entry.signals.get(name, name).split(".")
+            of = bus if not named else config.bus_index(".".join(named))
+            return databases[of].signal(message, signal)
 
         try:
             several = list(parts.of(params, find, config.bus[bus].name))

@@ -1,0 +1,159 @@
+"""Relations between signals: each is a fault of its own, tested when one of its signals comes.
+
+Signals are held between their frames. A relation is not tested while one of its signals never came or is overdue, while
+its condition does not hold, or while something in it has no value yet (a delay that has not passed, a root of a
+negative number).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import numpy as np
+
+from gateway.errors import InputError
+from gateway.jit import Record, f8, f8s, i8, kernel
+from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
+from gateway.monitors.contract import Inputs as Event
+from gateway.monitors.rule.machine import Code, Machine, run
+from gateway.monitors.rule.params import Params, PartParams, Rule
+from gateway.monitors.rule.program import MOST_SIGNALS, SIGNAL, Program
+from gateway.monitors.rule.text import compile_text, is_relation
+from gateway.monitors.signal.codes import network_codes
+
+
+class Inputs(Event):
+    """The signals of a relation."""
+
+    value: Annotated[f8s, MOST_SIGNALS]
+
+
+class Const(Record):
+    """A relation, and when it is tested."""
+
+    holds: Code
+    when: Code
+    tolerance: f8
+    signals: i8
+
+
+class State(Record):
+    """What both remember."""
+
+    holds: Machine
+    when: Machine
+
+
+class Evidence(Record):
+    """The signals' values."""
+
+    value: Annotated[f8s, EVIDENCE]
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
+    """Test the relation."""
+    result = run(s.holds, c.holds, u.t_ns, u.value, c.tolerance)  # also while it is not tested: it remembers
+    if c.when.length > 0:
+        condition = run(s.when, c.when, u.t_ns, u.value, 0.0)
+        if s.when.unknown == 1 or condition == 0.0:
+            return
+    if s.holds.unknown == 1:
+        return
+    evidence = report(out, 0, result == 0.0, s.holds.left, s.holds.right)
+    for k in range(min(c.signals, EVIDENCE)):
+        evidence.value[k] = u.value[k]
+
+
+def _connect(p: PartParams) -> dict[str, Connection]:
+    own: list[Signal | None] = [Signal(name, triggers=True) for name in p.signals]
+    return {"value": [*own, *[None] * (MOST_SIGNALS - len(own))]}
+
+
+def _fill(row: Any, program: Program, signals: tuple[str, ...]) -> None:
+    """Fill a record of :class:`Code`; its signals are numbered as the relation's are."""
+    row["length"] = len(program.ops)
+    for k, (op, argument) in enumerate(program.ops):
+        row["op"][k] = op
+        row["argument"][k] = signals.index(program.signals[argument]) if op == SIGNAL else argument
+    row["number"][: len(program.numbers)] = program.numbers
+    row["seconds"][: len(program.times_s)] = program.times_s
+
+
+def _prepare(p: PartParams, s: Any, c: Any) -> None:
+    holds, when = p.programs
+    _fill(c["holds"], holds, p.signals)
+    if when is not None:
+        _fill(c["when"], when, p.signals)
+    c["tolerance"], c["signals"] = p.rule.tolerance, len(p.signals)
+    for machine in (s["holds"], s["when"]):
+        machine["memory"]["result"] = np.nan
+
+
+def _faults(p: PartParams) -> tuple[Fault, ...]:
+    rule = p.rule
+    named = zip(p.signals, p.units, strict=True)
+    labels = tuple(f"{name} [{unit}]" if unit else name for name, unit in named)
+    return (
+        Fault(
+            rule.name,
+            f"{p.code}-64",
+            rule.description or f"does not hold: {rule.holds}",
+            labels[:EVIDENCE],
+            Debounce(failed_ms=rule.failed_ms, passed_ms=rule.passed_ms),
+            remedy="compare the signals named in the evidence with each other, and with the vehicle",
+        ),
+    )
+
+
+def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartParams:
+    """Return one relation with its programs.
+
+    Raises:
+        InputError: a text that is no relation, a signal that is not there, units that do not go together.
+    """
+
+    def unit_of(name: str) -> str:
+        return str(find(name).unit or "")
+
+    made: dict[str, Program] = {}
+    for name, text in (("holds", rule.holds), ("when", rule.when)):
+        if text is None:
+            continue
+        try:
+            made[name] = compile_text(text, unit_of)
+            if not is_relation(text):
+                raise InputError("this says nothing that is true or false: compare it with something", value=text)
+        except InputError as error:
+            raise InputError(error.message, key=f"{key}.{name}", value=error.value or text) from error
+    signals = tuple(dict.fromkeys(name for program in made.values() for name in program.signals))
+    if not signals:
+        raise InputError("there is no signal in it", key=f"{key}.holds", value=rule.holds)
+    if len(signals) > MOST_SIGNALS:
+        raise InputError(f"at most {MOST_SIGNALS} signals", key=key, value=len(signals))
+    units = tuple(unit_of(name) for name in signals)
+    return PartParams(rule=rule, code=code, holds=made["holds"], when=made.get("when"), signals=signals, units=units)
+
+
+def _parts(p: Any, find: Callable[[str], Any], bus: str) -> list[PartParams]:
+    assert isinstance(p, Params)
+    given = [rule.code for rule in p.rule if rule.code is not None]
+    codes = network_codes((f"{bus}.{rule.name}" for rule in p.rule), given)
+    return [_part(rule, rule.code or codes[f"{bus}.{rule.name}"], find, f"rule[{k}]") for k, rule in enumerate(p.rule)]
+
+
+MONITOR = Monitor(
+    type="rule",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=Inputs,
+    evidence=Evidence,
+    step=step,
+    connect=_connect,  # type: ignore[arg-type] # of its parts
+    prepare=_prepare,  # type: ignore[arg-type]
+    faults=_faults,  # type: ignore[arg-type]
+    capabilities=(Parts(_parts),),
+)

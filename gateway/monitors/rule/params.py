@@ -1,0 +1,67 @@
+"""What a user says of relations between signals."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from gateway.common.tomlfile import StrictModel
+from gateway.monitors.contract import MonitorParams
+from gateway.monitors.rule.program import Program
+
+
+class Rule(StrictModel):
+    """A relation that must hold."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="of its fault: <monitor>.<name>")
+    holds: str = Field(min_length=1, description='e.g. "abs(Wheels.FL - Wheels.FR) < 3 + 0.1 * Vehicle.Speed"')
+    when: str | None = Field(None, min_length=1, description="it is tested only while this holds")
+    tolerance: float = Field(0.0, ge=0, allow_inf_nan=False, description="of its comparisons")
+    failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="it must not hold for so long [ms]")
+    passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and hold for so long to heal [ms]")
+    code: str | None = Field(
+        None, pattern=r"^[PCBU][0-3][0-9A-F]{3}$", description="base code of its DTC; default: its own, U1xxx, U2xxx"
+    )
+    description: str | None = Field(None, description="one line for people")
+
+
+class Params(MonitorParams):
+    """Relations."""
+
+    rule: tuple[Rule, ...] = Field(min_length=1, max_length=10_000)
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        names = [rule.name for rule in self.rule]
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise ValueError(f"two rules are called {name}")
+        return self
+
+
+class PartParams(MonitorParams):
+    """One relation, with its programs.
+
+    Attributes:
+        rule: as configured.
+        code: base code of its DTC.
+        holds: its program.
+        when: program of its condition, None: always.
+        signals: that both need.
+        units: of the signals.
+    """
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    rule: Rule
+    code: str
+    holds: Any
+    when: Any
+    signals: tuple[str, ...]
+    units: tuple[str, ...]
+
+    @property
+    def programs(self) -> tuple[Program, Program | None]:
+        """Both programs."""
+        return self.holds, self.when
