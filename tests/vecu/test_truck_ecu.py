@@ -46,7 +46,7 @@ def test_ftp75_is_the_published_schedule():
 
 
 @compiled
-@pytest.mark.parametrize("fault", [None, *FAULTS])
+@pytest.mark.parametrize("fault", [None, *FAULTS[:: amount(1, 2)]])
 def test_it_follows_the_cycle_with_every_fault(fault):
     """Speed within 2.5 m/s, 17.6 km, charge between 0.40 and 0.60."""
     faults = () if fault is None else (TruckFault(kind=fault),)
