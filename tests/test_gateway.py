@@ -32,7 +32,8 @@ CHAIN = pytest.mark.chain
 def build(name, seed=None):
     scenario = load_scenario(shipped(f"scenarios/{name}.toml"))
     config = load_config(scenario.config)
-    player = Player(scenario, {bus.name: k for k, bus in enumerate(config.bus)}, seed=seed)
+    buses = {bus.name: k for k, bus in enumerate(config.bus)}
+    player = Player(scenario, buses, seed=seed, databases={k: bus.database for k, bus in enumerate(config.bus)})
     return scenario, config, player
 
 
