@@ -74,12 +74,10 @@ def is_none(out: Any, p: One, s: Course, x: float) -> bool:
 @kernel
 def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool:
     """Return whether a signal has not moved where it must."""
-    if s.valid == 0 or abs(x - s.anchor) > p.stuck_by:
+    if s.valid == 0 or isnan(s.anchor) or abs(x - s.anchor) > p.stuck_by:
         s.anchor, s.still_s, s.other = x, 0.0, other
         return False
     if p.moving_by > 0.0:
-        if isnan(s.other):
-            s.other = other
         return abs(other - s.other) >= p.moving_by
     if p.during_low > -inf and not p.during_low <= other <= p.during_high:
         s.still_s = 0.0
@@ -118,7 +116,8 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
         rate = abs(x - s.before) / seconds
         evidence = report(out, p.fault[GRADIENT], rate > p.gradient, rate, p.gradient)
         evidence.value, evidence.before = x, s.before
-    if p.fault[STUCK] >= 0:
+    asks = p.moving_by > 0.0 or p.during_low > -inf  # another signal; until it comes nothing is known
+    if p.fault[STUCK] >= 0 and not (asks and isnan(other)):
         stuck = has_stuck(p, s, x, other, seconds)
         moved = p.moving_by > 0.0
         still = abs(other - s.other) if moved else s.still_s

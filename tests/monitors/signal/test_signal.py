@@ -112,6 +112,23 @@ def test_stuck_by_time_while_another_signal_is_in_a_range(tmp_path):
     assert not made.of("dtc")[-1]["status"] & 1
 
 
+def test_stuck_by_time_alone(tmp_path):
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {{ seconds = 0.5, by = 0.06 }}, {NOW}')
+    made.feed(frames([10.0, 10.05] * 24))
+    assert made.failed() == []
+    made.feed(frames([10.0] * 10))
+    assert made.failed() == ["Speed.stuck"]
+    assert not made.feed(frames([10.2] * 3)).of("dtc")[-1]["status"] & 1
+
+
+def test_what_another_signal_says_is_waited_for(tmp_path):
+    stuck = '{ moving = "Body.Moving", moving_by = 8.0 }'
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {stuck}, {NOW}')
+    made.feed(frames([10.0] * 50))
+    assert made.gateway.memory.status("w.Speed.stuck") & 0x40, "not tested: the other one never came"
+    assert not any(e["value"] != e["value"] for e in made.of("monitor")), "no NaN is told"
+
+
 def test_stuck_while_another_signal_moves(tmp_path):
     made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {{ moving = "Body.Moving", moving_by = 8.0 }}, {NOW}')
     for k in range(60):
