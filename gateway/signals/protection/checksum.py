@@ -143,6 +143,31 @@ def payload_byte(words: Any, p: Any, k: int) -> Any:
 
 
 @kernel
+def crc_forwards(register: Any, words: Any, p: Any, last: int, table: Any) -> Any:
+    """Return a CRC's register after a payload's bytes, a word at a time."""
+    for at in range(p.first >> 3, (last + 7) >> 3):
+        begin, end = max(p.first, 8 * at), min(last, 8 * at + 8)
+        word = (words[at] & ~p.cleared[at]) >> np.uint64(8 * (begin - 8 * at))
+        skipped = p.skipped >> np.uint64(begin)
+        for _ in range(begin, end):
+            if skipped & np.uint64(1) == np.uint64(0):
+                register = take_byte(register, word & np.uint64(0xFF), p.reflected, table)
+            word >>= np.uint64(8)
+            skipped >>= np.uint64(1)
+    return register
+
+
+@kernel
+def crc_backwards(register: Any, words: Any, p: Any, last: int, table: Any) -> Any:
+    """Return a CRC's register after a payload's bytes, the last one first."""
+    for j in range(p.first, last):
+        k = p.first + last - 1 - j
+        if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(0):
+            register = take_byte(register, payload_byte(words, p, k), p.reflected, table)
+    return register
+
+
+@kernel
 def reversed_bits(value: Any, width: int) -> Any:
     """Return a value with its ``width`` bits in reverse order, uint64."""
     turned = np.uint64(0)
@@ -161,10 +186,10 @@ def crc_of(words: Any, length: int, counter: int, p: Any, table: Any) -> Any:
     if p.listed == BEFORE:
         register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
     last = length if p.last < 0 else min(p.last, length)
-    for j in range(p.first, last):
-        k = p.first + last - 1 - j if p.backwards == 1 else j
-        if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(0):
-            register = take_byte(register, payload_byte(words, p, k), p.reflected, table)
+    if p.backwards == 1:
+        register = crc_backwards(register, words, p, last, table)
+    else:
+        register = crc_forwards(register, words, p, last, table)
     if p.listed == AFTER:
         register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
     for k in range(p.after):

@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.jit import kernel
 from gateway.signals.bits import read_bits
-from gateway.signals.protection.checksum import checksum_of
+from gateway.signals.protection.checksum import NOWHERE, checksum_of
 from gateway.signals.protection.protection import counter_of, same_constants
 
 FRAME_OK, FRAME_CHECKSUM, FRAME_CONSTANT = range(3)
@@ -31,9 +31,10 @@ def judge_frame(words: Any, length: int, p: Any, tables: Any) -> Any:
     verdict = FRAME_OK
     if p.has_checksum == 1:
         received = read_bits(words, p.field)
-        computed = checksum_of(words, length, counter_of(words, p), p.checksum, tables)
+        counter = counter_of(words, p) if p.checksum.listed != NOWHERE else 0
+        computed = checksum_of(words, length, counter, p.checksum, tables)
         if received != computed:
             verdict = FRAME_CHECKSUM
-    if not same_constants(words, p):
+    if p.has_constants == 1 and not same_constants(words, p):
         verdict = FRAME_CONSTANT
     return received, computed, verdict

@@ -80,6 +80,7 @@ class ProtectionConst(Record):
     has_counter: u1
     strict: u1
     windowed: u1
+    has_constants: u1
     modulus: i8
     first: i8
     max_step: i4
@@ -130,6 +131,7 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
         write_bits(words, field, np.uint64(value))
         bits |= int.from_bytes(words.tobytes(), "little")
         mask |= mask_of(field)
+    row["has_constants"] = mask != 0
     row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")
     row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
     mask |= 0 if asked.checksum is None else mask_of(asked.field)
