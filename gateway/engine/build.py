@@ -81,12 +81,8 @@ def build_engine(
     by_bus, gates = dict(databases), gates or {}
     monitors = sorted(monitors, key=lambda m: m.priority)
     wirings = [wire(m, by_bus, {bus.name: k for k, bus in enumerate(buses)}) for m in monitors]
-    plan = compile_plan(
-        databases,
-        _signals(wirings, checks, by_bus, gates, cycles) | set(extra),
-        messages=_messages(wirings, checks),
-        pgn=pgn,
-    )
+    wanted = _signals(wirings, checks, by_bus, gates, cycles) | set(extra)
+    plan = compile_plan(databases, wanted, messages=_messages(wirings, checks), pgn=pgn)
     faults: list[FaultSlot] = []
     made = _handlers(monitors, wirings, plan, faults)
     vectors, triggers = _vectors(len(plan.messages), made.triggered)
@@ -95,19 +91,9 @@ def build_engine(
     health = _health(buses, clock, faults)
     faults += reported
     verdicts = _verdicts(faults, debounces or {}, gates, plan)
-    tables = _tables(
-        plan,
-        made,
-        verdicts,
-        crcs,
-        vectors=vectors,
-        triggers=np.asarray(triggers, np.int32),
-        checks=check_rows,
-        health=health,
-        watches=fill_watches(cycles, vectors, plan),
-        cycles=np.zeros(max(len(cycles), 1), np.uint8),
-        ring=table(ring, EVENT),
-    )
+    watched = _watches(cycles, vectors, plan)
+    own = {"vectors": vectors, "triggers": np.asarray(triggers, np.int32), "checks": check_rows, "health": health}
+    tables = _tables(plan, made, verdicts, crcs, ring=table(ring, EVENT), **own, **watched)
     assert_consistent(tables)
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(made.states), tuple(made.consts))
 
@@ -253,6 +239,12 @@ def _health(buses: Sequence[BusInstance], clock: ClockParams | None, faults: lis
         faults += bus_health.fill(rows[k], bus, k, code, len(faults))
     faults += clock_health.fill(rows[-1], clock, len(faults))
     return rows
+
+
+def _watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> dict[str, Any]:
+    """Return what begins and ends operation cycles, and the cycles' state."""
+    watches = fill_watches(cycles, vectors, plan)
+    return {"watches": watches, "cycles": np.zeros(max(len(cycles), 1), np.uint8)}
 
 
 @dataclass
