@@ -150,7 +150,7 @@ def _monitors(
     monitor, params = monitor_of(entry)
     bus = config.bus_index(entry.bus)
     sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
-    parts, several = monitor.capability(Parts), [params]
+    parts, several = monitor.capability(Parts), {"": params}
     if parts is not None:
 
         def find(name: str) -> Signal:
@@ -159,11 +159,11 @@ def _monitors(
             return databases[of].signal(message, signal)
 
         try:
-            several = list(parts.of(params, find, config.bus[bus].name))
+            several = dict(parts.of(params, find, config.bus[bus].name))
         except InputError as error:
             raise InputError(error.message, key=f"monitor[{at}].{error.key}", value=error.value) from error
-    for k, part in enumerate(several):
-        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, k)
+    for name, part in several.items():
+        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name)
 
 
 def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database) -> Message:

@@ -28,7 +28,7 @@ class MonitorInstance:
     priority: int = 0
     signals: Mapping[str, str] = field(default_factory=dict)
     emission: Message | None = None
-    part: int = 0
+    part: str = ""
 
 
 @dataclass(frozen=True)

@@ -321,11 +321,11 @@ class Parts:
     """One configured monitor that steps in several parts: each has its own inputs, and steps when they come.
 
     Attributes:
-        of: parameters, ``"Message.Signal"`` -> the signal in the database, name of the bus -> parameters of each part.
-            The names of the parts' faults differ; all are ``<monitor>.<fault>``.
+        of: parameters, ``"Message.Signal"`` -> the signal in the database, name of the bus -> parameters of each part
+            by its name. By that a part keeps its state over a reload. The parts' faults are ``<monitor>.<fault>``, too.
     """
 
-    of: Callable[[Any, Callable[[str], Any], str], Sequence[Any]]
+    of: Callable[[Any, Callable[[str], Any], str], Mapping[str, Any]]
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.

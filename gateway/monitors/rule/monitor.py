@@ -16,11 +16,11 @@ from gateway.errors import InputError
 from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.contract import Inputs as Event
+from gateway.monitors.network_codes import network_codes
 from gateway.monitors.rule.machine import Code, Machine, run
 from gateway.monitors.rule.params import Params, PartParams, Rule
 from gateway.monitors.rule.program import MOST_SIGNALS, SIGNAL, Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.signal.codes import network_codes
 
 
 class Inputs(Event):
@@ -82,7 +82,7 @@ def _fill(row: Any, program: Program, signals: tuple[str, ...]) -> None:
 
 
 def _prepare(p: PartParams, s: Any, c: Any) -> None:
-    holds, when = p.programs
+    holds, when = p.holds, p.when
     _fill(c["holds"], holds, p.signals)
     if when is not None:
         _fill(c["when"], when, p.signals)
@@ -136,11 +136,14 @@ def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartPa
     return PartParams(rule=rule, code=code, holds=made["holds"], when=made.get("when"), signals=signals, units=units)
 
 
-def _parts(p: Any, find: Callable[[str], Any], bus: str) -> list[PartParams]:
+def _parts(p: Any, find: Callable[[str], Any], bus: str) -> dict[str, PartParams]:
     assert isinstance(p, Params)
     given = [rule.code for rule in p.rule if rule.code is not None]
     codes = network_codes((f"{bus}.{rule.name}" for rule in p.rule), given)
-    return [_part(rule, rule.code or codes[f"{bus}.{rule.name}"], find, f"rule[{k}]") for k, rule in enumerate(p.rule)]
+    return {
+        rule.name: _part(rule, rule.code or codes[f"{bus}.{rule.name}"], find, f"rule[{k}]")
+        for k, rule in enumerate(p.rule)
+    }
 
 
 MONITOR = Monitor(

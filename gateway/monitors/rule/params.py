@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -56,12 +56,7 @@ class PartParams(MonitorParams):
 
     rule: Rule
     code: str
-    holds: Any
-    when: Any
+    holds: Program
+    when: Program | None
     signals: tuple[str, ...]
     units: tuple[str, ...]
-
-    @property
-    def programs(self) -> tuple[Program, Program | None]:
-        """Both programs."""
-        return self.holds, self.when

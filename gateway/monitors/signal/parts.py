@@ -8,7 +8,7 @@ from typing import Any
 from cantools.database.can.signal import Signal
 
 from gateway.errors import InputError, nearest
-from gateway.monitors.signal.codes import network_codes
+from gateway.monitors.network_codes import network_codes
 from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES, Limits, Params, PartParams, Watched
 
 #: Texts of values that stand for no value, in capitals.
@@ -80,8 +80,8 @@ def _watched(limits: Limits, signal: Signal, code: str, key: str) -> Watched:
     )  # fmt: skip
 
 
-def parts(p: Any, find: Callable[[str], Signal], bus: str) -> list[PartParams]:
-    """Return the parts of the monitor, one or more a message.
+def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartParams]:
+    """Return the parts of the monitor by name, one or more a message.
 
     Args:
         p: parameters as configured.
@@ -106,11 +106,12 @@ def parts(p: Any, find: Callable[[str], Signal], bus: str) -> list[PartParams]:
             by_message.setdefault(limits.signal.rpartition(".")[0], []).append(watched)
         else:
             raise InputError("nothing is asked of it", key=key, value=limits.signal)
-    return [
-        PartParams(signal=tuple(w.limits for w in some), watched=tuple(some))
-        for found in by_message.values()
-        for some in (found[at : at + MOST_SIGNALS] for at in range(0, len(found), MOST_SIGNALS))
-    ]
+    return {
+        f"{message}.{at // MOST_SIGNALS}": PartParams(signal=tuple(w.limits for w in some), watched=tuple(some))
+        for message, found in by_message.items()
+        for at in range(0, len(found), MOST_SIGNALS)
+        for some in [found[at : at + MOST_SIGNALS]]
+    }
 
 
 def _asks(p: Limits) -> bool:

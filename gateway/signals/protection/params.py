@@ -103,8 +103,10 @@ class CrcCheck(StrictModel):
             return Checksum(self.crc, first=first, last=last, after=(given & 0xFF, given >> 8))
         if given is None:
             return Checksum(self.crc, first=first, last=last)
-        key = {"before": "before", "after": "after", "by_counter": "by_counter"}[given.place]
-        return Checksum(self.crc, first=first, last=last, **{key: given.bytes})  # type: ignore[arg-type]
+        before = given.bytes if given.place == "before" else ()
+        after = given.bytes if given.place == "after" else ()
+        listed = given.bytes if given.place == "by_counter" else ()
+        return Checksum(self.crc, first=first, last=last, before=before, after=after, by_counter=listed)
 
 
 class SumCheck(StrictModel):

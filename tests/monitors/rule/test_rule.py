@@ -86,6 +86,8 @@ def test_random_expressions_are_what_python_makes_of_them():
     ("text", "values", "holds"),
     [
         ("A.x < A.y", (1, 2, 0), True),
+        ("A.x < A.y", (2, 2, 0), False),
+        ("A.x > A.y", (2, 2, 0), False),
         ("A.x < A.y < B.z", (1, 2, 3), True),
         ("A.x < A.y < B.z", (1, 2, 2), False),
         ("not A.x == 1", (1, 0, 0), False),
@@ -174,6 +176,25 @@ def test_when_and_signals_that_never_came(tmp_path):
     made.feed([two(10, 11)]).feed([two(20)], can_id=0x101).feed([two(10, 11)] * 10)
     assert made.failed() == []
     assert made.feed([two(10, 20)] * 3).failed() == ["w"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "frames_until_tested"),
+    [
+        ('holds = "delay(Wheels.FL, 100) > 1000"', 11),
+        ('holds = "Wheels.FL > 1000", when = "not delay(Wheels.FR, 100) > 1000"', 11),
+        ('holds = "Wheels.FL > 1000", when = "sqrt(Wheels.FR) < 5"', None),
+    ],
+)
+def test_what_has_no_value_yet_accuses_nobody(tmp_path, rule, frames_until_tested):
+    made = Car(write(tmp_path, DBC, rules(f'name = "w", {rule}, {NOW}')))
+    found = None
+    for k in range(1, 30):
+        made.feed([two(10, -20 if frames_until_tested is None else 20)])
+        made.gateway.advance(made.t_ns + 6 * MS)
+        if found is None and made.failed():
+            found = k
+    assert found == frames_until_tested
 
 
 @pytest.mark.parametrize(

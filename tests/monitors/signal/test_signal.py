@@ -54,7 +54,7 @@ def case(kind, x, rng):
         limit = float(np.quantile(rate, 0.9)) + 0.5
         return f"gradient = {limit}", [False, *(rate > limit)]
     if kind == "noise":
-        return "noise = { deviation = 3.0, samples = 20 }", scatter(x, 20, 3.0)
+        return "noise = { deviation = 1.73, samples = 20 }", scatter(x, 20, 1.73)
     table = "electrical" if kind in ("below", "above") else "plausible"
     over = x - limit if kind in ("above", "high") else -limit - x
     return f"{table} = [{-limit}, {limit}], hysteresis = {width}", hysteresis(over, width)
@@ -110,6 +110,15 @@ def test_stuck_by_time_while_another_signal_is_in_a_range(tmp_path):
     assert made.failed() == ["Speed.stuck"]
     made.feed(frames([11.0, 12.0, 13.0]))
     assert not made.of("dtc")[-1]["status"] & 1
+
+
+def test_time_counts_only_while_the_other_signal_is_in_its_range(tmp_path):
+    stuck = '{ seconds = 0.5, during = "Body.Moving", within = [5, 1000] }'
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {stuck}, {NOW}')
+    for moving in (100, 0, 100, 0, 100):  # 10 km/h, or stands
+        made.feed([moving.to_bytes(2, "little") + bytes(6)], can_id=0x101)
+        made.feed(frames([10.0] * (40 if moving else 5)))
+    assert made.failed() == [], "never half a second at once"
 
 
 def test_stuck_by_time_alone(tmp_path):
@@ -193,3 +202,16 @@ def test_mistakes_are_one_line(tmp_path, signal, said):
         Gateway(load_config(write(tmp_path, DBC, monitor(signal))), file=tmp_path / "gateway.toml")
     (line,) = str(told.value).splitlines()
     assert "gateway.toml" in line
+
+
+def test_a_reload_keeps_what_is_known_of_signals_whose_limits_are_as_before(tmp_path):
+    """A signal of another message that comes first does not take the place of the one that was there."""
+    one = f'signal = "Wheel.Speed", stuck = {{ seconds = 0.5 }}, {NOW}'
+    before = car(tmp_path, one).feed(frames([10.0] * 40))
+    before.gateway.finish(before.t_ns)
+    path = write(tmp_path, DBC, monitor('signal = "Body.Moving", plausible = [0, 9]', one))
+    after = Gateway(load_config(path), file=path, store=before.gateway.store)
+    after.succeed(before.gateway)
+    before.gateway = after
+    before.feed(frames([10.0] * 15))
+    assert before.failed() == ["Speed.stuck"], "0.4 s before the reload and 0.15 s after it"
