@@ -68,8 +68,8 @@ def digest(logs: Iterable[Path]) -> str:
     return total.hexdigest()[:12]
 
 
-def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:
-    """Yield a log's frames in even time, batch by batch, without empty ones.
+def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[tuple[Frames, float]]:
+    """Yield a log's frames in even time, batch by batch, without empty ones, and how far the log is then, 0 to 1.
 
     Raises:
         InputError, InputErrors: the log is damaged, cut off, or holds no frame of a configured bus: nothing is to be
@@ -80,12 +80,18 @@ def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] 
     time = LogTime()
     for frames in reader:
         if len(frames):
-            yield time.apply(frames)
-            progress(len(frames))
+            yield time.apply(frames), reader.bytes_done / max(reader.bytes_total, 1)
     buses = {bus.name: bus.channel for bus in config.bus}
     found = contents(reader, buses, channels)
     if found.wrong:
         raise InputErrors(found.wrong)
+
+
+def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:
+    """Yield a log's frames as :func:`read_even` does, and tell ``progress`` how many."""
+    for frames, _ in read_even(config, path, maps):
+        yield frames
+        progress(len(frames))
 
 
 def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, bool]]:

@@ -114,8 +114,8 @@ def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartPa
         InputError: a text that is no relation, a signal that is not there, units that do not go together.
     """
 
-    def unit_of(name: str) -> str:
-        return str(find(name).unit or "")
+    def unit_of(name: str) -> str | None:
+        return str(find(name).unit or "") or None  # nothing said in the database is nothing known
 
     made: dict[str, Program] = {}
     for name, text in (("holds", rule.holds), ("when", rule.when)):
@@ -132,7 +132,7 @@ def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartPa
         raise InputError("there is no signal in it", key=f"{key}.holds", value=rule.holds)
     if len(signals) > MOST_SIGNALS:
         raise InputError(f"at most {MOST_SIGNALS} signals", key=key, value=len(signals))
-    units = tuple(unit_of(name) for name in signals)
+    units = tuple(unit_of(name) or "" for name in signals)
     return PartParams(rule=rule, code=code, holds=made["holds"], when=made.get("when"), signals=signals, units=units)
 
 

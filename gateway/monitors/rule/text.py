@@ -21,6 +21,9 @@ _COMPARISONS: dict[type[ast.cmpop], int] = {
     ast.Lt: p.LESS, ast.LtE: p.AT_MOST, ast.Gt: p.MORE, ast.GtE: p.AT_LEAST, ast.Eq: p.EQUAL, ast.NotEq: p.UNEQUAL,
 }  # fmt: skip
 
+#: Function that takes the unit from a value: what is added to it or compared with it has another one on purpose.
+WITHOUT_UNIT = "number"
+
 #: Unit of an expression: None where it is not known, or a number's, which fits any.
 Unit = str | None
 
@@ -31,13 +34,13 @@ class _Writer:
 
     Attributes:
         text: the expression.
-        unit_of: signal -> its unit in the database, "" where it has none.
+        unit_of: signal -> its unit in the database, None where it has none.
         made: the program.
         depth: of the stack now.
     """
 
     text: str
-    unit_of: Callable[[str], str]
+    unit_of: Callable[[str], Unit]
     made: Program = field(default_factory=Program)
     depth: int = 0
 
@@ -130,8 +133,12 @@ class _Writer:
 
     def _call(self, node: ast.Call) -> Unit:
         name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
+        if name == WITHOUT_UNIT and len(node.args) == 1 and not node.keywords:
+            self.walk(node.args[0])
+            return None
         if name not in FUNCTIONS:
-            raise self.refuse(node, f"the functions are {', '.join(FUNCTIONS)}{nearest(name, list(FUNCTIONS))}")
+            known = [*FUNCTIONS, WITHOUT_UNIT]
+            raise self.refuse(node, f"the functions are {', '.join(known)}{nearest(name, known)}")
         operation, count = FUNCTIONS[name]
         several = name in ("min", "max") and len(node.args) >= 2
         if node.keywords or (len(node.args) != count and not several):
@@ -161,12 +168,12 @@ class _Writer:
         self.made.times_s.append(seconds)
 
 
-def compile_text(text: str, unit_of: Callable[[str], str]) -> Program:
+def compile_text(text: str, unit_of: Callable[[str], Unit]) -> Program:
     """Return the program of a relation.
 
     Args:
         text: e.g. ``"abs(A.x - B.y) < 3 + 0.1 * C.v"``.
-        unit_of: signal -> its unit in the database, "" where it has none; raises InputError where there is no such
+        unit_of: signal -> its unit in the database, None where it has none; raises InputError where there is no such
             signal.
 
     Raises:

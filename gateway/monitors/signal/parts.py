@@ -28,6 +28,11 @@ def _is_none(text: str) -> bool:
     return any(name in text if " " in name or "_" in name else name in words for name in _NONE)
 
 
+def no_value(signal: Signal) -> tuple[float, ...]:
+    """Return the values of a signal that stand for none, by the texts that the database gives them."""
+    return tuple(sorted(value for value, text in _choices(signal).items() if _is_none(text)))
+
+
 def _codes(limits: Limits, signal: Signal, key: str) -> tuple[float, ...]:
     """Return the values that stand for no value.
 
@@ -36,7 +41,7 @@ def _codes(limits: Limits, signal: Signal, key: str) -> tuple[float, ...]:
     """
     choices = _choices(signal)
     if limits.invalid == "auto":
-        found = [value for value, text in choices.items() if _is_none(text)]
+        found = list(no_value(signal))
     else:
         found = []
         for asked in limits.invalid:

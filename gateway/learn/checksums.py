@@ -1,0 +1,272 @@
+"""The checksum that frames have: a known rule, else a sum, an exclusive or, or any CRC with its constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+
+from gateway.errors import InputError
+from gateway.learn.claims import Claim, proven
+from gateway.learn.columns import bits_of
+from gateway.learn.counters import CounterFound
+from gateway.learn.judged import Payloads, judged
+from gateway.learn.polynomials import polynomial_of, solved
+from gateway.signals.bits import field_of, mask_of
+from gateway.signals.protection.checksum import LIST
+from gateway.signals.protection.crc import KNOWN
+from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
+from gateway.signals.protection.protection import Protection
+from gateway.signals.protection.rules import RULES
+
+Keys = dict[str, Any]
+
+#: Frames that a rule must have before the others are looked at.
+FIRST_LOOK = 12
+#: Bits of a checksum: of one that is called so, of another.
+LEAST_BITS, LEAST_BITS_UNNAMED, MOST_BITS = 4, 8, 64
+#: Fields of a message that are not called checksums, and looked at as if they were.
+MOST_UNNAMED = 8
+#: A field that is not called a checksum is taken for one if so many bytes beside it and the counter change.
+LEAST_BYTES = 2
+
+
+def called_checksum(name: str) -> bool:
+    """Tell whether a signal is called as checksums are."""
+    return name.upper().rstrip("0123456789_").endswith(CHECKSUMS)
+
+
+def candidates(message: Message, frames: Payloads, counter: CounterFound | None) -> list[Signal]:
+    """Return the signals that may be the checksum: those that are called so first, then those that look like one."""
+    named, others = [], []
+    for signal in message.signals:
+        if signal.is_float or signal.is_signed or signal.length > MOST_BITS or signal.multiplexer_ids:
+            continue
+        if counter is not None and signal.name == counter.signal:
+            continue
+        if called_checksum(signal.name) and signal.length >= LEAST_BITS:
+            named.append(signal)
+        elif signal.length >= LEAST_BITS_UNNAMED and signal.length % 8 == 0 and _busy(signal, message, frames, counter):
+            others.append(signal)
+    return named + others[:MOST_UNNAMED]
+
+
+def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFound | None) -> bool:
+    """Tell whether a field changes as a checksum does, and other bytes do, too."""
+    values = bits_of(frames.words, field_of(signal))
+    if len(np.unique(values)) < min(64, len(frames) // 4):
+        return False
+    own = mask_of(field_of(signal))
+    if counter is not None:
+        own |= mask_of(field_of(next(each for each in message.signals if each.name == counter.signal)))
+    changing = (frames.bytes != frames.bytes[0]).any(axis=0)
+    return sum(bool(moved) and not own >> (8 * k) & 0xFF for k, moved in enumerate(changing)) >= LEAST_BYTES
+
+
+def known_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
+    """Return the known checksum that frames of a message have, None if there is none.
+
+    Args:
+        message: whose frames all have its length.
+        counter: of the message, for lists of ids by its value.
+        found_with: frames, different ones.
+        proof: others.
+    """
+    return _first(message, counter, found_with, proof, _named)
+
+
+def any_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
+    """Return a sum, an exclusive or, or a CRC with any polynomial and constants; arguments of :func:`known_claim`."""
+    return _first(message, counter, found_with, proof, _unnamed)
+
+
+Hypotheses = Callable[[Message, Signal, CounterFound | None, Payloads], Iterator[tuple[Keys, int]]]
+
+
+def _first(
+    message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads, hypotheses: Hypotheses
+) -> Claim | None:
+    for signal in candidates(message, found_with, counter):
+        for keys, free_bits in hypotheses(message, signal, counter, found_with):
+            claim = proven(message, keys, proof, free_bits=free_bits, hypotheses=1 << 8)
+            if claim is not None:
+                return claim
+    return None
+
+
+def _named(
+    message: Message, signal: Signal, _counter: CounterFound | None, frames: Payloads
+) -> Iterator[tuple[Keys, int]]:
+    """Yield what fits the frames, and what was free to be chosen for it [bit]."""
+    yield from ((keys, 0) for keys in _rules(message, signal, frames))
+    yield from ((keys, 16) for keys in _known(message, signal, frames))
+
+
+def _unnamed(
+    message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
+) -> Iterator[tuple[Keys, int]]:
+    """Yield what fits the frames, and what was free to be chosen for it [bit]."""
+    if signal.length <= 16:
+        yield from ((keys, signal.length) for keys in _sums(message, signal, frames))
+    yield from _polynomials(message, signal, counter, frames)
+
+
+def _protection(message: Message, keys: Keys) -> Protection | None:
+    """Return the protection of keys, None where they do not fit the message."""
+    try:
+        return protection_for(message, ProtectionParams.model_validate(keys))
+    except InputError:
+        return None
+
+
+def _fits(message: Message, keys: Keys, frames: Payloads) -> bool:
+    asked = _protection(message, keys)
+    if asked is None or not judged(frames[:FIRST_LOOK], asked).good.all():
+        return False
+    return bool(judged(frames, asked).good.mean() > 0.98)
+
+
+def _rules(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
+    for rule in RULES:
+        keys = {"checksum": {"rule": rule, "signal": signal.name}}
+        if _fits(message, keys, frames):
+            yield keys
+
+
+def _known(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
+    """Yield the known CRCs, alone and with the identifier as data id."""
+    low, high = message.frame_id & 0xFF, message.frame_id >> 8 & 0xFF
+    for name, crc in KNOWN.items():
+        if crc.width != signal.length:
+            continue
+        for data_id in (None, message.frame_id & 0xFFFF, {"bytes": [low, high], "place": "before"}):
+            more = {} if data_id is None else {"data_id": data_id}
+            keys = {"crc": {"signal": signal.name, "algorithm": name, **more}}
+            if _fits(message, keys, frames):
+                yield keys
+
+
+def _ranges(message: Message, signal: Signal) -> Iterator[Keys]:
+    """Yield what a checksum may cover: the whole payload, what is behind its own byte, what is before it."""
+    yield {}
+    own = mask_of(field_of(signal))
+    bytes_ = [k for k in range(message.length) if own >> (8 * k) & 0xFF]
+    if bytes_[-1] + 1 < message.length and bytes_[0] > 0:
+        yield {"over": (bytes_[-1] + 1, message.length)}
+    if bytes_[0] > 0 and bytes_[-1] + 1 < message.length:
+        yield {"over": (0, bytes_[0])}
+
+
+def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
+    """Yield sums and exclusive ors with the constant that the first frame asks for."""
+    limit = (1 << signal.length) - 1
+    for over in _ranges(message, signal):
+        for rule in ("sum", "xor"):
+            for of in ("bytes", "nibbles"):
+                for negative in (False, True) if rule == "sum" else (False,):
+                    keys: Keys = {"rule": rule, "signal": signal.name, "of": of, **over}
+                    if negative:
+                        keys["negative"] = True
+                    asked = _protection(message, {"checksum": keys})
+                    if asked is None:
+                        continue
+                    first = judged(frames[:1], asked)
+                    one, other = int(first.received[0]), int(first.computed[0])
+                    plus = one ^ other if rule == "xor" else (one - other) & limit
+                    made = {"checksum": keys | ({"plus": plus} if plus else {})}
+                    if _fits(message, made, frames):
+                        yield made
+
+
+def _polynomials(
+    message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
+) -> Iterator[tuple[Keys, int]]:
+    """Yield CRCs whose polynomial is recovered from differences of frames."""
+    own = mask_of(field_of(signal))
+    checksums = bits_of(frames.words, field_of(signal))
+    whole = frames.bytes[:, : message.length].copy()
+    kept = []
+    for k in range(message.length):
+        part = own >> (8 * k) & 0xFF
+        whole[:, k] &= 0xFF & ~part
+        if part != 0xFF:
+            kept.append(k)
+    groups = [np.arange(len(frames))]
+    if counter is not None:  # frames of one value: what goes in by the counter is the same for them
+        values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
+        each, count = np.unique(values, return_counts=True)
+        groups.append(np.flatnonzero(values == each[count.argmax()]))
+    for over in _ranges(message, signal):
+        first, last = over.get("over", (0, message.length))
+        covered = whole[:, [k for k in kept if first <= k < last]]
+        for refin in (False, True):
+            for refout in (False, True):
+                for group in groups:
+                    if len(group) < FIRST_LOOK:
+                        continue
+                    poly = polynomial_of(
+                        covered[group], [int(c) for c in checksums[group]], signal.length, refin=refin, refout=refout
+                    )
+                    if poly is None:
+                        continue
+                    crc = {"signal": signal.name, "width": signal.length, "poly": poly}
+                    crc |= {"refin": True} if refin else {}
+                    crc |= {"refout": True} if refout else {}
+                    yield from _constants(message, {**crc, **over}, counter, frames, signal.length)
+                    break
+
+
+def _constants(
+    message: Message, crc: Keys, counter: CounterFound | None, frames: Payloads, width: int
+) -> Iterator[tuple[Keys, int]]:
+    """Yield a CRC with the constant, or the list by the counter's value, that makes it that of the frames."""
+    asked = _protection(message, {"crc": crc})
+    if asked is None:
+        return
+    difference = judged(frames, asked).difference
+    if (difference == difference[0]).all():
+        constant = int(difference[0])
+        yield {"crc": crc | ({"xorout": constant} if constant else {})}, 2 * width
+        return
+    if counter is None or counter.first + counter.modulus > LIST:
+        return
+    listed = _by_counter(message, crc, counter, frames)
+    if listed is not None:
+        yield {"crc": crc | {"data_id": {"bytes": listed, "place": "by_counter"}}}, width + 8 * LIST
+
+
+def _by_counter(message: Message, crc: Keys, counter: CounterFound, frames: Payloads) -> Sequence[int] | None:
+    """Return the byte that goes in for each value of the counter, None where there is none."""
+    plain = {"signal": counter.signal}
+    values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
+
+    def difference(byte: int, some: Payloads) -> Any:
+        keys = {"crc": crc | {"data_id": {"bytes": [byte] * LIST, "place": "by_counter"}}, "counter": plain}
+        asked = _protection(message, keys)
+        assert asked is not None
+        return judged(some, asked).difference
+
+    listed = []
+    for value in range(LIST):
+        mine = frames[values == value]
+        if not len(mine):
+            if counter.first <= value < counter.first + counter.modulus:
+                return None  # a value that it has, and that never came: nothing is known of its byte
+            listed.append(0)
+            continue
+        zero = difference(0, mine)
+        if (zero != zero[0]).any():
+            return None
+        images = [int(difference(1 << k, mine[:1])[0] ^ zero[0]) for k in range(8)]
+        byte = solved(images, int(zero[0]))
+        if byte is None:
+            return None
+        listed.append(byte)
+    return listed
+
+
+def _signal(message: Message, name: str) -> Signal:
+    return next(signal for signal in message.signals if signal.name == name)

@@ -1,0 +1,64 @@
+"""From what was seen to the lines of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gateway.learn import limits
+from gateway.learn.lines import Learned
+from gateway.learn.observe import Observation, Seen
+from gateway.learn.protections import ProtectionFound, protection_found
+from gateway.learn.rules import rule_lines
+from gateway.signals.database import Database
+
+#: Frames that must have come of a message for anything to be said of it.
+LEAST_FRAMES = 4
+#: Frames of two senders: gaps vary by more than this share, and two of them together by less than that of one's.
+VARY, TOGETHER = 0.2, 0.2
+
+
+def derive(observation: Observation, databases: Sequence[Database], buses: Sequence[str]) -> Learned:
+    """Return the lines that a configuration gets, and the notes beside them.
+
+    Args:
+        observation: what was seen.
+        databases: of the buses.
+        buses: their names.
+    """
+    learned = Learned()
+    found: dict[tuple[int, str], ProtectionFound] = {}
+    seconds = sum(log.seconds for log in observation.logs)
+    taken: dict[int, set[str]] = {}
+    for key, seen in observation.seen.items():
+        bus, name = key
+        file: Path = databases[bus].file_of(name)
+        several = senders(seen)
+        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=seen.frames >= LEAST_FRAMES)
+        line = limits.check_line(buses[bus], seen, found[key])
+        if several and "counter" not in line.keys and found[key].counter is None:
+            learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
+        learned.add(line)
+    for key, seen in observation.seen.items():
+        names = taken.setdefault(key[0], set())
+        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names))
+    limits.add(learned, rule_lines(observation, found, buses))
+    learned.notes += limits.notes_of(observation, buses)
+    return learned
+
+
+def senders(seen: Seen) -> bool:
+    """Tell whether frames look as if two senders sent them, each at its own times.
+
+    Gaps vary, but those of every second frame do not.
+    """
+    for stamps in seen.samples.stamps:
+        if len(stamps) < 40:
+            continue
+        one = np.diff(stamps).astype(np.float64)
+        two = (stamps[2:] - stamps[:-2]).astype(np.float64)
+        if one.std() > VARY * one.mean() and two.std() < TOGETHER * one.std():
+            return True
+    return False

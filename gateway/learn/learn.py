@@ -1,0 +1,208 @@
+"""The whole way: look at healthy logs, derive limits, replay what was held out, widen, put faults into it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gateway.config.model import BusConfig, Config
+from gateway.config.resolve import load_databases
+from gateway.errors import InputError
+from gateway.learn.derive import derive
+from gateway.learn.document import BusAsked, document
+from gateway.learn.lines import Learned
+from gateway.learn.observe import Observation, Observer
+from gateway.learn.proof import Replayed, replayed
+from gateway.learn.trial import MOST, Outcome, chosen, tried, trials
+from gateway.learn.widen import owner, widened
+from gateway.signals.database import Database
+
+#: The configuration is replayed and widened so often at most.
+ROUNDS = 6
+
+#: Told: what is done, log or number, how far it is (0 to 1).
+Progress = Callable[[str, str, float], None]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be learned.
+
+    Attributes:
+        name: of the gateway.
+        buses: with their databases' paths as given.
+        logs: healthy ones.
+        out: file of the configuration.
+        hold_out: share of each log at its end that is not learned from.
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+        seed: of the faults that are put in.
+    """
+
+    name: str
+    buses: tuple[BusAsked, ...]
+    logs: tuple[Path, ...]
+    out: Path
+    hold_out: float = 0.3
+    maps: tuple[str, ...] = ()
+    seed: int = 1
+
+
+@dataclass
+class Result:
+    """What was learned.
+
+    Attributes:
+        learned: lines and notes.
+        observation: what they come from.
+        text: of the configuration.
+        changes: what was widened, one line each.
+        alarms: faults that healthy logs set still, none if all is well.
+        held_s, held_frames: what was held out.
+        outcomes: of the faults that were put into it.
+        possible: how many faults a limit can show; those tried were drawn from them.
+    """
+
+    learned: Learned
+    observation: Observation
+    text: str
+    changes: list[str] = field(default_factory=list)
+    alarms: tuple[str, ...] = ()
+    held_s: float = 0.0
+    held_frames: int = 0
+    outcomes: list[Outcome] = field(default_factory=list)
+    possible: int = 0
+
+
+def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
+    """Look at the logs.
+
+    Raises:
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has.
+    """
+    config = Config(
+        bus=tuple(
+            BusConfig(
+                name=bus.name, uri=bus.uri, match=bus.match, database=tuple(Path(file) for file in bus.databases)
+            )  # type: ignore[arg-type]
+            for bus in asked.buses
+        )
+    )
+    databases = load_databases(config)
+    observer = Observer(config, databases)
+    for path in asked.logs:
+        observer.read(path, asked.maps, asked.hold_out, lambda p, _n, done: progress("reading", p.name, done))
+    observation = observer.result()
+    if not observation.seen:
+        files = ", ".join(file for bus in asked.buses for file in bus.databases)
+        ids = sorted({can_id for _, can_id in observation.foreign})
+        some = ", ".join(f"0x{can_id & 0x1FFFFFFF:X}" for can_id in ids[:8])
+        raise InputError(
+            f"no frame of this log is one of {files}; it has {len(ids)} identifiers: {some}{', ...' * (len(ids) > 8)}",
+            file=asked.logs[0],
+        )
+    return observation, databases
+
+
+def learn(asked: Asked, progress: Progress) -> Result:
+    """Learn a configuration; nothing is written.
+
+    Raises:
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has.
+    """
+    observation, databases = observe(asked, progress)
+    progress("deriving", "", 0.0)
+    learned = derive(observation, databases, [bus.name for bus in asked.buses])
+    return settle(asked, observation, learned, databases, progress)
+
+
+def settle(
+    asked: Asked,
+    observation: Observation,
+    learned: Learned,
+    databases: Sequence[Database],
+    progress: Progress,
+) -> Result:
+    """Replay the lines on the logs, widen what alarms until they are silent, and put faults in."""
+    result = Result(learned, observation, "")
+    before: set[tuple[tuple[str, str, str], str]] = set()
+    proof: Replayed | None = None
+    for number in range(ROUNDS):
+        result.text = document(asked.name, asked.buses, learned, logs_text(observation))
+        with _beside(asked.out, result.text) as path:
+            said = f"proof {number + 1}"
+            proof = replayed(
+                path, observation.logs, asked.maps, lambda p, _n, done: progress(said, p.name, done)  # noqa: B023
+            )
+        result.held_s, result.held_frames = proof.seconds, proof.frames
+        result.alarms = tuple(sorted(proof.alarms))
+        if not _widen(asked, result, proof, before):
+            break
+    assert proof is not None
+    if not result.alarms:
+        _try(asked, result, proof, databases, progress)
+    return result
+
+
+def _widen(asked: Asked, result: Result, proof: Replayed, before: set[tuple[tuple[str, str, str], str]]) -> bool:
+    """Widen what alarmed; returns whether anything was changed."""
+    changed = False
+    for fault, alarm in sorted(proof.alarms.items()):
+        owned = owner(result.learned, fault, asked.buses)
+        if owned is None:
+            continue
+        line, kind = owned
+        new, said = widened(line, kind, alarm, (line.place, kind) in before)
+        before.add((line.place, kind))
+        if new is None:
+            del result.learned.lines[line.place]
+            result.learned.notes.append(f"{line.bus}: {line.name}: {said}")
+        else:
+            result.learned.lines[line.place] = new
+        result.changes.append(f"{fault}: {said}")
+        changed = True
+    return changed
+
+
+def _try(
+    asked: Asked, result: Result, proof: Replayed, databases: Sequence[Database], progress: Progress
+) -> None:
+    longest = max((float(w["t_ns"].max() - w["t_ns"].min()) * 1e-9 for w in proof.windows if len(w)), default=0.0)
+    periods = {
+        key: seen.gaps.quantile_ns(0.5) * 1e-9 for key, seen in result.observation.seen.items() if seen.gaps.count
+    }
+    possible = list(trials(result.learned, databases, asked.buses, longest, periods))
+    result.possible = len(possible)
+    some = chosen(possible, MOST, np.random.default_rng(asked.seed))
+    result.outcomes = tried(
+        proof, some, asked.seed, lambda done, count: progress("faults", f"{done} of {count}", done / count)
+    )
+
+
+def logs_text(observation: Observation) -> list[str]:
+    """Return what was read, for people."""
+    said = []
+    for log in observation.logs:
+        part = "" if log.cut_ns is None else " (the rest was held out)"
+        said.append(f"{log.path.name}, {log.seconds:.0f} s, {log.frames} frames{part}")
+    return said
+
+
+@contextmanager
+def _beside(out: Path, text: str) -> Iterator[Path]:
+    """Write a text beside a file, for the time of the block: paths in it are relative to there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.stem}-", suffix=".toml")
+    path = Path(name)
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text)
+        yield path
+    finally:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,91 @@
+"""What is learned, line by line: an entry of a configuration, with what it stands on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import tomlkit
+from tomlkit.items import Item
+
+#: Tables that lines belong to.
+CHECK, SIGNAL, RULE = "check", "signal", "rule"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One entry of a table.
+
+    Attributes:
+        bus: name of the bus.
+        table: CHECK, SIGNAL or RULE.
+        name: of the message, of the signal ("Message.Signal"), or of the rule.
+        keys: of the entry.
+        why: what it stands on, for people.
+    """
+
+    bus: str
+    table: str
+    name: str
+    keys: Mapping[str, Any]
+    why: str
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """What it is found by again."""
+        return self.bus, self.table, self.name
+
+    def text(self) -> str:
+        """Return it as it stands in the file."""
+        return f"    {inline(self.keys)},  # {self.why}"
+
+
+@dataclass
+class Learned:
+    """All that goes into a configuration.
+
+    Attributes:
+        lines: by their places, in the order of the file.
+        notes: what is not in it, and why; one line each.
+    """
+
+    lines: dict[tuple[str, str, str], Line] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, line: Line) -> None:
+        """Add a line."""
+        self.lines[line.place] = line
+
+    def of(self, bus: str, table: str) -> list[Line]:
+        """Return the lines of one table."""
+        return [line for line in self.lines.values() if (line.bus, line.table) == (bus, table)]
+
+
+def inline(value: Any) -> str:
+    """Return a value in TOML on one line."""
+    return str(_item(value).as_string())
+
+
+def _item(value: Any) -> Item:
+    if isinstance(value, Mapping):
+        table = tomlkit.inline_table()
+        for key, each in value.items():
+            table.append(key, _item(each))
+        return table
+    if isinstance(value, list | tuple):
+        array = tomlkit.array()
+        for each in value:
+            array.append(_item(each))
+        return array
+    return tomlkit.item(value)
+
+
+def short(value: float, digits: int = 4) -> float:
+    """Return a number with few digits, as people write it; whole ones stay whole."""
+    return float(f"{value:.{digits}g}")
+
+
+def shown(value: float) -> str:
+    """Return a number for a comment."""
+    return f"{value:.4g}"

@@ -1,0 +1,83 @@
+"""The values of all signals at the same times: what relations between them are looked for in."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Times that are kept at most; then every second one goes, and the room between them doubles.
+MOST = 6000
+#: Room between them at first [ns].
+STEP_NS = 50_000_000
+#: A value that is older does not count any more [ns].
+STALE_NS = 400_000_000
+
+
+class Snapshots:
+    """Values of signals over time, in rows of equal distance; bounded.
+
+    Args:
+        signals: how many columns there are.
+    """
+
+    def __init__(self, signals: int) -> None:
+        self._held = np.full(signals, np.nan)
+        self._since_ns = np.full(signals, np.iinfo(np.int64).min // 2)
+        self._rows: list[NDArray[np.float64]] = []
+        self._step_ns = STEP_NS
+        self._next_ns: int | None = None
+
+    @property
+    def width(self) -> int:
+        """How many signals there are."""
+        return len(self._held)
+
+    def begin(self) -> None:
+        """Begin with another log."""
+        self._since_ns[:] = np.iinfo(np.int64).min // 2
+        self._next_ns = None
+
+    def grid(self, first_ns: int, last_ns: int) -> NDArray[np.int64]:
+        """Return the times of a batch that rows are wanted of."""
+        if self._next_ns is None:
+            self._next_ns = first_ns + self._step_ns
+        times = np.arange(self._next_ns, last_ns + 1, self._step_ns, np.int64)
+        if len(times):
+            self._next_ns = int(times[-1]) + self._step_ns
+        self._block = np.full((len(times), len(self._held)), np.nan)
+        self._times = times
+        return times
+
+    def put(self, columns: slice, t_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Put the signals of one message into the batch's rows.
+
+        Args:
+            columns: of these signals.
+            t_ns: stamps of its frames in the batch, in order.
+            values: shape (frames, signals).
+        """
+        at = np.searchsorted(t_ns, self._times, side="right") - 1
+        known = at >= 0
+        fresh = known & (self._times - t_ns[at] <= STALE_NS)
+        self._block[fresh, columns] = values[at[fresh]]
+        early = ~known & (self._times - self._since_ns[columns.start] <= STALE_NS)
+        self._block[early, columns] = self._held[columns]
+        self._held[columns] = values[-1]
+        self._since_ns[columns] = t_ns[-1]
+
+    def rest(self, columns: slice) -> None:
+        """Put what a message that did not come in the batch had last."""
+        early = self._times - self._since_ns[columns.start] <= STALE_NS
+        self._block[early, columns] = self._held[columns]
+
+    def end(self) -> None:
+        """Keep the batch's rows."""
+        self._rows.append(self._block)
+        if sum(len(block) for block in self._rows) > MOST:
+            kept = np.concatenate(self._rows)[::2]
+            self._rows = [kept]
+            self._step_ns *= 2
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the rows, shape (times, signals), NaN where a signal has no value."""
+        return np.concatenate(self._rows) if self._rows else np.zeros((0, len(self._held)))

@@ -1,0 +1,296 @@
+"""Faults put into recorded frames: what would the gateway say if this sensor, or this sender, failed?
+
+A fault of a signal leaves the message's protection right, as the sender would: it is computed anew over the changed
+payload. A fault of the frame does not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import Frames
+from gateway.engine.checks.communication import CheckInstance
+from gateway.errors import InputError, nearest
+from gateway.signals.bits import mask_of, write_bits
+from gateway.signals.database import Database
+from gateway.signals.decode import FLOAT16, FLOAT32, FLOAT64, OK, decode, lookup
+from gateway.signals.encode import insert
+from gateway.signals.protection.params import protection_for
+from gateway.signals.protection.protection import ProtectionConst, Tables, counter_of, fill, protect
+from gateway.signals.tables import SignalRef, compile_plan
+
+#: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
+FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
+#: Of a signal: it stays; something is added; it has one value; something is added and taken off in turn.
+SIGNAL_KINDS = ("stuck", "offset", "value", "jump")
+#: Of these, those that want a number.
+_NUMBERED = ("offset", "value", "jump")
+
+_TEXT = re.compile(
+    r"(?P<kind>[a-z]+) +(?P<target>[^\s=]+)(?: *= *(?P<value>[^\s]+))?"
+    r"(?: +@ *(?P<first>[0-9.]+)(?: *\.\. *(?P<last>[0-9.]+))?)?\s*"
+)
+
+#: What is to be written, for messages of errors.
+USAGE = 'e.g. "drop SPEED @10..12", "offset SPEED.SPEED=40 @10": KIND MESSAGE[.SIGNAL][=VALUE] [@FROM[..TO] seconds]'
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A fault that is put into frames.
+
+    Attributes:
+        kind: of FRAME_KINDS or SIGNAL_KINDS.
+        bus: index of the bus.
+        message: its name.
+        signal: its name, None for a fault of the frame.
+        value: what is added, or what the signal has; signal's unit.
+        from_s, to_s: when, from the log's first frame on [s]; to_s None: to its end.
+    """
+
+    kind: str
+    bus: int
+    message: str
+    signal: str | None = None
+    value: float = 0.0
+    from_s: float = 0.0
+    to_s: float | None = None
+
+
+def parse_injection(text: str, names: Sequence[str], databases: Sequence[Database]) -> Injection:
+    """Read a fault as the command line has it.
+
+    Args:
+        text: see USAGE.
+        names: of the buses.
+        databases: of the buses.
+
+    Raises:
+        InputError: it is none, or names what is not there.
+    """
+    key = "--inject"
+    found = _TEXT.fullmatch(text.strip())
+    if found is None:
+        raise InputError(USAGE, key=key, value=text)
+    kind = found["kind"]
+    kinds = (*FRAME_KINDS, *SIGNAL_KINDS)
+    if kind not in kinds:
+        raise InputError(f"the kinds are {', '.join(kinds)}{nearest(kind, kinds)}; {USAGE}", key=key, value=text)
+    bus, parts = _bus_of(found["target"].split("."), names)
+    of_signal = kind in SIGNAL_KINDS
+    if len(parts) != (2 if of_signal else 1):
+        wanted = "Message.Signal" if of_signal else "Message"
+        raise InputError(f"{kind} is a fault of a {wanted.lower()}: {wanted}; {USAGE}", key=key, value=text)
+    if (found["value"] is not None) != (kind in _NUMBERED):
+        wanted = "wants" if kind in _NUMBERED else "has no"
+        raise InputError(f"{kind} {wanted} a value; {USAGE}", key=key, value=text)
+    try:
+        bus = _having(parts[0], bus, databases)
+        databases[bus].message(parts[0])
+        if of_signal:
+            databases[bus].signal(parts[0], parts[1])
+        numbers = [float(found[name]) if found[name] else None for name in ("value", "first", "last")]
+    except InputError as error:
+        raise InputError(error.message, key=key, value=text) from error
+    except ValueError as error:
+        raise InputError(f"this is no number; {USAGE}", key=key, value=text) from error
+    value, first, last = numbers
+    if last is not None and last <= (first or 0.0):
+        raise InputError("it ends before it begins", key=key, value=text)
+    return Injection(kind, bus, parts[0], parts[1] if of_signal else None, value or 0.0, first or 0.0, last)
+
+
+def _bus_of(parts: list[str], names: Sequence[str]) -> tuple[int, list[str]]:
+    """Return the bus that a name begins with, -1 if with none, and the rest."""
+    if parts[0] in names and len(parts) > 1:
+        return list(names).index(parts[0]), parts[1:]
+    return -1, parts
+
+
+def _having(message: str, bus: int, databases: Sequence[Database]) -> int:
+    if bus >= 0:
+        return bus
+    having = [k for k, database in enumerate(databases) if any(each.name == message for each in database)]
+    if len(having) > 1:
+        raise InputError("several buses have this message: name the bus before it, bus.Message", value=message)
+    return having[0] if having else 0
+
+
+class Injector:
+    """Puts a fault into frames, batch after batch.
+
+    Args:
+        asked: the fault.
+        databases: of the buses.
+        checks: of messages, whose protection is kept right by a fault of a signal.
+        rng: source of all randomness.
+        start_ns: the log's first stamp; None: that of the first batch.
+        pgn: buses whose extended identifiers match by PGN.
+
+    Attributes:
+        count: frames that it has changed or taken out.
+    """
+
+    def __init__(
+        self,
+        asked: Injection,
+        databases: Sequence[Database],
+        checks: Sequence[CheckInstance],
+        rng: np.random.Generator,
+        start_ns: int | None = None,
+        pgn: Collection[int] = (),
+    ) -> None:
+        self._asked, self._rng, self._start_ns = asked, rng, start_ns
+        self.count = 0
+        refs = [] if asked.signal is None else [SignalRef(asked.bus, asked.message, asked.signal)]
+        named = [(asked.bus, asked.message)]
+        self._plan = compile_plan([(asked.bus, databases[asked.bus])], refs, messages=named, pgn=pgn)
+        self._change = _OF_FRAME[asked.kind](rng) if asked.kind in _OF_FRAME else self._change_signal
+        if refs:
+            self._place = self._plan.position(*refs[0])
+            row = self._plan.signals[int(self._plan.messages[0]["first"]) + self._place]
+            self._row = row if hasattr(row, "word") else row.view(np.recarray)
+            self._mask = np.frombuffer(mask_of(self._row).to_bytes(64, "little"), "<u8")
+            self._held, self._turn = np.nan, 1.0
+        mine = [check for check in checks if (check.bus, check.params.message) == named[0]]
+        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+        if mine:
+            message = databases[asked.bus].message(asked.message)
+            fill(rows[0], protection_for(message, mine[0].params), tables)
+        self._protection, self._crcs = rows.view(np.recarray)[0], tables.array()
+
+    def apply(self, frames: Frames) -> Frames:
+        """Return the frames with the fault in them."""
+        if not len(frames):
+            return frames
+        if self._start_ns is None:
+            self._start_ns = int(frames["t_ns"][0])
+        mine = self._of_message(frames)
+        hit = mine & (frames["t_ns"] >= self._start_ns + round(self._asked.from_s * 1e9))
+        if self._asked.to_s is not None:
+            hit &= frames["t_ns"] < self._start_ns + round(self._asked.to_s * 1e9)
+        self.count += int(hit.sum())
+        if self._asked.kind == "drop":
+            return frames[~hit]
+        if not mine.any():
+            return frames
+        frames = frames.copy()
+        for k in np.flatnonzero(mine):
+            self._change(frames[k : k + 1], bool(hit[k]))
+        return frames
+
+    def _of_message(self, frames: Frames) -> NDArray[np.bool_]:
+        """Return which frames are of the message."""
+        keys = self._plan.keys, self._plan.rows
+        ids = [can_id for can_id in np.unique(frames["can_id"]) if lookup(*keys, self._asked.bus, int(can_id)) == 0]
+        return np.asarray((frames["bus"] == self._asked.bus) & np.isin(frames["can_id"], ids), np.bool_)
+
+    def _change_signal(self, frame: Frames, hit: bool) -> None:
+        """Give the signal of one frame, shape (1,), the value that the fault gives it."""
+        words = np.ascontiguousarray(frame["data"][0]).view("<u8").copy()
+        length = int(frame["length"][0])
+        now = self._value(words, length)
+        if np.isnan(now):
+            return  # it does not carry the signal
+        if not hit:
+            self._held = now
+            return
+        words &= ~self._mask
+        self._put(words, self._faulty(now))
+        if self._protection.has_checksum:
+            sent = int(counter_of(words, self._protection)) - int(self._protection.first)
+            protect(words, length, sent, self._protection, self._crcs)
+        frame["data"][0] = words.view(np.uint8)
+
+    def _value(self, words: NDArray[np.uint64], length: int) -> float:
+        """Return what the signal has, NaN where the frame does not carry it."""
+        plan = self._plan
+        count = int(plan.messages[0]["count"])
+        values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
+        status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
+        return float(values[self._place]) if status == OK and present[self._place] else float("nan")
+
+    def _faulty(self, now: float) -> float:
+        """Return what the fault makes of a value."""
+        if self._asked.kind == "stuck":
+            self._held = now if np.isnan(self._held) else self._held
+            return float(self._held)
+        if self._asked.kind == "value":
+            return self._asked.value
+        if self._asked.kind == "offset":
+            return now + self._asked.value
+        self._turn = -self._turn
+        return now + self._turn * self._asked.value
+
+    def _put(self, words: NDArray[np.uint64], value: float) -> None:
+        """Write a value into bits that are zero; an integer signal takes the nearest that it can."""
+        kind = _IEEE.get(int(self._row.kind))
+        if kind is None:
+            insert(words, self._row, value)
+            return
+        number, bits = kind
+        with np.errstate(over="ignore"):
+            raw = np.array([(value - self._row.offset) / self._row.scale], number).view(bits)[0]
+        write_bits(words, self._row, np.uint64(raw))
+
+
+#: Floating-point kinds of signals -> what NumPy calls their numbers, and their bits.
+_IEEE = {FLOAT16: ("<f2", "<u2"), FLOAT32: ("<f4", "<u4"), FLOAT64: ("<f8", "<u8")}
+
+
+class _Repeat:
+    """Every second frame comes with the payload of the one before."""
+
+    def __init__(self, _rng: np.random.Generator) -> None:
+        self._before: Any = None
+        self._turn = False
+
+    def __call__(self, frame: Frames, hit: bool) -> None:
+        original = frame[0].copy()
+        self._turn = hit and not self._turn
+        if self._turn and self._before is not None:
+            _copy(frame, self._before)
+        self._before = original
+
+
+class _Freeze:
+    """Each frame comes with the payload of the last good one."""
+
+    def __init__(self, _rng: np.random.Generator) -> None:
+        self._before: Any = None
+
+    def __call__(self, frame: Frames, hit: bool) -> None:
+        if hit and self._before is not None:
+            _copy(frame, self._before)
+        else:
+            self._before = frame[0].copy()
+
+
+class _Flip:
+    """One bit of each frame is wrong."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def __call__(self, frame: Frames, hit: bool) -> None:
+        bits = 8 * int(frame["length"][0])
+        if hit and bits:
+            bit = int(self._rng.integers(bits))
+            frame["data"][0, bit // 8] ^= np.uint8(1 << bit % 8)
+
+
+def _copy(frame: Frames, other: Any) -> None:
+    frame["data"][0], frame["length"][0] = other["data"], other["length"]
+
+
+_OF_FRAME: dict[str, Callable[[np.random.Generator], Callable[[Frames, bool], None]]] = {
+    "repeat": _Repeat,
+    "freeze": _Freeze,
+    "flip": _Flip,
+}
