@@ -93,6 +93,9 @@ MISFITS = 20
 SAMPLES = 4
 
 
+#: Base codes of the DTCs of checks that give none, on a bus whose messages have none of their own.
+LOST, INVALID = "U0100", "U0401"
+
 #: Base code of a DTC in TOML: a network code without its failure type.
 BaseCode = Annotated[str, Field(pattern=r"^U[0-3][0-9A-F]{3}$")]
 
@@ -107,8 +110,8 @@ class Params(MonitorParams, ProtectionParams):
         True,
         description="judge floating-point signals that somebody uses: NaN, infinite, far outside of their range",
     )
-    lost: BaseCode = Field("U0100", description="base code of the timeout's DTC: lost communication, U01xx")
-    invalid: BaseCode = Field("U0401", description="base code of the other checks' DTCs: invalid data received, U04xx")
+    lost: BaseCode = Field(LOST, description="base code of the timeout's DTC: lost communication, U01xx")
+    invalid: BaseCode = Field(INVALID, description="base code of the other checks' DTCs: invalid data received, U04xx")
 
     def fault_of(self, kind: int) -> Fault:
         """Return one of :data:`FAULTS` with the DTC it has for this message."""
@@ -156,11 +159,19 @@ class Check(CheckState, CheckConst, CheckPlace):
 
 @dataclass(frozen=True)
 class CheckInstance:
-    """The configured communication checks of one message of a bus."""
+    """The configured communication checks of one message of a bus.
+
+    Attributes:
+        params: what is asked.
+        bus: its index.
+        name: first part of its fault ids.
+        key: where the configuration has it, for errors: ``bus[0].check[1]``.
+    """
 
     params: Params
     bus: int = 0
     name: str = ""
+    key: str = ""
 
 
 def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
@@ -181,14 +192,14 @@ def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
 
 
 def _key(check: CheckInstance) -> str:
-    return f'check of "{check.params.message}"'
+    return check.key or f'check of "{check.params.message}"'
 
 
 def _message(check: CheckInstance, database: Database) -> Message:
     try:
         return database.message(check.params.message)
     except InputError as error:
-        raise InputError(error.message, key=_key(check), value=error.value) from error
+        raise InputError(error.message, key=f"{_key(check)}.message", value=check.params.message) from error
 
 
 def _protection(check: CheckInstance, database: Database) -> Protection:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from cantools.database.can.signal import Signal
 
 from gateway.errors import InputError, nearest
-from gateway.monitors.network_codes import network_codes
 from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES, Limits, Params, PartParams, Watched
 
 #: Texts of values that stand for no value, in capitals.
@@ -75,25 +74,26 @@ def _watched(limits: Limits, signal: Signal, code: str, key: str) -> Watched:
         ones = float(raw * signal.scale + signal.offset)
     name = limits.name or limits.signal.rpartition(".")[2]
     return Watched(
-        limits=limits, name=name, code=limits.code or code, unit=signal.unit or "",
+        limits=limits, name=name, code=code, unit=signal.unit or "",
         codes=_codes(limits, signal, key), values=values, ones=ones,
     )  # fmt: skip
 
 
-def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartParams]:
+def parts(
+    p: Any, find: Callable[[str], Signal], give: Callable[[Iterable[str]], Mapping[str, str]]
+) -> dict[str, PartParams]:
     """Return the parts of the monitor by name, one or more a message.
 
     Args:
         p: parameters as configured.
         find: ``"Message.Signal"`` -> the signal.
-        bus: name of the bus.
+        give: names -> a network code for each.
 
     Raises:
         InputError: a signal that is not there; what the database does not say.
     """
     assert isinstance(p, Params)
-    given = [limits.code for limits in p.signal if limits.code is not None]
-    codes = network_codes((f"{bus}.{limits.signal}" for limits in p.signal), given)
+    codes = give(limits.signal for limits in p.signal if limits.code is None)
     by_message: dict[str, list[Watched]] = {}
     for k, limits in enumerate(p.signal):
         key = f"signal[{k}]"
@@ -101,7 +101,7 @@ def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartPara
             signal = find(limits.signal)
         except InputError as error:
             raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
-        watched = _watched(limits, signal, codes[f"{bus}.{limits.signal}"], key)
+        watched = _watched(limits, signal, limits.code or codes[limits.signal], key)
         if watched.codes or watched.values or watched.ones is not None or _asks(limits):
             by_message.setdefault(limits.signal.rpartition(".")[0], []).append(watched)
         else:
