@@ -56,8 +56,8 @@ FAULTS = (
     Fault(
         "crc",
         "U0401-83",
-        "CRC does not match the payload",
-        ("received", "computed"),
+        "CRC does not match the payload, or a constant of the header is another",
+        ("received", "computed", "constant of the header"),
         Debounce(failed_after=2, passed_after=50),
         remedy="check the wires of the bus for disturbances",
     ),
@@ -81,7 +81,7 @@ FAULTS = (
         "rule",
         "U0401-56",
         "no frame ever passed its CRC or checksum: the configured rule is not the sender's",
-        ("frames", "received", "computed"),
+        ("frames", "received", "computed", "constant of the header"),
         Debounce(failed_after=1, passed_after=1, jump_down=True),
         remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
     ),
@@ -113,6 +113,12 @@ class Params(MonitorParams, ProtectionParams):
     lost: BaseCode = Field(LOST, description="base code of the timeout's DTC: lost communication, U01xx")
     invalid: BaseCode = Field(INVALID, description="base code of the other checks' DTCs: invalid data received, U04xx")
 
+    @property
+    def cycle_ms(self) -> float | None:
+        """How often E2E's state machine is run where no frame comes [ms]."""
+        window = None if self.e2e is None else self.e2e.window
+        return None if window is None else window.cycle_ms or self.timeout_ms
+
     def fault_of(self, kind: int) -> Fault:
         """Return one of :data:`FAULTS` with the DTC it has for this message."""
         fault = FAULTS[kind]
@@ -133,6 +139,7 @@ class CheckConst(Record):
 
     timeout_ns: i8 = means(unit="ns")
     length: i4
+    cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     protection: ProtectionConst
 
 
@@ -147,6 +154,7 @@ class CheckState(Record):
     misfits: i4 = means("frames whose checksum was wrong before the first right one")
     seen: u1
     window: u1 = means("of E2E: NO_DATA, STARTING, VALID, INVALID")
+    came_ns: i8 = means("when a frame was last taken into it; 0: never", "ns")
     ok: u8 = means("bit k: the frame k frames ago was right")
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
@@ -233,6 +241,7 @@ def fill(
     row["bus"] = check.bus
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
+    row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["presence"] = -1
     for ref in signals_of(check, database):
