@@ -11,8 +11,9 @@ from gateway.errors import InputError
 from gateway.signals.bits import Field, mask_of, place
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
+from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
-from gateway.signals.protection.params import COUNTERS, signal_of
+from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
 from gateway.signals.protection.rules import RULES, Frame
 
@@ -54,6 +55,17 @@ def differing(asked: Protection, payloads: Sequence[bytes]) -> list[str]:
             expected = int(judged[0][1])
             said.append(f"{name}: received 0x{received.pop():X}, configured 0x{expected:X}")
     return said
+
+
+def fitting_modes(message: Message, asked: E2eCheck, payloads: Sequence[bytes]) -> list[str]:
+    """Return the same profile with other modes of its data id that all payloads have, as a configuration says it."""
+    found = []
+    for mode in PROFILES[asked.profile].modes:
+        other = asked.model_copy(update={"data_id_mode": mode})
+        if all(verdict == FRAME_OK for _, _, verdict in _judged(other.protection(message), payloads)):
+            text = f'profile = "{asked.profile}", data_id = {asked.data_id}, data_id_mode = "{mode}"'
+            found.append(f"e2e = {{ {text} }}")
+    return found
 
 
 def fitting(message: Message, field: np.void, payloads: Sequence[bytes]) -> list[str]:
