@@ -4,8 +4,11 @@ import random
 
 import e2e
 import pytest
+from amount import examples
 from car import Car as AnyCar
 from car import write as write_tables
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from opendbc.can.dbc import DBC
 from opendbc.can.packer import CANPacker
 
@@ -93,10 +96,111 @@ def test_the_state_machine_uses_frames_only_while_enough_are_right(tmp_path):
         before = car.gateway.engine.counters()["window_rejected"]
         car.feed([bytes(broken)])
         rejected.append(car.gateway.engine.counters()["window_rejected"] - before)
-    assert rejected[:3] == [1, 1, 0], "three right ones before the first is used"
-    assert sum(rejected[3:20]) == 0
+    assert rejected[:4] == [1, 1, 1, 0], "one begins, and the third right one after it is used"
+    assert sum(rejected[4:20]) == 0
     assert rejected[24:26] == [1, 1]
     assert rejected[35:] == [0] * 25, "used again, once the window is clear"
+
+
+class StateMachine:
+    """E2E_SMCheck as PRS_E2EProtocol has it, with one size for all windows: a ring of the last statuses."""
+
+    def __init__(self, size, min_ok, max_error):
+        self.ring, self.size, self.min_ok, self.max_error = [], size, min_ok, max_error
+        self.state = "NODATA"
+
+    def check(self, status):
+        if self.state == "NODATA":
+            if status not in ("ERROR", "NONEWDATA"):
+                self.state = "INIT"
+            return self.state
+        self.ring = [*self.ring, status][-self.size :]
+        ok, errors = self.ring.count("OK"), self.ring.count("ERROR")
+        at = ("INIT", "VALID", "INVALID").index(self.state)
+        if ok >= self.min_ok[at] and errors <= self.max_error[at]:
+            self.state = "VALID"
+        elif self.state != "INIT" or errors > self.max_error[at]:
+            self.state = "INVALID"
+        return self.state
+
+
+@settings(max_examples=examples(40), deadline=None)
+@given(
+    st.lists(st.sampled_from(["OK", "OK", "OK", "OK", "ERROR", "REPEATED", "WRONGSEQUENCE", "NONEWDATA"]), max_size=80),
+    st.sampled_from([(6, (3, 2, 4), (1, 3, 1)), (3, (2, 1, 3), (0, 2, 0)), (10, (1, 1, 8), (2, 2, 1))]),
+)
+@pytest.mark.long
+def test_the_state_machine_is_autosar_s_with_cycles_without_a_frame(tmp_path_factory, course, sizes):
+    """A frame a cycle, or none: a frame is used where the model is valid and it is right, and nowhere else."""
+    size, ok, errors = sizes
+    window = f"window = {{ size = {size}, min_ok = {list(ok)}, max_error = {list(errors)}, cycle_ms = 10.5 }}"
+    folder = tmp_path_factory.mktemp("w")
+    config = write(folder, PLAIN, P01.replace("0x1234", f"0x1234, max_delta = 3, {window}"))
+    car, model = Car(config), StateMachine(size, ok, errors)
+    frames = iter(e2e_p01(1000))
+    last = next(frames)
+    car.feed([last])  # the first one is right: it says that the rule is
+    model.check("OK")
+    for status in course:
+        before = car.gateway.engine.counters()
+        state = model.check(status)
+        if status == "NONEWDATA":
+            car.t_ns += car.period_ns
+            continue
+        if status == "WRONGSEQUENCE":
+            for _ in range(5):
+                last = next(frames)
+        if status != "REPEATED":
+            data = last = next(frames) if status != "ERROR" else last
+        data = bytes([last[0] ^ 1]) + last[1:] if status == "ERROR" else last
+        after = car.feed([data]).gateway.engine.counters()
+        used = after["decoded"] - before["decoded"]
+        assert used == (status == "OK" and state == "VALID"), (status, state)
+
+
+def test_without_a_cycle_a_timeout_is_one_and_without_both_only_frames_count(tmp_path):
+    window = "window = { size = 4, min_ok = 2, max_error = 1%s }"
+    for cycle, timeout, used in (("", "", True), (", cycle_ms = 20.0", "", False), ("", "\ntimeout_ms = 20.0", False)):
+        check = P01.replace("0x1234", f"0x1234, {window % cycle}") + timeout
+        car, frames = Car(write(tmp_path, PLAIN, check)), e2e_p01(20)
+        car.feed(frames[:10])
+        car.t_ns += 100_000_000
+        before = car.gateway.engine.counters()["decoded"]
+        car.feed(frames[10:11])
+        assert (car.gateway.engine.counters()["decoded"] > before) == used, (cycle, timeout)
+
+
+def e2e_p04(count, data_id=0x1234, length=16):
+    data, frames = bytearray(length), []
+    for k in range(count):
+        data[12] = k
+        e2e.p04.e2e_p04_protect(data, data_id)
+        frames.append(bytes(data))
+    return frames
+
+
+WIDE = 'BO_ 256 M: 16 A\n SG_ Speed : 96|16@1+ (1,0) [0|0] "" B\n'
+P04 = 'message = "M"\ne2e = { profile = "P04", data_id = 0x1234 }'
+
+
+def test_a_header_of_another_message_is_told_by_what_differs(tmp_path):
+    car = Car(write(tmp_path, WIDE, P04))
+    car.feed(e2e_p04(30))
+    assert car.failed() == []
+    car.feed(e2e_p04(34, data_id=0x1235)[30:])
+    assert car.failed() == ["crc"]
+    told = car.of("dtc")[-1]["evidence"]
+    assert (told["received"], told["computed"], told["constant of the header"]) == (0x1235, 0x1234, 2)
+
+
+def test_where_no_frame_has_the_configured_header_it_is_said_in_words(tmp_path):
+    car = Car(write(tmp_path, WIDE, P04)).feed(e2e_p04(40, data_id=0xABCDEF))
+    assert car.failed() == ["rule"]
+    (told,) = car.of("protection")
+    assert told["differs"] == ["data id: received 0xABCDEF, configured 0x1234"]
+    broken = [bytes([data[0], data[1] ^ 1, *data[2:]]) for data in e2e_p04(40)]
+    other = Car(write(tmp_path, WIDE, P04)).feed(broken)
+    assert other.of("protection")[0]["differs"] == [], "there the checksum is wrong, too"
 
 
 def test_fd_with_64_bytes(tmp_path):

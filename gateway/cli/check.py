@@ -13,6 +13,9 @@ from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
 
+#: Columns that are left for a name after the codes given out for it, of 80.
+_MOST_OF_NAME = 65
+
 
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     """Check a configuration; returns the exit code."""
@@ -44,7 +47,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         )
         return 2
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
-    notes = list(gateway.notes)
+    notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
     gateway.close()
     warnings = [
         f"{entry.name}: {text}"
@@ -54,16 +57,26 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     ]
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "taken": notes, "warnings": warnings})
+        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "warnings": warnings})
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
             print(f"  {fault['dtc']}  {fault['fault']}: {fault['description']}")
+        if codes:
+            print("codes given out (of messages: missing, and wrong):")
+        for name, given in codes.items():
+            print(f"  {' '.join(given):<11}  {_shortened(name)}")
         for text in notes:
             print(f"taken: {text}")
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def _shortened(name: str) -> str:
+    """Return a name that fits into a line of 80 columns, its middle left out where it does not."""
+    kept = (_MOST_OF_NAME - 3) // 2
+    return name if len(name) <= _MOST_OF_NAME else f"{name[:kept]}...{name[-kept:]}"
 
 
 def _of_this_machine(config: Config) -> list[str]:

@@ -56,6 +56,29 @@ def _checks(config: Config) -> Iterator[InputError]:
                     key=f"bus[{k}].check[{j}].message",
                     value=message,
                 )
+    yield from _shared_codes(config)
+
+
+def _shared_codes(config: Config) -> Iterator[InputError]:
+    """Yield checks that have the DTCs of one before; what single faults are set to is the catalogue's to judge."""
+    first: dict[str, str] = {}
+    for k, bus in enumerate(config.bus):
+        for j, check in enumerate(bus.check):
+            faults = f"{bus.name}.{check.message}."
+            if bus.codes == "own" or any(name.startswith(faults) for name in config.fault):
+                continue
+            key = f"bus[{k}].check[{j}]"
+            asked = {"lost": check.timeout_ms is not None, "invalid": check.length}
+            codes = [getattr(check, what) for what in asked if asked[what] and what not in check.model_fields_set]
+            shared = [code for code in codes if code in first]
+            for code in codes:
+                first.setdefault(code, key)
+            if shared:
+                text = (
+                    f"{first[shared[0]]} has the DTCs {' and '.join(shared)}, too: give lost and invalid, or "
+                    'the bus codes = "own"'
+                )
+                yield InputError(text, key=key, value=check.message)
 
 
 def _outputs(config: Config) -> Iterator[InputError]:

@@ -12,7 +12,7 @@ from gateway.bus.uri import channel_of, parse_uri
 from gateway.common.tomlfile import StrictModel
 from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import CycleSettings, FaultOverride
 from gateway.servers.diagnostic_address import share_address
@@ -31,6 +31,11 @@ class BusConfig(StrictModel):
     database: tuple[Path, ...] = Field((), description="DBC, KCD, SYM or ARXML files; relative to this configuration")
     match: Literal["id", "pgn"] = Field("id", description="pgn: extended identifiers match by J1939 PGN")
     check: tuple[communication.Params, ...] = Field((), description="communication checks")
+    codes: Literal["same", "own"] = Field(
+        "same",
+        description="base codes of checks that give none: same: U0100 and U0401 for each; own: U01xx, U02xx and U04xx, "
+        "U05xx made of the message's name; gateway check lists them",
+    )
     health: bus_health.Params = Field(
         bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
     )
@@ -131,7 +136,8 @@ class Config(StrictModel):
         if name is None and len(names) == 1:
             return 0
         if name not in names:
-            raise InputError(f"the buses are {', '.join(names)}", value=name or "(no bus named)")
+            text = f"the buses are {', '.join(names)}{nearest(name or '', names)}"
+            raise InputError(text, value=name or "(no bus named)")
         return names.index(name)
 
     def diagnostic_address_is_shared(self) -> bool:

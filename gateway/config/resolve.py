@@ -5,7 +5,7 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -14,6 +14,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from gateway.common.resources import shipped
+from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
 from gateway.config.names import Names
@@ -23,8 +24,9 @@ from gateway.engine.gate import CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import POWER, FaultOverride
-from gateway.monitors.conformance import checked_emission
+from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
+from gateway.monitors.network_codes import NetworkCodes, Pair
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
@@ -52,6 +54,7 @@ class Resolved:
         signals: each name outside of the engine that stands for a signal -> that signal.
         security: of the UDS server; its key functions have been found.
         notes: what was taken where the configuration leaves it to the databases, one line each.
+        codes: full name of a message, signal or relation -> the base codes of DTCs given out for it.
     """
 
     config: Config
@@ -67,6 +70,7 @@ class Resolved:
     signals: Mapping[str, SignalRef]
     security: Security
     notes: tuple[str, ...]
+    codes: Mapping[str, tuple[str, ...]]
 
 
 def resolve(config: Config) -> Resolved:
@@ -79,16 +83,19 @@ def resolve(config: Config) -> Resolved:
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
     notes: list[str] = []
-    monitors = tuple(
-        each for at, entry in enumerate(config.monitor) for each in _monitors(config, entry, databases, at)
-    )
-    checks = tuple(_checks(config, databases, notes))
+    types = [monitor_of(entry) for entry in config.monitor]
+    whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
+    codes = network_codes(config, (fault for type_ in whole for fault in checked_faults(*type_)))
+    monitors = tuple(each for at, type_ in enumerate(types) for each in _monitors(config, at, *type_, databases, codes))
+    pairs = codes_of_messages(config, databases, codes)
+    checks = tuple(_checks(config, databases, pairs, notes))
     return Resolved(
         config=config,
         databases=databases,
         monitors=monitors,
         checks=checks,
         notes=tuple(notes),
+        codes=codes.given,
         buses=tuple(BusInstance(bus.name, bus.health) for bus in config.bus),
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
@@ -126,28 +133,36 @@ def load_databases(config: Config) -> tuple[Database, ...]:
     return tuple(loaded)
 
 
-def _checks(config: Config, databases: tuple[Database, ...], notes: list[str]) -> Iterator[CheckInstance]:
-    """Yield the checks of messages; what databases say of protections is put in, and noted."""
+def _checks(
+    config: Config, databases: Sequence[Database], pairs: Mapping[str, Pair], notes: list[str]
+) -> Iterator[CheckInstance]:
+    """Yield the checks of messages; codes given out and what databases say of protections is put in, this is noted."""
     for index, bus in enumerate(config.bus):
-        for check in bus.check:
-            params = check
+        for at, check in enumerate(bus.check):
+            name, key = f"{bus.name}.{check.message}", f"bus[{index}].check[{at}]"
+            given = pairs[name]._asdict() if name in pairs else {}
+            update: dict[str, Any] = {what: code for what, code in given.items() if what not in check.model_fields_set}
             if check.protection == "auto":
                 try:
                     message = databases[index].message(check.message)
+                    taken, why = automatic(message, databases[index].file_of(check.message))
                 except InputError as error:
-                    raise InputError(error.message, key=f'check of "{check.message}"', value=error.value) from error
-                taken, why = automatic(message, databases[index].file_of(check.message))
-                found = {name: getattr(taken, name) for name in ("e2e", "checksum", "counter")}
-                params = check.model_copy(update=found)
-                notes.append(f"{bus.name}.{check.message}: {why}")
-            yield CheckInstance(params, index, f"{bus.name}.{check.message}")
+                    raise InputError(error.message, key=f"{key}.message", value=check.message) from error
+                update |= {what: getattr(taken, what) for what in ("e2e", "checksum", "counter")}
+                notes.append(f"{name}: {why}")
+            yield CheckInstance(check.model_copy(update=update), index, name, key)
 
 
 def _monitors(
-    config: Config, entry: MonitorConfig, databases: tuple[Database, ...], at: int
+    config: Config,
+    at: int,
+    monitor: Monitor[Any],
+    params: MonitorParams,
+    databases: Sequence[Database],
+    codes: NetworkCodes,
 ) -> Iterator[MonitorInstance]:
     """Yield a configured monitor, or its parts."""
-    monitor, params = monitor_of(entry)
+    entry, key = config.monitor[at], f"monitor[{at}]"
     bus = config.bus_index(entry.bus)
     sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
     parts, several = monitor.capability(Parts), {"": params}
@@ -158,12 +173,16 @@ def _monitors(
             of = bus if not named else config.bus_index(".".join(named))
             return databases[of].signal(message, signal)
 
+        def give(names: Iterable[str]) -> dict[str, str]:
+            return codes.give(config.bus[bus].name, names)
+
         try:
-            several = dict(parts.of(params, find, config.bus[bus].name))
+            several = dict(parts.of(params, find, give))
         except InputError as error:
-            raise InputError(error.message, key=f"monitor[{at}].{error.key}", value=error.value) from error
+            own = f"{key}.{error.key}" if error.key else key
+            raise InputError(error.message, key=own, value=error.value) from error
     for name, part in several.items():
-        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name)
+        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
 
 
 def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database) -> Message:

@@ -19,6 +19,7 @@ class MonitorInstance:
     ``priority`` 0 steps first.
     ``part`` tells several of one name apart, that are parts of one configured monitor.
     ``emission`` is the message its results are sent in; None: they are not sent.
+    ``key`` is where the configuration has it, for errors.
     """
 
     name: str
@@ -29,6 +30,7 @@ class MonitorInstance:
     signals: Mapping[str, str] = field(default_factory=dict)
     emission: Message | None = None
     part: str = ""
+    key: str = ""
 
 
 @dataclass(frozen=True)

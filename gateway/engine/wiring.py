@@ -38,36 +38,48 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     inputs: list[SignalRef | None] = []
     places: dict[str, tuple[int, str]] = {}  # default name of a message -> where it is
     optional: set[tuple[int, str]] = set()
-    try:
-        for name in m.signals:
-            if name not in known:
-                raise InputError(f"the monitor has no such signal{nearest(name, known)}", value=name)
-        for _, signal in connected.inputs:
-            if signal is None:
-                inputs.append(None)
-                continue
-            place = _split(m.signals.get(signal.name, signal.name), m.bus, buses)
-            _refuse_unit(databases[place.bus].signal(place.message, place.signal).unit, signal)
-            inputs.append(place)
-            message = signal.name.rpartition(".")[0]
-            places[message] = (place.bus, place.message)
-            if signal.optional:
-                optional.add((place.bus, place.message))
-        stepped = {name.rpartition(".")[0] for name in connected.signals} | connected.messages
-        triggers = {places.get(name, (m.bus, name)) for name in stepped}
-        for bus, name in triggers:
+    key = m.key or f'monitor "{m.name}"'
+    for name in m.signals:
+        if name not in known:
+            text = f"the monitor has no such signal{nearest(name, known)}"
+            raise InputError(text, key=f"{key}.signals", value=name)
+    for _, signal in connected.inputs:
+        if signal is None:
+            inputs.append(None)
+            continue
+        place = _found(m, signal, databases, buses, key)
+        inputs.append(place)
+        message = signal.name.rpartition(".")[0]
+        places[message] = (place.bus, place.message)
+        if signal.optional:
+            optional.add((place.bus, place.message))
+    stepped = {name.rpartition(".")[0] for name in connected.signals} | connected.messages
+    triggers = {places.get(name, (m.bus, name)) for name in stepped}
+    for bus, name in triggers:
+        try:
             databases[bus].message(name)
-    except InputError as error:
-        raise InputError(error.message, key=f'monitor "{m.name}"', value=error.value) from error
+        except InputError as error:
+            raise InputError(error.message, key=key, value=name) from error
     return Wired(triggers, inputs, optional)
 
 
-def _refuse_unit(told: str | None, signal: Signal) -> None:
-    if signal.unit is not None and signal.unit != (told or ""):
-        raise InputError(
-            f'its unit is "{told or ""}" in the database, the plant wants "{signal.unit}"',
-            value=signal.name,
-        )
+def _found(
+    m: MonitorInstance, signal: Signal, databases: Mapping[int, Database], buses: Mapping[str, int], key: str
+) -> SignalRef:
+    """Return the signal that an input stands for.
+
+    Raises:
+        InputError: it is not there, or has another unit; the key is where the configuration can put another.
+    """
+    asked = m.signals.get(signal.name, signal.name)
+    try:
+        place = _split(asked, m.bus, buses)
+        told = databases[place.bus].signal(place.message, place.signal).unit or ""
+        if signal.unit is not None and signal.unit != told:
+            raise InputError(f'its unit is "{told}" in the database, the plant wants "{signal.unit}"')
+    except InputError as error:
+        raise InputError(error.message, key=f'{key}.signals."{signal.name}"', value=asked) from error
+    return place
 
 
 def _split(reference: str, bus: int, buses: Mapping[str, int]) -> SignalRef:
@@ -76,8 +88,8 @@ def _split(reference: str, bus: int, buses: Mapping[str, int]) -> SignalRef:
     if len(parts) == 3 and parts[0] in buses:
         return SignalRef(buses[parts[0]], parts[1], parts[2])
     if len(parts) == 3:
-        known = ", ".join(buses)
-        raise InputError(f"the buses are {known}", value=reference)
+        text = f"the buses are {', '.join(buses)}{nearest(parts[0], buses)}"
+        raise InputError(text, value=reference)
     if len(parts) != 2:
         raise InputError('a signal is named "Message.Signal"', value=reference)
     return SignalRef(bus, parts[0], parts[1])

@@ -12,7 +12,7 @@ reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -321,11 +321,12 @@ class Parts:
     """One configured monitor that steps in several parts: each has its own inputs, and steps when they come.
 
     Attributes:
-        of: parameters, ``"Message.Signal"`` -> the signal in the database, name of the bus -> parameters of each part
-            by its name. By that a part keeps its state over a reload. The parts' faults are ``<monitor>.<fault>``, too.
+        of: parameters, ``"Message.Signal"`` -> the signal in the database, names -> a network code given out for each
+            -> parameters of each part by its name. By that a part keeps its state over a reload. The parts' faults are
+            ``<monitor>.<fault>``, too.
     """
 
-    of: Callable[[Any, Callable[[str], Any], str], Mapping[str, Any]]
+    of: Callable[[Any, Callable[[str], Any], Callable[[Iterable[str]], Mapping[str, str]]], Mapping[str, Any]]
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.

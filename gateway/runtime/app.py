@@ -415,6 +415,11 @@ class Gateway:
         """What was taken where the configuration leaves it to the databases, one line each."""
         return self._parts.notes
 
+    @property
+    def codes(self) -> Mapping[str, tuple[str, ...]]:
+        """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
+        return self._parts.codes
+
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""
         return {

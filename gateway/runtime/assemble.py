@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +49,7 @@ class Parts:
         security: of the UDS server; its key functions have been found.
         checks: of messages, in the engine's order.
         notes: what was taken where the configuration leaves it to the databases.
+        codes: base codes of DTCs given out, by message, signal or relation.
     """
 
     databases: tuple[Database, ...]
@@ -60,6 +61,7 @@ class Parts:
     security: Security
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
+    codes: Mapping[str, tuple[str, ...]]
 
 
 def prepare(config: Config, file: Path | None = None) -> Parts:
@@ -110,6 +112,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.security,
         resolved.checks,
         resolved.notes,
+        resolved.codes,
     )
 
 

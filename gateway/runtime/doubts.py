@@ -10,7 +10,7 @@ from gateway.common.log import get_logger
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.signals.database import Database
-from gateway.signals.protection.fitting import fitting
+from gateway.signals.protection.fitting import differing, fitting, fitting_modes
 from gateway.signals.protection.params import protection_for
 
 _log = get_logger(__name__)
@@ -75,23 +75,24 @@ class Doubts:
     def _event(self, index: int, payloads: Sequence[bytes], t_ns: int) -> dict[str, Any]:
         check = self._checks[index]
         message = self._databases[check.bus].message(check.params.message)
-        asked = protection_for(message, check.params)
+        asked, e2e = protection_for(message, check.params), check.params.e2e
+        modes = [] if e2e is None else fitting_modes(message, e2e, payloads)
         return {
             "event": "protection",
             "t_ns": t_ns,
             "bus": self._names[check.bus],
             "message": message.name,
             "rule": asked.name,
-            "fits": fitting(message, asked.field, payloads),
+            "fits": [*modes, *fitting(message, asked.field, payloads)],
+            "differs": differing(asked, payloads),
         }
 
     def _told(self, event: dict[str, Any]) -> None:
-        fits = ", ".join(event["fits"]) or "none that the gateway knows"
-        _log.warning(
-            "no frame ever passed its checksum: the rule is likely another one",
-            bus=event["bus"],
-            message=event["message"],
-            configured=event["rule"],
-            fits=fits,
-        )
+        of = {"bus": event["bus"], "message": event["message"], "configured": event["rule"]}
+        if event["differs"]:
+            text = "the checksum of every frame is right, but its header is not the one configured"
+            _log.warning(text, **of, differs=", ".join(event["differs"]))
+        else:
+            fits = ", ".join(event["fits"]) or "none that the gateway knows"
+            _log.warning("no frame ever passed its checksum: the rule is likely another one", **of, fits=fits)
         self._tell(event)

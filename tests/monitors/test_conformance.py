@@ -312,7 +312,7 @@ def test_what_does_not_fit_the_database_is_told_by_the_monitor_s_name(database, 
 def test_a_signal_that_the_monitor_does_not_have_cannot_be_put_elsewhere(database):
     with pytest.raises(
         InputError,
-        match=r'monitor "a" = .BATT.Vlots.: the monitor has no such signal; did you mean',
+        match=r'monitor "a".signals = .BATT.Vlots.: the monitor has no such signal; did you mean',
     ):
         run(database, ("a", GOOD), a={"BATT.Vlots": "OTHER.Volts"})
     _, failed = run(database, ("a", GOOD), a={"BATT.Volts": "OTHER.Volts"})

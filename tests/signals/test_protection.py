@@ -207,7 +207,8 @@ def test_the_header_s_constants_are_checked():
     checked = Checked(protection_of("P04", header))
     other = Checked(protection_of("P04", Header(16, data_id=0x12345679)))
     data = other.protect(bytes(16), 3)
-    assert judge_frame(checked.words(data), 16, checked.row, checked.arrays)[2] == FRAME_CONSTANT
+    judged = judge_frame(checked.words(data), 16, checked.row, checked.arrays)
+    assert judged == (0x12345679, 0x12345678, FRAME_CONSTANT + 1), "the second of them: the data id"
 
 
 @pytest.mark.parametrize(

@@ -56,8 +56,8 @@ FAULTS = (
     Fault(
         "crc",
         "U0401-83",
-        "CRC does not match the payload",
-        ("received", "computed"),
+        "CRC does not match the payload, or a constant of the header is another",
+        ("received", "computed", "constant of the header"),
         Debounce(failed_after=2, passed_after=50),
         remedy="check the wires of the bus for disturbances",
     ),
@@ -81,7 +81,7 @@ FAULTS = (
         "rule",
         "U0401-56",
         "no frame ever passed its CRC or checksum: the configured rule is not the sender's",
-        ("frames", "received", "computed"),
+        ("frames", "received", "computed", "constant of the header"),
         Debounce(failed_after=1, passed_after=1, jump_down=True),
         remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
     ),
@@ -92,6 +92,9 @@ MISFITS = 20
 #: Of these so many are kept, to try other rules on.
 SAMPLES = 4
 
+
+#: Base codes of the DTCs of checks that give none, on a bus whose messages have none of their own.
+LOST, INVALID = "U0100", "U0401"
 
 #: Base code of a DTC in TOML: a network code without its failure type.
 BaseCode = Annotated[str, Field(pattern=r"^U[0-3][0-9A-F]{3}$")]
@@ -107,8 +110,14 @@ class Params(MonitorParams, ProtectionParams):
         True,
         description="judge floating-point signals that somebody uses: NaN, infinite, far outside of their range",
     )
-    lost: BaseCode = Field("U0100", description="base code of the timeout's DTC: lost communication, U01xx")
-    invalid: BaseCode = Field("U0401", description="base code of the other checks' DTCs: invalid data received, U04xx")
+    lost: BaseCode = Field(LOST, description="base code of the timeout's DTC: lost communication, U01xx")
+    invalid: BaseCode = Field(INVALID, description="base code of the other checks' DTCs: invalid data received, U04xx")
+
+    @property
+    def cycle_ms(self) -> float | None:
+        """How often E2E's state machine is run where no frame comes [ms]."""
+        window = None if self.e2e is None else self.e2e.window
+        return None if window is None else window.cycle_ms or self.timeout_ms
 
     def fault_of(self, kind: int) -> Fault:
         """Return one of :data:`FAULTS` with the DTC it has for this message."""
@@ -130,6 +139,7 @@ class CheckConst(Record):
 
     timeout_ns: i8 = means(unit="ns")
     length: i4
+    cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     protection: ProtectionConst
 
 
@@ -144,6 +154,7 @@ class CheckState(Record):
     misfits: i4 = means("frames whose checksum was wrong before the first right one")
     seen: u1
     window: u1 = means("of E2E: NO_DATA, STARTING, VALID, INVALID")
+    came_ns: i8 = means("when a frame was last taken into it; 0: never", "ns")
     ok: u8 = means("bit k: the frame k frames ago was right")
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
@@ -156,11 +167,19 @@ class Check(CheckState, CheckConst, CheckPlace):
 
 @dataclass(frozen=True)
 class CheckInstance:
-    """The configured communication checks of one message of a bus."""
+    """The configured communication checks of one message of a bus.
+
+    Attributes:
+        params: what is asked.
+        bus: its index.
+        name: first part of its fault ids.
+        key: where the configuration has it, for errors: ``bus[0].check[1]``.
+    """
 
     params: Params
     bus: int = 0
     name: str = ""
+    key: str = ""
 
 
 def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
@@ -181,14 +200,14 @@ def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
 
 
 def _key(check: CheckInstance) -> str:
-    return f'check of "{check.params.message}"'
+    return check.key or f'check of "{check.params.message}"'
 
 
 def _message(check: CheckInstance, database: Database) -> Message:
     try:
         return database.message(check.params.message)
     except InputError as error:
-        raise InputError(error.message, key=_key(check), value=error.value) from error
+        raise InputError(error.message, key=f"{_key(check)}.message", value=check.params.message) from error
 
 
 def _protection(check: CheckInstance, database: Database) -> Protection:
@@ -222,6 +241,7 @@ def fill(
     row["bus"] = check.bus
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
+    row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["presence"] = -1
     for ref in signals_of(check, database):

@@ -23,11 +23,13 @@ from gateway.engine.results import report_result, store_evidence
 from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
-from gateway.signals.protection.judge import FRAME_OK, judge_frame
+from gateway.signals.protection.judge import FRAME_CHECKSUM, FRAME_OK, judge_frame
 from gateway.signals.protection.protection import counter_of
 
 #: States of E2E's state machine.
 NO_DATA, STARTING, VALID, INVALID = range(4)
+#: What it is told of a cycle (PRS_E2EProtocol): OK, ERROR, REPEATED or WRONGSEQUENCE, NONEWDATA.
+RIGHT, WRONG, NEITHER, NOTHING = range(4)
 
 
 @kernel
@@ -81,9 +83,9 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
     if wrong:
         T.clock[0].crc_failed += 1
         c.unread += 1
-        advance_window(T, c, False, True)
+        advance_window(T, c, WRONG)
     if wrong and c.passed == 0:
-        keep_misfit(T, t_ns, c, words, length, float(received), float(computed))
+        keep_misfit(T, t_ns, c, words, length, float(received), float(computed), verdict - FRAME_CHECKSUM)
         return False
     if not wrong:
         if c.passed & 0xFF == 0:  # now and then is enough: it cannot change any more
@@ -92,11 +94,14 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
     place = report_result(T, t_ns, c.fault[CRC], wrong, float(received), float(computed))
     store_evidence(T, c.fault[CRC], place, 0, float(received))
     store_evidence(T, c.fault[CRC], place, 1, float(computed))
+    store_evidence(T, c.fault[CRC], place, 2, float(max(verdict - FRAME_CHECKSUM, 0)))
     return not wrong
 
 
 @kernel
-def keep_misfit(T: Any, t_ns: int, c: Any, words: Any, length: int, received: float, computed: float) -> None:
+def keep_misfit(
+    T: Any, t_ns: int, c: Any, words: Any, length: int, received: float, computed: float, constant: int
+) -> None:
     """Keep a frame that does not fit the rule; with the last of :data:`MISFITS` the rule is reported."""
     at = c.misfits % SAMPLES
     for k in range(8):
@@ -108,6 +113,7 @@ def keep_misfit(T: Any, t_ns: int, c: Any, words: Any, length: int, received: fl
         store_evidence(T, c.fault[RULE], place, 0, float(c.misfits))
         store_evidence(T, c.fault[RULE], place, 1, received)
         store_evidence(T, c.fault[RULE], place, 2, computed)
+        store_evidence(T, c.fault[RULE], place, 3, float(constant))
 
 
 @kernel
@@ -131,13 +137,13 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     c.seen = 1
     if step == 0:
         T.clock[0].repeated += 1
-        advance_window(T, c, False, False)
+        advance_window(T, c, NEITHER)
         return False
     if jumped and p.strict == 1:
         T.clock[0].wrong_sequence += 1
-        advance_window(T, c, False, False)
+        advance_window(T, c, NEITHER)
         return False
-    return advance_window(T, c, True, False)
+    return advance_window(T, c, RIGHT)
 
 
 @kernel
@@ -152,36 +158,47 @@ def counter_step(c: Any, received: int) -> int:
 
 
 @kernel
-def advance_window(T: Any, c: Any, ok: bool, wrong: bool) -> bool:
-    """Take a frame into E2E's state machine (PRS_E2EProtocol, 6.14); returns whether its data may be used.
+def advance_window(T: Any, c: Any, status: int) -> bool:
+    """Take a cycle into E2E's state machine (PRS_E2EProtocol, 6.14); returns whether its frame's data may be used.
 
     Args:
         T: the tables.
         c: its record of CHECK.
-        ok: it was right and in sequence.
-        wrong: its checksum was not right.
+        status: RIGHT, WRONG, NEITHER, or NOTHING: no frame came.
     """
-    p = c.protection
+    p, ok = c.protection, status == RIGHT
     if p.windowed == 0:
         return ok
+    if c.window == NO_DATA:
+        if status in (RIGHT, NEITHER):  # which is not counted yet
+            c.window = STARTING
+            T.clock[0].window_rejected += ok
+        return False
     one = np.uint64(1)
     c.ok = (c.ok << one) | (one if ok else np.uint64(0))
-    c.wrong = (c.wrong << one) | (one if wrong else np.uint64(0))
-    if c.window == NO_DATA:
-        if wrong:
-            return False
-        c.window = STARTING
-    at = c.window - 1
+    c.wrong = (c.wrong << one) | (one if status == WRONG else np.uint64(0))
+    before, at = c.window, c.window - 1
     seen = (~np.uint64(0)) >> np.uint64(64 - p.window[at])
     right, errors = bits_set(c.ok & seen), bits_set(c.wrong & seen)
-    enough = right >= p.min_ok[at] and errors <= p.max_error[at]
-    if enough:
+    if right >= p.min_ok[at] and errors <= p.max_error[at]:
         c.window = VALID
     elif c.window != STARTING or errors > p.max_error[at]:
         c.window = INVALID
+    if c.window != before:  # a larger window than the one before begins with what that has seen (PRS_E2E_00607)
+        c.ok &= seen
+        c.wrong &= seen
     if ok and c.window != VALID:
         T.clock[0].window_rejected += 1
     return ok and c.window == VALID
+
+
+@kernel
+def advance_missed_cycles(T: Any, t_ns: int, c: Any) -> None:
+    """Take the cycles in which no frame came into E2E's state machine, before the frame that ends them."""
+    if c.cycle_ns > 0 and c.came_ns > 0:
+        for _ in range(min((t_ns - c.came_ns - 1) // c.cycle_ns, 64)):  # by then nothing else is remembered
+            advance_window(T, c, NOTHING)
+    c.came_ns = t_ns
 
 
 @kernel
@@ -220,6 +237,8 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         c.unread += 1
         return REJECT
     if c.presence < 0 or T.present[c.presence] == 1:
+        if c.protection.windowed == 1:
+            advance_missed_cycles(T, t_ns, c)
         if c.fault[CRC] >= 0 and not checksum_fits(T, t_ns, c, words, length):
             return REJECT
         if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):

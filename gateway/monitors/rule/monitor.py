@@ -7,7 +7,7 @@ negative number).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from gateway.errors import InputError
 from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.contract import Inputs as Event
-from gateway.monitors.network_codes import network_codes
 from gateway.monitors.rule.machine import Code, Machine, run
 from gateway.monitors.rule.params import Params, PartParams, Rule
 from gateway.monitors.rule.program import MOST_SIGNALS, SIGNAL, Program
@@ -136,14 +135,12 @@ def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartPa
     return PartParams(rule=rule, code=code, holds=made["holds"], when=made.get("when"), signals=signals, units=units)
 
 
-def _parts(p: Any, find: Callable[[str], Any], bus: str) -> dict[str, PartParams]:
+def _parts(
+    p: Any, find: Callable[[str], Any], give: Callable[[Iterable[str]], Mapping[str, str]]
+) -> dict[str, PartParams]:
     assert isinstance(p, Params)
-    given = [rule.code for rule in p.rule if rule.code is not None]
-    codes = network_codes((f"{bus}.{rule.name}" for rule in p.rule), given)
-    return {
-        rule.name: _part(rule, rule.code or codes[f"{bus}.{rule.name}"], find, f"rule[{k}]")
-        for k, rule in enumerate(p.rule)
-    }
+    codes = give(rule.name for rule in p.rule if rule.code is None)
+    return {rule.name: _part(rule, rule.code or codes[rule.name], find, f"rule[{k}]") for k, rule in enumerate(p.rule)}
 
 
 MONITOR = Monitor(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from gateway.monitors.contract import Debounce, Fault
-from gateway.monitors.signal.params import PartParams, Watched
+from gateway.monitors.contract import MAX_RESULTS, Debounce, Fault
+from gateway.monitors.signal.params import MOST_SIGNALS, PartParams, Watched
 
-BELOW, ABOVE, LOW, HIGH, GRADIENT, STUCK, INVALID, UNDEFINED, ALL_ONES, NOISE = range(10)
+BELOW, ABOVE, LOW, HIGH, GRADIENT, STUCK, INVALID, UNDEFINED, ALL_ONES, NOISE, MISSING = range(11)
 
 #: Kind -> name, failure type byte, description, what to do.
 KINDS = (
@@ -19,7 +19,12 @@ KINDS = (
     ("undefined", "81", "has a value that the database does not know", "check the sender's software and the database"),
     ("all_ones", "29", "all bits are set", "check the sender: not initialised, or no value"),
     ("noise", "2F", "scatters more than it may", "check screening and ground of the sensor"),
+    ("missing", "31", "does not come while its message does", "check which multiplexed signals the sender sends"),
 )
+assert MOST_SIGNALS * len(KINDS) <= MAX_RESULTS, "a part reports all that it finds"
+
+#: Its time has passed when a test fails, and one frame that has the signal is all that it needs.
+_AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 
 
 def kinds_of(watched: Watched) -> list[int]:
@@ -36,6 +41,7 @@ def kinds_of(watched: Watched) -> list[int]:
         bool(watched.values),
         watched.ones is not None,
         p.noise is not None,
+        p.missing_ms is not None,
     )
     return [kind for kind, is_asked in enumerate(asked) if is_asked]
 
@@ -53,8 +59,8 @@ def faults(p: PartParams) -> tuple[Fault, ...]:
                     f"{watched.name}.{name}",
                     f"{watched.code}-{failure_type}",
                     f"{watched.limits.signal}: {text}",
-                    (f"value{unit}", f"before{unit}"),
-                    debounce,
+                    ("away [s]",) if kind == MISSING else (f"value{unit}", f"before{unit}"),
+                    _AT_ONCE if kind == MISSING else debounce,
                     remedy=remedy,
                 )
             )

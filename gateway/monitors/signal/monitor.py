@@ -6,6 +6,8 @@ fault.
 
 The scatter is that of second differences: d_k = x_k - 2 x_(k-1) + x_(k-2) of a course without corners is noise alone,
 with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided by 6.
+
+A multiplexed signal is looked at in the frames that have it.
 """
 
 from __future__ import annotations
@@ -25,13 +27,14 @@ from gateway.monitors.signal.faults import (
     HIGH,
     INVALID,
     LOW,
+    MISSING,
     NOISE,
     STUCK,
     UNDEFINED,
     faults,
     kinds_of,
 )
-from gateway.monitors.signal.params import MOST_SIGNALS, Params, PartParams
+from gateway.monitors.signal.params import MOST_LEVELS, MOST_SIGNALS, Params, PartParams
 from gateway.monitors.signal.parts import parts
 from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One, State
 
@@ -132,12 +135,43 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
 
 
 @kernel
+def is_there(p: One, selector: Any) -> bool:
+    """Return whether a frame has a signal, by the values of its multiplexers, the outermost first."""
+    for level in range(p.levels):
+        selected = False
+        value = int(selector[level])  # of this frame: it was selected itself
+        for k in range(p.ranges[level]):
+            selected = selected or p.least[level, k] <= value <= p.greatest[level, k]
+        if not selected:
+            return False
+    return True
+
+
+@kernel
+def watch_absence(out: Any, p: One, s: Course, t_ns: int, there: bool) -> None:
+    """Test how long a signal has not been selected while frames of its message came.
+
+    After a pause as long as that nothing is known: the message itself was away.
+    """
+    seconds = (t_ns - s.frame_ns) * 1e-9
+    known = s.frame_ns > 0 and seconds < p.missing_s
+    s.frame_ns = t_ns
+    s.away_s = s.away_s + seconds if known and not there else 0.0
+    if there or s.away_s >= p.missing_s:
+        evidence = report(out, p.fault[MISSING], not there, s.away_s, p.missing_s)
+        evidence.value = s.away_s
+
+
+@kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
     """Look at the signals that a frame carries."""
     for k in range(c.signals):
-        x = u.value[k]
-        if not isnan(x):  # a multiplexed one that has not come yet
-            look(out, c.one[k], s.one[k], u.t_ns, x, u.other[k])
+        p, course = c.one[k], s.one[k]
+        there = is_there(p, u.selector[k])
+        if p.fault[MISSING] >= 0:
+            watch_absence(out, p, course, u.t_ns, there)
+        if there:
+            look(out, p, course, u.t_ns, u.value[k], u.other[k])
 
 
 def _connect(p: PartParams) -> dict[str, Connection]:
@@ -147,11 +181,20 @@ def _connect(p: PartParams) -> dict[str, Connection]:
         asked = watched.limits.stuck
         name = None if asked is None else asked.during or asked.moving
         others.append(None if name is None else Signal(name, optional=True))
-    return {"value": _filled(values), "other": _filled(others)}
+    selectors = [
+        signal
+        for watched in p.watched
+        for signal in _filled([Signal(level.multiplexer, optional=True) for level in watched.levels], MOST_LEVELS)
+    ]
+    return {
+        "value": _filled(values, MOST_SIGNALS),
+        "other": _filled(others, MOST_SIGNALS),
+        "selector": _filled(selectors, MOST_SIGNALS * MOST_LEVELS),
+    }
 
 
-def _filled(signals: list[Any]) -> list[Signal | None]:
-    return [*signals, *[None] * (MOST_SIGNALS - len(signals))]
+def _filled(signals: list[Any], count: int) -> list[Signal | None]:
+    return [*signals, *[None] * (count - len(signals))]
 
 
 def _prepare(p: PartParams, s: Any, c: Any) -> None:
@@ -175,6 +218,12 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         one["codes"], one["values"] = len(watched.codes), len(watched.values)
         one["code"][: len(watched.codes)] = watched.codes
         one["allowed"][: len(watched.values)] = watched.values
+        one["missing_s"] = (limits.missing_ms or 0.0) * 1e-3
+        one["levels"] = len(watched.levels)
+        for level, selector in enumerate(watched.levels):
+            one["ranges"][level] = len(selector.ranges)
+            for at, (least, greatest) in enumerate(selector.ranges):
+                one["least"][level, at], one["greatest"][level, at] = least, greatest
         one["fault"] = -1
         for kind in kinds_of(watched):
             one["fault"][kind] = number

@@ -10,9 +10,11 @@ from gateway.common.tomlfile import StrictModel
 from gateway.monitors.contract import MonitorParams
 
 #: Signals of one message that one part of the monitor looks at.
-MOST_SIGNALS = 12
+MOST_SIGNALS = 11
 #: Invalid codes of a signal, and values of an enumeration, at most.
 MOST_CODES, MOST_VALUES = 8, 64
+#: Multiplexers above one another that select a signal, and ranges of values of each that do, at most.
+MOST_LEVELS, MOST_RANGES = 2, 8
 
 Range = Annotated[
     tuple[Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]],
@@ -71,6 +73,9 @@ class Limits(StrictModel):
     undefined: bool = Field(False, description="values that the database gives no text are a fault: 81")
     all_ones: bool = Field(False, description="all its bits set is a fault: 29")
     noise: Noise | None = Field(None, description="scatter: 2F")
+    missing_ms: float | None = Field(
+        None, gt=0, le=3.6e6, description="of a multiplexed one: not selected for so long while its message comes: 31"
+    )
     failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="a limit must be broken so long [ms]")
     passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and kept so long to heal [ms]")
 
@@ -99,6 +104,18 @@ class Params(MonitorParams):
         return self
 
 
+class Level(StrictModel):
+    """A multiplexer that selects a signal.
+
+    Attributes:
+        multiplexer: "Message.Signal".
+        ranges: its values that do, least and greatest.
+    """
+
+    multiplexer: str
+    ranges: tuple[tuple[int, int], ...]
+
+
 class Watched(StrictModel):
     """One signal as a part of the monitor has it: its limits in numbers.
 
@@ -110,6 +127,7 @@ class Watched(StrictModel):
         codes: its invalid codes, physical values.
         values: of its enumeration, physical values; empty: not asked for.
         ones: its value with all bits set; None: not asked for.
+        levels: the multiplexers that select it, the outermost first; empty: it is in every frame.
     """
 
     limits: Limits
@@ -119,6 +137,7 @@ class Watched(StrictModel):
     codes: tuple[float, ...]
     values: tuple[float, ...]
     ones: float | None
+    levels: tuple[Level, ...] = ()
 
 
 class PartParams(Params):

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from cantools.database.can.signal import Signal
 
 from gateway.errors import InputError, nearest
-from gateway.monitors.network_codes import network_codes
-from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES, Limits, Params, PartParams, Watched
+from gateway.monitors.signal.params import (
+    MOST_CODES,
+    MOST_LEVELS,
+    MOST_RANGES,
+    MOST_SIGNALS,
+    MOST_VALUES,
+    Level,
+    Limits,
+    Params,
+    PartParams,
+    Watched,
+)
 
 #: Texts of values that stand for no value, in capitals.
 _NONE = ("SNA", "INVALID", "NOT AVAILABLE", "NOT_AVAILABLE", "UNAVAILABLE", "NOT VALID", "UNDEFINED", "INIT", "ERROR")
@@ -59,7 +69,40 @@ def _codes(limits: Limits, signal: Signal, key: str) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def _watched(limits: Limits, signal: Signal, code: str, key: str) -> Watched:
+def _ranges(values: Iterable[int]) -> tuple[tuple[int, int], ...]:
+    """Return the same values as ranges, least and greatest."""
+    found: list[tuple[int, int]] = []
+    for value in sorted(values):
+        if found and value == found[-1][1] + 1:
+            found[-1] = found[-1][0], value
+        else:
+            found.append((value, value))
+    return tuple(found)
+
+
+def _levels(limits: Limits, signal: Signal, find: Callable[[str], Signal], key: str) -> tuple[Level, ...]:
+    """Return the multiplexers that select a signal, the outermost first.
+
+    Raises:
+        InputError: there is none, but its absence is to be watched; more than there is room for.
+    """
+    if limits.missing_ms is not None and signal.multiplexer_signal is None:
+        text = "this signal is in every frame of its message; timeout_ms of the message's check watches that"
+        raise InputError(text, key=f"{key}.missing_ms", value=limits.missing_ms)
+    message = limits.signal.rpartition(".")[0]
+    found: list[Level] = []
+    while signal.multiplexer_signal is not None:
+        name = f"{message}.{signal.multiplexer_signal}"
+        ranges = _ranges(signal.multiplexer_ids or ())
+        if len(ranges) > MOST_RANGES or len(found) == MOST_LEVELS:
+            text = f"at most {MOST_LEVELS} multiplexers above one another, with {MOST_RANGES} ranges of values each"
+            raise InputError(text, key=f"{key}.signal", value=limits.signal)
+        found.append(Level(multiplexer=name, ranges=ranges))
+        signal = find(name)
+    return tuple(reversed(found))
+
+
+def _watched(limits: Limits, signal: Signal, code: str, levels: tuple[Level, ...], key: str) -> Watched:
     """Return a signal with its limits in numbers.
 
     Raises:
@@ -80,25 +123,26 @@ def _watched(limits: Limits, signal: Signal, code: str, key: str) -> Watched:
         ones = float(raw * signal.scale + signal.offset)
     name = limits.name or limits.signal.rpartition(".")[2]
     return Watched(
-        limits=limits, name=name, code=limits.code or code, unit=signal.unit or "",
-        codes=_codes(limits, signal, key), values=values, ones=ones,
+        limits=limits, name=name, code=code, unit=signal.unit or "",
+        codes=_codes(limits, signal, key), values=values, ones=ones, levels=levels,
     )  # fmt: skip
 
 
-def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartParams]:
+def parts(
+    p: Any, find: Callable[[str], Signal], give: Callable[[Iterable[str]], Mapping[str, str]]
+) -> dict[str, PartParams]:
     """Return the parts of the monitor by name, one or more a message.
 
     Args:
         p: parameters as configured.
         find: ``"Message.Signal"`` -> the signal.
-        bus: name of the bus.
+        give: names -> a network code for each.
 
     Raises:
         InputError: a signal that is not there; what the database does not say.
     """
     assert isinstance(p, Params)
-    given = [limits.code for limits in p.signal if limits.code is not None]
-    codes = network_codes((f"{bus}.{limits.signal}" for limits in p.signal), given)
+    codes = give(limits.signal for limits in p.signal if limits.code is None)
     by_message: dict[str, list[Watched]] = {}
     for k, limits in enumerate(p.signal):
         key = f"signal[{k}]"
@@ -106,7 +150,9 @@ def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartPara
             signal = find(limits.signal)
         except InputError as error:
             raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
-        watched = _watched(limits, signal, codes[f"{bus}.{limits.signal}"], key)
+        _refuse_unknown(limits, find, key)
+        levels = _levels(limits, signal, find, key)
+        watched = _watched(limits, signal, limits.code or codes[limits.signal], levels, key)
         if watched.codes or watched.values or watched.ones is not None or _asks(limits):
             by_message.setdefault(limits.signal.rpartition(".")[0], []).append(watched)
         else:
@@ -119,5 +165,17 @@ def parts(p: Any, find: Callable[[str], Signal], bus: str) -> dict[str, PartPara
     }
 
 
+def _refuse_unknown(limits: Limits, find: Callable[[str], Signal], key: str) -> None:
+    """Refuse a signal that says when another must move, and is not there."""
+    for name in ("during", "moving"):
+        other = None if limits.stuck is None else getattr(limits.stuck, name)
+        if other is not None:
+            try:
+                find(other)
+            except InputError as error:
+                raise InputError(error.message, key=f"{key}.stuck.{name}", value=other) from error
+
+
 def _asks(p: Limits) -> bool:
-    return any(getattr(p, name) is not None for name in ("electrical", "plausible", "gradient", "stuck", "noise"))
+    asked = (p.electrical, p.plausible, p.gradient, p.stuck, p.noise, p.missing_ms)
+    return any(limit is not None for limit in asked)

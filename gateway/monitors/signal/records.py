@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway.jit import Record, f8, f8s, i4, i4s, i8, means
+from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, means
 from gateway.monitors.contract import Inputs as Event
 from gateway.monitors.signal.faults import KINDS
-from gateway.monitors.signal.params import MOST_CODES, MOST_SIGNALS, MOST_VALUES
+from gateway.monitors.signal.params import MOST_CODES, MOST_LEVELS, MOST_RANGES, MOST_SIGNALS, MOST_VALUES
 
 
 class Inputs(Event):
@@ -15,6 +15,7 @@ class Inputs(Event):
 
     value: Annotated[f8s, MOST_SIGNALS]
     other: Annotated[f8s, MOST_SIGNALS] = means("whose being in a range, or movement, asks for movement")
+    selector: Annotated[f8s, MOST_SIGNALS, MOST_LEVELS] = means("its multiplexers, the outermost first")
 
 
 class One(Record):
@@ -39,6 +40,11 @@ class One(Record):
     values: i4
     code: Annotated[f8s, MOST_CODES]
     allowed: Annotated[f8s, MOST_VALUES]
+    missing_s: f8
+    levels: i4 = means("multiplexers that select it; 0: it is in every frame")
+    ranges: Annotated[i4s, MOST_LEVELS]
+    least: Annotated[i8s, MOST_LEVELS, MOST_RANGES] = means("values of a multiplexer that select it")
+    greatest: Annotated[i8s, MOST_LEVELS, MOST_RANGES]
     fault: Annotated[i4s, len(KINDS)] = means("number of each fault; -1: not asked for")
 
 
@@ -60,6 +66,8 @@ class Course(Record):
     still_s: f8 = means("how long it has been there while it should move", "s")
     other: f8 = means("what the other signal was then")
     variance: f8 = means("mean of the squared scatter")
+    frame_ns: i8 = means("when its message last came; 0: never", "ns")
+    away_s: f8 = means("how long its message has come without it", "s")
     beyond: Annotated[i4s, len(KINDS)] = means("1: beyond a limit, until it is back by the hysteresis")
 
 

@@ -76,7 +76,13 @@ def _of_arxml(message: Message) -> tuple[dict[str, Any], str] | None:
     profile = None if e2e is None else _profile(e2e.category)
     if e2e is None or profile is None:
         return None
-    return {"profile": profile, **_ids(list(e2e.data_ids or []))}, f"as the ARXML file says: {e2e.category}"
+    # cantools reads no more of it than category, data ids and length.
+    lacking = (
+        'data_id_mode and offset are not read of it: "both" and 0'
+        if PROFILES[profile].modes
+        else ("offset is not read of it: 0")
+    )
+    return {"profile": profile, **_ids(list(e2e.data_ids or []))}, f"as the ARXML file says: {e2e.category}; {lacking}"
 
 
 def _of_attributes(message: Message) -> tuple[dict[str, Any], str] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from gateway.errors import InputError
 from gateway.signals.bits import field_at
@@ -56,7 +57,7 @@ def _p01(h: Header) -> Protection:
     """CRC8 in byte 0, counter 0..14 in the low nibble of byte 1; the data id goes in before the payload."""
     before: tuple[int, ...] = ()
     listed: tuple[int, ...] = ()
-    constants = []
+    constants: list[tuple[Any, int, str]] = []
     if h.mode == "both":
         before = h.low, h.high
     elif h.mode == "low":
@@ -65,7 +66,7 @@ def _p01(h: Header) -> Protection:
         listed = tuple(h.high if k % 2 else h.low for k in range(LIST))
     else:
         before = h.low, 0
-        constants.append((field_at(h.offset + 1, 4, shift=4), h.high & 0xF))
+        constants.append((field_at(h.offset + 1, 4, shift=4), h.high & 0xF, "data id, bits 8 to 11"))
     checksum = Checksum(_J1850_FROM_ZERO, before=before, by_counter=listed, list_after=False)
     counter = Counter(field_at(h.offset + 1, 4), 15, max_step=h.max_delta)
     return Protection(checksum, field_at(h.offset, 8), counter, constants)
@@ -80,8 +81,8 @@ def _listed(h: Header) -> Protection:
 def _p04(h: Header) -> Protection:
     """Length 16, counter 16, data id 32, CRC32P4; most significant byte first."""
     constants = [
-        (field_at(h.offset, 16, big=True), h.length),
-        (field_at(h.offset + 4, 32, big=True), h.data_id),
+        (field_at(h.offset, 16, big=True), h.length, "length"),
+        (field_at(h.offset + 4, 32, big=True), h.data_id, "data id"),
     ]
     counter = Counter(field_at(h.offset + 2, 16, big=True), 1 << 16, max_step=h.max_delta)
     return Protection(Checksum(KNOWN["crc32_autosar"]), field_at(h.offset + 8, 32, big=True), counter, constants)
@@ -98,15 +99,15 @@ def _p06(h: Header) -> Protection:
     """CRC16, length 16, most significant byte first, counter 8; the data id goes in after it, high byte first."""
     checksum = Checksum(KNOWN["crc16_ccitt_false"], after=(h.high, h.low))
     counter = Counter(field_at(h.offset + 4, 8), 256, max_step=h.max_delta)
-    constants = [(field_at(h.offset + 2, 16, big=True), h.length)]
+    constants = [(field_at(h.offset + 2, 16, big=True), h.length, "length")]
     return Protection(checksum, field_at(h.offset, 16, big=True), counter, constants)
 
 
 def _p07(h: Header) -> Protection:
     """CRC64, length 32, counter 32, data id 32; most significant byte first."""
     constants = [
-        (field_at(h.offset + 8, 32, big=True), h.length),
-        (field_at(h.offset + 16, 32, big=True), h.data_id),
+        (field_at(h.offset + 8, 32, big=True), h.length, "length"),
+        (field_at(h.offset + 16, 32, big=True), h.data_id, "data id"),
     ]
     counter = Counter(field_at(h.offset + 12, 32, big=True), 1 << 32, max_step=h.max_delta)
     return Protection(Checksum(KNOWN["crc64_xz"]), field_at(h.offset, 64, big=True), counter, constants)

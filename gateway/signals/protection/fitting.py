@@ -11,8 +11,9 @@ from gateway.errors import InputError
 from gateway.signals.bits import Field, mask_of, place
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
-from gateway.signals.protection.judge import judge_frame
-from gateway.signals.protection.params import COUNTERS, signal_of
+from gateway.signals.protection.e2e import PROFILES
+from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
+from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
 from gateway.signals.protection.rules import RULES, Frame
 
@@ -35,6 +36,38 @@ def _candidates(message: Message) -> Iterator[tuple[str, Checksum]]:
             yield text, Checksum(xor=kind == "xor", nibbles=of == "nibbles")
 
 
+def _judged(asked: Protection, payloads: Sequence[bytes]) -> list[tuple[int, int, int]]:
+    """Return what :func:`judge_frame` says of each payload."""
+    words = [np.frombuffer(data.ljust(64, b"\0"), "<u8").copy() for data in payloads]
+    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+    fill(rows[0], asked, tables)
+    row, crcs = rows.view(np.recarray)[0], tables.array()
+    return [judge_frame(each, len(data), row, crcs) for each, data in zip(words, payloads, strict=True)]
+
+
+def differing(asked: Protection, payloads: Sequence[bytes]) -> list[str]:
+    """Return which constants of the header are others in all payloads, their checksums being right, in words."""
+    judged = _judged(asked, payloads)
+    said = []
+    for k, (_, _, name) in enumerate(asked.constants):
+        received = {int(value) for value, _, verdict in judged if verdict == FRAME_CONSTANT + k}
+        if len(received) == 1 and all(verdict == FRAME_CONSTANT + k for _, _, verdict in judged):
+            expected = int(judged[0][1])
+            said.append(f"{name}: received 0x{received.pop():X}, configured 0x{expected:X}")
+    return said
+
+
+def fitting_modes(message: Message, asked: E2eCheck, payloads: Sequence[bytes]) -> list[str]:
+    """Return the same profile with other modes of its data id that all payloads have, as a configuration says it."""
+    found = []
+    for mode in PROFILES[asked.profile].modes:
+        other = asked.model_copy(update={"data_id_mode": mode})
+        if all(verdict == FRAME_OK for _, _, verdict in _judged(other.protection(message), payloads)):
+            text = f'profile = "{asked.profile}", data_id = {asked.data_id}, data_id_mode = "{mode}"'
+            found.append(f"e2e = {{ {text} }}")
+    return found
+
+
 def fitting(message: Message, field: np.void, payloads: Sequence[bytes]) -> list[str]:
     """Return the known checksums that all payloads have, as a configuration says them.
 
@@ -51,16 +84,11 @@ def fitting(message: Message, field: np.void, payloads: Sequence[bytes]) -> list
         counter = Counter(at, 1 << signal.length)
     except InputError:
         pass  # then no rule with a list of data ids can fit
-    words = [np.frombuffer(data.ljust(64, b"\0"), "<u8").copy() for data in payloads]
     assert mask_of(field)
     found: list[str] = []
     for text, checksum in _candidates(message):
         if checksum.crc is not None and checksum.crc.width != field["length"]:
             continue
-        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-        fill(rows[0], Protection(checksum, field, counter), tables)
-        row, crcs = rows.view(np.recarray)[0], tables.array()
-        judged = [judge_frame(each, len(data), row, crcs) for each, data in zip(words, payloads, strict=True)]
-        if all(received == computed for received, computed, _ in judged):
+        if all(verdict == FRAME_OK for _, _, verdict in _judged(Protection(checksum, field, counter), payloads)):
             found.append(text)
     return found

@@ -11,6 +11,7 @@ from gateway.signals.bits import read_bits
 from gateway.signals.protection.checksum import NOWHERE, checksum_of
 from gateway.signals.protection.protection import counter_of, same_constants
 
+#: FRAME_CONSTANT: the first constant of the header differs, FRAME_CONSTANT + 1: the second.
 FRAME_OK, FRAME_CHECKSUM, FRAME_CONSTANT = range(3)
 
 
@@ -25,7 +26,8 @@ def judge_frame(words: Any, length: int, p: Any, tables: Any) -> Any:
         tables: of the CRCs, uint64, shape (CRCs, 256).
 
     Returns:
-        the checksum received and the one computed, uint64, and FRAME_OK, FRAME_CHECKSUM or FRAME_CONSTANT.
+        the checksum received and the one computed, uint64, and FRAME_OK or FRAME_CHECKSUM; or, where the checksum is
+        right, the constant received and the one expected, and FRAME_CONSTANT + its place in the header.
     """
     received = computed = np.uint64(0)
     verdict = FRAME_OK
@@ -35,6 +37,9 @@ def judge_frame(words: Any, length: int, p: Any, tables: Any) -> Any:
         computed = checksum_of(words, length, counter, p.checksum, tables)
         if received != computed:
             verdict = FRAME_CHECKSUM
-    if p.has_constants == 1 and not same_constants(words, p):
-        verdict = FRAME_CONSTANT
+    if verdict == FRAME_OK and p.constants > 0 and not same_constants(words, p):
+        for k in range(p.constants):
+            received, computed = read_bits(words, p.header[k]), p.expected[k]
+            if received != computed:
+                return received, computed, FRAME_CONSTANT + k
     return received, computed, verdict

@@ -144,19 +144,27 @@ class SumCheck(StrictModel):
 class WindowParams(StrictModel):
     """AUTOSAR's E2E state machine: a frame is used while enough of the last ones are right.
 
-    Each key is one number, or three: while starting, while valid, while invalid.
+    Size, min_ok and max_error are one number, or three: while starting, while valid, while invalid.
     """
 
     size: tuple[int, int, int] = Field(description="frames that are looked back at, 1 to 64")
     min_ok: tuple[int, int, int] = Field(description="right ones that it takes")
     max_error: tuple[int, int, int] = Field(description="wrong ones that it bears")
+    cycle_ms: float | None = Field(
+        None,
+        gt=0,
+        le=3.6e6,
+        description="the receiver's cycle [ms]: each that passes without a frame counts as neither right nor wrong; "
+        "default: timeout_ms of the check; without both only frames count",
+    )
 
     @model_validator(mode="before")
     @classmethod
     def _threefold(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        return {key: [value] * 3 if isinstance(value, int) else value for key, value in data.items()}
+        three = ("size", "min_ok", "max_error")
+        return {k: [value] * 3 if k in three and isinstance(value, int) else value for k, value in data.items()}
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

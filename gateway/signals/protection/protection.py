@@ -14,6 +14,9 @@ from gateway.signals.bits import Field, mask_of, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
 from gateway.signals.protection.crc import KNOWN, Crc, table_of
 
+#: Constants that a header has, at most.
+MOST_CONSTANTS = 2
+
 
 @dataclass(frozen=True)
 class Counter:
@@ -55,7 +58,7 @@ class Protection:
         checksum: what is computed; None: nothing.
         field: where it lies, a record of :class:`gateway.signals.bits.Field`.
         counter: None: there is none.
-        constants: fields of a header with the value that they always have.
+        constants: fields of a header with the value that they always have, and what they are, for people.
         strict: a frame out of sequence is not used (E2E), else it is, and told.
         window: state machine over the frames; None: each frame is judged alone.
         name: of the rule, for people.
@@ -64,7 +67,7 @@ class Protection:
     checksum: Checksum | None = None
     field: Any = None
     counter: Counter | None = None
-    constants: Sequence[tuple[Any, int]] = ()
+    constants: Sequence[tuple[Any, int, str]] = ()
     strict: bool = False
     window: Window | None = None
     name: str = ""
@@ -80,7 +83,7 @@ class ProtectionConst(Record):
     has_counter: u1
     strict: u1
     windowed: u1
-    has_constants: u1
+    constants: u1
     modulus: i8
     first: i8
     max_step: i4
@@ -89,6 +92,8 @@ class ProtectionConst(Record):
     max_error: Annotated[i4s, 3]
     constant: Annotated[u8s, 8] = means("bits of the header that are always the same")
     is_constant: Annotated[u8s, 8] = means("which these are")
+    header: Annotated[list[Field], MOST_CONSTANTS] = means("the same, one by one")
+    expected: Annotated[u8s, MOST_CONSTANTS]
     owned: Annotated[u8s, 8] = means("all bits that the protection makes")
 
 
@@ -126,12 +131,13 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
         row["windowed"] = 1
         row["window"], row["min_ok"], row["max_error"] = asked.window.size, asked.window.min_ok, asked.window.max_error
     bits = mask = 0
-    for field, value in asked.constants:
+    for k, (field, value, _) in enumerate(asked.constants):
+        row["header"][k], row["expected"][k] = field, value
         words = np.zeros(8, np.uint64)
         write_bits(words, field, np.uint64(value))
         bits |= int.from_bytes(words.tobytes(), "little")
         mask |= mask_of(field)
-    row["has_constants"] = mask != 0
+    row["constants"] = len(asked.constants)
     row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")
     row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
     mask |= 0 if asked.checksum is None else mask_of(asked.field)

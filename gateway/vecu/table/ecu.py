@@ -86,6 +86,7 @@ def _columns(
     """
     known = {signal.name for signal in message.signals}
     asked = {name: _course(course, times) for name, course in params.signals.items()}
+    asked |= {name: np.resize(np.asarray(values), len(times)) for name, values in params.turns.items()}
     for name, deviation in params.noise.items():
         asked[name] = asked.get(name, np.zeros(len(times))) + run.rng.normal(0.0, deviation, len(times))
     for fault in faults:

@@ -22,10 +22,18 @@ class TableMessage(ProtectionParams):
     signals: dict[str, Course] = Field(
         default_factory=dict, description="signal -> value, or [[time s, value], ...]; others: 0, or what is nearest"
     )
+    turns: dict[str, tuple[float, ...]] = Field(
+        default_factory=dict, description="signal -> its values in turn, one a frame: of a multiplexer"
+    )
     noise: dict[str, float] = Field(default_factory=dict, description="signal -> standard deviation, signal's unit")
 
     @model_validator(mode="after")
     def _courses(self) -> Self:
+        for name, values in self.turns.items():
+            if not values:
+                raise ValueError(f"turns.{name}: at least one value")
+            if name in self.signals:
+                raise ValueError(f"turns.{name}: it is among signals, too")
         for name, course in self.signals.items():
             if isinstance(course, tuple):
                 if not course:

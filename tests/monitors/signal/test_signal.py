@@ -160,6 +160,57 @@ def test_invalid_codes_come_from_the_texts_and_end_all_other_tests(tmp_path):
     assert made.failed() == ["Gear.invalid", "Gear.undefined", "Gear.all_ones"]
 
 
+PAGES = (
+    'BO_ 256 Pages: 8 A\n SG_ Page M : 0|8@1+ (1,0) [0|0] "" B\n SG_ Always : 32|8@1+ (1,0) [0|0] "" B\n'
+    ' SG_ Outer m1M : 8|8@1+ (1,0) [0|0] "" B\n SG_ Plain m0 : 8|8@1+ (1,0) [0|0] "" B\n'
+    ' SG_ Inner m7 : 16|8@1+ (1,0) [0|0] "" B\n SG_ Other m8 : 16|8@1+ (1,0) [0|0] "" B\n'
+    "SG_MUL_VAL_ 256 Outer Page 1-1;\nSG_MUL_VAL_ 256 Plain Page 0-0;\n"
+    "SG_MUL_VAL_ 256 Inner Outer 7-7, 9-12;\nSG_MUL_VAL_ 256 Other Outer 8-8;\n"
+)
+PLAIN, INNER, OTHER = (bytes([*page, 0, 0, 0, 0, 0]) for page in ((0, 7, 3), (1, 11, 3), (1, 8, 3)))
+
+
+def pages(folder, signal):
+    return Car(write(folder, PAGES, monitor(signal)))
+
+
+def test_a_multiplexed_signal_that_its_message_comes_without(tmp_path):
+    made = pages(tmp_path, 'signal = "Pages.Inner", missing_ms = 500')
+    made.feed([PLAIN, INNER, OTHER] * 40)
+    assert made.failed() == []
+    made.feed([PLAIN, OTHER] * 24)
+    assert made.failed() == [], "0.48 s"
+    made.feed([OTHER, PLAIN] * 2)
+    assert made.failed() == ["Inner.missing"]
+    told = made.of("dtc")[-1]["evidence"]
+    assert (told["away [s]"], told["threshold"]) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert not made.feed([INNER]).of("dtc")[-1]["status"] & 1, "one that has it ends it"
+
+
+def test_a_multiplexed_signal_that_never_came(tmp_path):
+    assert pages(tmp_path, 'signal = "Pages.Inner", missing_ms = 500').feed([PLAIN] * 60).failed() == ["Inner.missing"]
+
+
+def test_nothing_is_missing_while_the_whole_message_is_away(tmp_path):
+    made = pages(tmp_path, 'signal = "Pages.Inner", missing_ms = 500')
+    made.feed([INNER, *[PLAIN] * 40])
+    made.t_ns += 10_000_000_000
+    made.feed([PLAIN] * 40)
+    assert made.failed() == [], "0.4 s before and 0.4 s after it"
+    assert made.feed([PLAIN] * 15).failed() == ["Inner.missing"]
+
+
+def test_a_multiplexed_signal_is_looked_at_in_the_frames_that_have_it(tmp_path):
+    """Its value of a second before is not one that stands still, nor one that is still too high."""
+    asked = 'signal = "Pages.Inner", stuck = { seconds = 0.5 }, gradient = 40.0, failed_ms = 1.0, passed_ms = 1.0'
+    made = pages(tmp_path, asked)
+    moving = [[INNER[:2] + bytes([k]) + INNER[3:], *[PLAIN] * 9] for k in range(0, 60, 3)]
+    made.feed([frame for some in moving for frame in some])
+    assert made.failed() == [], "30 per second, not 300; it moves each time it comes"
+    made.feed([moving[-1][0], *[PLAIN] * 9] * 7)
+    assert made.failed() == ["Inner.stuck"]
+
+
 def test_dtcs_are_the_signal_s_own_and_stay_when_others_come(tmp_path):
     def codes(*signals):
         gateway = Gateway(load_config(write(tmp_path, DBC, monitor(*signals))))
@@ -194,6 +245,11 @@ def test_more_signals_than_a_part_has_room_for(tmp_path):
         ('signal = "Wheel.Gear", invalid = ["SNAA"]', "no value of Wheel.Gear has this text; did you mean SNA"),
         ('signal = "Wheel.Speed", plausible = [0, 1], hysteresis = 1', "less than half of plausible"),
         ('signal = "Wheel.Speed", stuck = { seconds = 1, during = "Body.Moving" }', "during and within"),
+        ('signal = "Wheel.Speed", missing_ms = 100', "this signal is in every frame of its message; timeout_ms"),
+        (
+            'signal = "Wheel.Speed", stuck = { seconds = 1, during = "Body.Movin", within = [0, 1] }',
+            r"monitor.0..signal.0..stuck.during = 'Body.Movin': .*did you mean Moving",
+        ),
         ('signal = "Wheel.Speed", gradiant = 3', "did you mean gradient"),
     ],
 )
