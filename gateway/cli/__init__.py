@@ -164,6 +164,45 @@ def structure(
 
 
 @app.command()
+def learn(
+    files: Annotated[
+        list[Path], typer.Argument(help="Databases (.dbc, .kcd, .sym, .arxml) and logs of healthy drives.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration to write.")] = Path("car.toml"),
+    bus: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FILE[,FILE]", help="A bus with its databases; may be repeated."),
+    ] = None,
+    hold_out: Annotated[
+        float, typer.Option(min=0.0, max=0.9, help="Share of each log that is kept back to prove what was learned.")
+    ] = 0.3,
+    maps: Maps = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the faults that are put into what was kept back.")] = 1,
+    update: Annotated[
+        bool, typer.Option("--update", help="Add the logs to a configuration learned before; edited lines stay.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    json: Json = False,
+) -> None:
+    """Learn a configuration from healthy logs: timeouts, counters, checksums, ranges, relations."""
+    from gateway.cli.learn import learn_car as work
+
+    raise typer.Exit(
+        work(
+            files,
+            out=out,
+            buses=bus or (),
+            hold_out=hold_out,
+            maps=maps or (),
+            seed=seed,
+            update=update,
+            force=force,
+            json=json,
+        )
+    )
+
+
+@app.command()
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration.")],
     logs: Annotated[list[Path], typer.Argument(help="Logs of healthy drives.")],
@@ -267,6 +306,15 @@ def replay(
         bool,
         typer.Option("--trace", help="With --only: print inputs, state and results of each step."),
     ] = False,
+    inject: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FAULT",
+            help="Put a fault into the frames: 'drop SPEED @10..12', 'offset SPEED.SPEED=40 @10' (from, to [s]);"
+            " drop, repeat, freeze, flip, stuck, offset, value, jump. May be repeated.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -287,6 +335,8 @@ def replay(
             allow_cut=allow_cut,
             monitor=only,
             trace=trace,
+            injections=inject or (),
+            seed=seed,
             json=json,
             fail_on_dtc=fail_on_dtc,
         )

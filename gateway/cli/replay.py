@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -19,6 +20,9 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import Parts, prepare
+from gateway.runtime.injection import Injector, parse_injection
+from gateway.runtime.replay import FrameConsumer
 from gateway.runtime.replay import replay as feed
 
 
@@ -32,10 +36,26 @@ def replay(
     allow_cut: bool = False,
     monitor: str | None = None,
     trace: bool = False,
+    injections: Sequence[str] = (),
+    seed: int = 1,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
     """Replay a log; returns the exit code.
+
+    Args:
+        log: to be replayed.
+        config_path: configuration; None: as found here.
+        memory: SQLite file of the fault memory.
+        maps: channels of the log taken as buses.
+        allow_empty: a log without a frame of a configured bus is no error.
+        allow_cut: nor is one that is cut off.
+        monitor: run this one only.
+        trace: print each step of it.
+        injections: faults to put into the frames (see :mod:`gateway.runtime.injection`).
+        seed: of their randomness.
+        json: print events as JSON Lines.
+        fail_on_dtc: exit code 1 if a DTC was set.
 
     Raises:
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
@@ -50,12 +70,14 @@ def replay(
     channels = channels_of(config, maps)
     printer = EventPrinter(as_json=json)
     reader = read_recording(log, channels)
-    gateway = Gateway(config, memory, file=path)
+    parts = prepare(config, path)
+    injectors = _injectors(config, parts, injections, seed)
+    gateway = Gateway(config, memory, file=path, parts=parts)
     gateway.listen(printer)
     try:
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
-        damage = _feed(gateway, reader, printer, log.name, traced)
+        damage = _feed(_Faulty(gateway, injectors) if injectors else gateway, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = contents(
             reader,
@@ -69,6 +91,8 @@ def replay(
         summary = gateway.summary(seconds)
         if found.left_out < found.frames and not summary["decoded"] and _watches(config):
             found.notes.append("none of its frames is one that a monitor or check here wants")
+        for text, injector in zip(injections, injectors, strict=True):
+            found.notes.append(f"--inject {text!r}: {injector.count} frames")
         printer(found.event())
         printer(summary)
     finally:
@@ -80,12 +104,41 @@ def replay(
     return 1 if fail_on_dtc and printer.failures else 0
 
 
+def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) -> list[Injector]:
+    """Return what puts the faults into the frames.
+
+    Raises:
+        InputError: a fault that is none.
+    """
+    names = [bus.name for bus in config.bus]
+    pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
+    asked = [parse_injection(text, names, parts.databases) for text in texts]
+    return [
+        Injector(one, parts.databases, parts.checks, np.random.default_rng([seed, k]), pgn=pgn)
+        for k, one in enumerate(asked)
+    ]
+
+
+class _Faulty:
+    """A gateway that is fed frames with faults in them."""
+
+    def __init__(self, gateway: Gateway, injectors: Sequence[Injector]) -> None:
+        self._gateway, self._injectors = gateway, injectors
+        self.start, self.stop, self.without_own = gateway.start, gateway.stop, gateway.without_own
+
+    def feed(self, frames: Frames) -> Frames:
+        """Feed the frames with all faults."""
+        for injector in self._injectors:
+            frames = injector.apply(frames)
+        return self._gateway.feed(frames)
+
+
 def _watches(config: Config) -> bool:
     return bool(config.monitor) or any(bus.check for bus in config.bus)
 
 
 def _feed(
-    gateway: Gateway,
+    gateway: FrameConsumer,
     reader: Recorded,
     printer: EventPrinter,
     name: str,

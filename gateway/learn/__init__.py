@@ -1,1 +1,1 @@
-"""From a database and healthy logs to a configuration: what each message and signal does, as limits with their evidence."""
+"""From a database and healthy logs to a configuration: limits of messages and signals, with their evidence."""

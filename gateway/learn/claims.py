@@ -48,7 +48,7 @@ def evidence(payloads: Payloads, asked: Protection, free_bits: int, hypotheses: 
     width = int(asked.field["length"])
     cleared = payloads.words & ~owned_by_checksum(asked)
     different = len(np.unique(cleared, axis=0))
-    return width * (different - 1) - free_bits - np.log2(max(hypotheses, 1))
+    return float(width * (different - 1) - free_bits - np.log2(max(hypotheses, 1)))
 
 
 def owned_by_checksum(asked: Protection) -> Any:

@@ -55,7 +55,7 @@ def decode_all(
 
 @kernel
 def read_all(words: Any, field: Any, out: Any) -> int:
-    """Read a field of all payloads: ``words`` uint64, shape (frames, 8); ``out`` takes them, uint64, shape (frames,)."""
+    """Read a field of all payloads, uint64, shape (frames, 8), into ``out``, uint64, shape (frames,)."""
     for k in range(words.shape[0]):
         out[k] = read_bits(words[k], field)
     return int(words.shape[0])
@@ -81,9 +81,7 @@ def columns(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.floa
     values, present = np.zeros(max(count, 1)), np.zeros(max(count, 1), np.uint8)
     out = np.full((len(frames), count), np.nan)
     lengths = frames["length"].astype(np.int64)
-    good = decode_all(
-        words_of(frames), lengths, row, plan.messages, plan.signals, plan.mux_ids, values, present, out
-    )
+    good = decode_all(words_of(frames), lengths, row, plan.messages, plan.signals, plan.mux_ids, values, present, out)
     return out, int(good)
 
 

@@ -97,6 +97,9 @@ def candidates(message: Message) -> list[Signal]:
     found = [
         signal
         for signal in message.signals
-        if not signal.is_float and not signal.is_signed and 1 < signal.length <= MOST_BITS and not signal.multiplexer_ids
+        if not signal.is_float
+        and not signal.is_signed
+        and 1 < signal.length <= MOST_BITS
+        and not signal.multiplexer_ids
     ]
     return sorted(found, key=lambda signal: not called_counter(signal.name))

@@ -49,6 +49,17 @@ class Course:
         """Whether it has few values only."""
         return len(self.values) <= MOST_VALUES
 
+    def join(self, other: Course) -> None:
+        """Add what it did in other logs."""
+        self.count += other.count
+        self.none += other.none
+        self.none_s = max(self.none_s, other.none_s)
+        self.lowest, self.highest = min(self.lowest, other.lowest), max(self.highest, other.highest)
+        self.steepest = max(self.steepest, other.steepest)
+        self.changes += other.changes
+        self.rest_s = max(self.rest_s, other.rest_s)
+        self.values = set(sorted(self.values | other.values)[: MOST_VALUES + 1])
+
     def data(self) -> list[Any]:
         """Return it for a file."""
         return [
@@ -59,8 +70,9 @@ class Course:
     @classmethod
     def of(cls, data: list[Any]) -> Course:
         """Read it from a file."""
-        *numbers, values = data
-        return cls(*numbers, values=set(values))
+        made = cls(*data[:-1])
+        made.values = set(data[-1])
+        return made
 
 
 class Courses:

@@ -20,17 +20,20 @@ LEAST_FRAMES = 4
 VARY, TOGETHER = 0.2, 0.2
 
 
-def derive(observation: Observation, databases: Sequence[Database], buses: Sequence[str]) -> Learned:
+def derive(
+    observation: Observation, databases: Sequence[Database], buses: Sequence[str], earlier_s: float = 0.0
+) -> Learned:
     """Return the lines that a configuration gets, and the notes beside them.
 
     Args:
         observation: what was seen.
         databases: of the buses.
         buses: their names.
+        earlier_s: length of earlier logs whose statistics were added [s].
     """
     learned = Learned()
     found: dict[tuple[int, str], ProtectionFound] = {}
-    seconds = sum(log.seconds for log in observation.logs)
+    seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
     for key, seen in observation.seen.items():
         bus, name = key

@@ -3,22 +3,41 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, inline
+from gateway.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, inline
 
 
 @dataclass(frozen=True)
 class BusAsked:
-    """A bus as the user names it: name, URI, its database's files relative to the configuration."""
+    """A bus as the user names it.
+
+    Attributes:
+        name: of it.
+        uri: where it is.
+        databases: files, relative to the configuration.
+        match: as in the configuration.
+        files: the databases' files as given, relative to where the command runs; empty: as ``databases``.
+    """
 
     name: str
     uri: str
     databases: tuple[str, ...]
-    match: str = "id"
+    match: Literal["id", "pgn"] = "id"
+    files: tuple[str, ...] = ()
 
+
+_CAUSES = """
+# Of a signal that has a fault of its own no relation says any more.
+[fault]
+"""
+
+#: A signal in the text of a relation.
+_SIGNAL = re.compile(r"[A-Za-z_][\w-]*(?:\.[A-Za-z_]\w*)+")
 
 _HEAD = """\
 # {title}
@@ -36,7 +55,7 @@ _BUS = """
 name = {name}
 uri = {uri}
 database = {database}{match}
-
+codes = "own"                           # each message DTCs of its own: gateway check lists them
 check = [
 {lines}
 ]
@@ -74,15 +93,54 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
             lines=_lines(learned, bus.name, CHECK),
         )
     for bus in buses:
-        for table, what in ((SIGNAL, "Signals: ranges, steepness, invalid codes."), (RULE, "Signals that follow each other.")):
+        for table in (SIGNAL, RULE):
             if learned.of(bus.name, table):
-                text += _MONITOR.format(
-                    what=what, name=inline(monitor_name(bus.name, table, buses)), type=table, bus=inline(bus.name),
-                    lines=_lines(learned, bus.name, table),
-                )  # fmt: skip
+                text += monitor_text(bus, table, buses, learned)
+    if made := causes(buses, learned):
+        text += _CAUSES + "".join(f"{line.text()}\n" for line in made)
     if learned.notes:
         text += "\n# Not in it:\n" + "".join(f"# {line}\n" for note in learned.notes for line in _folded(note))
     return text
+
+
+_WHAT = {SIGNAL: "Signals: ranges, steepness, invalid codes.", RULE: "Signals that follow each other."}
+
+
+def monitor_text(bus: BusAsked, table: str, buses: Sequence[BusAsked], learned: Learned) -> str:
+    """Return the text of the monitor of a bus's signals or relations."""
+    return _MONITOR.format(
+        what=_WHAT[table], name=inline(monitor_name(bus.name, table, buses)), type=table, bus=inline(bus.name),
+        lines=_lines(learned, bus.name, table),
+    )  # fmt: skip
+
+
+#: Keys of a signal's line -> its faults.
+_FAULTS = {
+    "plausible": ("low", "high"), "gradient": ("gradient",), "stuck": ("stuck",), "undefined": ("undefined",),
+    "invalid": ("invalid",),
+}  # fmt: skip
+
+
+def causes(buses: Sequence[BusAsked], learned: Learned) -> list[Line]:
+    """Return that of a signal with a fault of its own no relation says any more."""
+    faults: dict[str, list[str]] = {}
+    for bus in buses:
+        for line in learned.of(bus.name, SIGNAL):
+            name = line.keys.get("name", line.name.rpartition(".")[2])
+            mine = [kind for key, kinds in _FAULTS.items() if line.keys.get(key) for kind in kinds]
+            prefix = f"{monitor_name(bus.name, SIGNAL, buses)}.{name}"
+            faults[f"{bus.name}.{line.name}"] = [f"{prefix}.{kind}" for kind in mine]
+    lines = []
+    for bus in buses:
+        for line in learned.of(bus.name, RULE):
+            found = []
+            for signal in _SIGNAL.findall(line.keys["holds"]):
+                full = signal if signal.count(".") == 2 else f"{bus.name}.{signal}"
+                found += faults.get(full, [])
+            if found:
+                fault = f"{monitor_name(bus.name, RULE, buses)}.{line.name}"
+                lines.append(Line("", CAUSE, fault, {"caused_by": found}, ""))
+    return lines
 
 
 def monitor_name(bus: str, table: str, buses: Sequence[BusAsked]) -> str:

@@ -49,6 +49,12 @@ class Gaps:
         top = np.sort(gaps)[-LONGEST:]
         self.longest_ns = sorted([*self.longest_ns, *(int(gap) for gap in top)], reverse=True)[:LONGEST]
 
+    def join(self, other: Gaps) -> None:
+        """Add the gaps of other logs."""
+        self.count += other.count
+        self.bins += other.bins
+        self.longest_ns = sorted([*self.longest_ns, *other.longest_ns], reverse=True)[:LONGEST]
+
     def quantile_ns(self, share: float) -> float:
         """Return a gap that a share of all gaps does not exceed, to 1 % [ns]."""
         assert self.count

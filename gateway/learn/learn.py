@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,12 @@ from gateway.errors import InputError
 from gateway.learn.derive import derive
 from gateway.learn.document import BusAsked, document
 from gateway.learn.lines import Learned
+from gateway.learn.merge import merged
 from gateway.learn.observe import Observation, Observer
 from gateway.learn.proof import Replayed, replayed
-from gateway.learn.trial import MOST, Outcome, chosen, tried, trials
+from gateway.learn.state import Kept, load_state, merge, state_of
+from gateway.learn.trial import MOST, Outcome, chosen, trials, tried
+from gateway.learn.update import add_before, read_file
 from gateway.learn.widen import owner, widened
 from gateway.signals.database import Database
 
@@ -43,6 +46,7 @@ class Asked:
         hold_out: share of each log at its end that is not learned from.
         maps: channels of the logs taken as buses, ``"channel=bus"`` each.
         seed: of the faults that are put in.
+        update: the file is there, and another drive is added to it.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Asked:
     hold_out: float = 0.3
     maps: tuple[str, ...] = ()
     seed: int = 1
+    update: bool = False
 
 
 @dataclass
@@ -67,6 +72,8 @@ class Result:
         held_s, held_frames: what was held out.
         outcomes: of the faults that were put into it.
         possible: how many faults a limit can show; those tried were drawn from them.
+        state: what is kept for another drive.
+        kept: lines that a person changed, took out or added; they stay.
     """
 
     learned: Learned
@@ -78,6 +85,8 @@ class Result:
     held_frames: int = 0
     outcomes: list[Outcome] = field(default_factory=list)
     possible: int = 0
+    state: dict[str, Any] = field(default_factory=dict)
+    kept: int = 0
 
 
 def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
@@ -89,18 +98,21 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
     config = Config(
         bus=tuple(
             BusConfig(
-                name=bus.name, uri=bus.uri, match=bus.match, database=tuple(Path(file) for file in bus.databases)
-            )  # type: ignore[arg-type]
+                name=bus.name,
+                uri=bus.uri,
+                match=bus.match,
+                database=tuple(Path(file) for file in bus.files or bus.databases),
+            )
             for bus in asked.buses
         )
     )
     databases = load_databases(config)
     observer = Observer(config, databases)
     for path in asked.logs:
-        observer.read(path, asked.maps, asked.hold_out, lambda p, _n, done: progress("reading", p.name, done))
+        observer.read(path, asked.maps, asked.hold_out, _of_logs(progress, "reading"))
     observation = observer.result()
     if not observation.seen:
-        files = ", ".join(file for bus in asked.buses for file in bus.databases)
+        files = ", ".join(file for bus in asked.buses for file in bus.files or bus.databases)
         ids = sorted({can_id for _, can_id in observation.foreign})
         some = ", ".join(f"0x{can_id & 0x1FFFFFFF:X}" for can_id in ids[:8])
         raise InputError(
@@ -114,32 +126,44 @@ def learn(asked: Asked, progress: Progress) -> Result:
     """Learn a configuration; nothing is written.
 
     Raises:
-        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has.
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has; to be
+            updated, and not there or not ours.
     """
+    before = load_state(asked.out) if asked.update else Kept()
+    file = read_file(asked.out) if asked.update else None
     observation, databases = observe(asked, progress)
+    names = [bus.name for bus in asked.buses]
+    merge(observation, before, names)
     progress("deriving", "", 0.0)
-    learned = derive(observation, databases, [bus.name for bus in asked.buses])
-    return settle(asked, observation, learned, databases, progress)
+    learned = derive(observation, databases, names, before.seconds)
+    result = Result(learned, observation, "")
+    logs = [*before.logs, *logs_text(observation)]
+    if file is None:
+        settle(asked, result, databases, lambda: document(asked.name, asked.buses, learned, logs), progress)
+    else:
+        kept = add_before(learned, before, file, asked.buses)
+        result.kept = len(kept)
+        settle(asked, result, databases, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
+    seconds = before.seconds + sum(log.seconds for log in observation.logs)
+    result.state = state_of(observation, learned, names, seconds, logs, before)
+    return result
 
 
 def settle(
     asked: Asked,
-    observation: Observation,
-    learned: Learned,
+    result: Result,
     databases: Sequence[Database],
+    compose: Callable[[], str],
     progress: Progress,
-) -> Result:
+) -> None:
     """Replay the lines on the logs, widen what alarms until they are silent, and put faults in."""
-    result = Result(learned, observation, "")
     before: set[tuple[tuple[str, str, str], str]] = set()
     proof: Replayed | None = None
     for number in range(ROUNDS):
-        result.text = document(asked.name, asked.buses, learned, logs_text(observation))
+        result.text = compose()
+        said = f"proof {number + 1}"
         with _beside(asked.out, result.text) as path:
-            said = f"proof {number + 1}"
-            proof = replayed(
-                path, observation.logs, asked.maps, lambda p, _n, done: progress(said, p.name, done)  # noqa: B023
-            )
+            proof = replayed(path, result.observation.logs, asked.maps, _of_logs(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
         result.alarms = tuple(sorted(proof.alarms))
         if not _widen(asked, result, proof, before):
@@ -147,7 +171,10 @@ def settle(
     assert proof is not None
     if not result.alarms:
         _try(asked, result, proof, databases, progress)
-    return result
+
+
+def _of_logs(progress: Progress, said: str) -> Callable[[Path, int, float], None]:
+    return lambda path, _frames, done: progress(said, path.name, done)
 
 
 def _widen(asked: Asked, result: Result, proof: Replayed, before: set[tuple[tuple[str, str, str], str]]) -> bool:
@@ -170,9 +197,7 @@ def _widen(asked: Asked, result: Result, proof: Replayed, before: set[tuple[tupl
     return changed
 
 
-def _try(
-    asked: Asked, result: Result, proof: Replayed, databases: Sequence[Database], progress: Progress
-) -> None:
+def _try(asked: Asked, result: Result, proof: Replayed, databases: Sequence[Database], progress: Progress) -> None:
     longest = max((float(w["t_ns"].max() - w["t_ns"].min()) * 1e-9 for w in proof.windows if len(w)), default=0.0)
     periods = {
         key: seen.gaps.quantile_ns(0.5) * 1e-9 for key, seen in result.observation.seen.items() if seen.gaps.count

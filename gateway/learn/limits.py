@@ -58,7 +58,9 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
         keys["timeout_ms"] = timeout
     if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
         keys["length"] = False
-        why.append(f"frames of {', '.join(str(n) for n in sorted(seen.lengths))} bytes, the database has {message.length}")
+        why.append(
+            f"frames of {', '.join(str(n) for n in sorted(seen.lengths))} bytes, the database has {message.length}"
+        )
     if found.claim is not None:
         keys |= found.claim.keys
         name = found.claim.protection.name
@@ -138,7 +140,9 @@ def representable(signal: Signal) -> tuple[float, float]:
     """Return the physical values that a signal's bits can say."""
     if signal.is_float:
         return -np.inf, np.inf
-    low, high = (-(1 << signal.length - 1), (1 << signal.length - 1) - 1) if signal.is_signed else (0, (1 << signal.length) - 1)
+    low, high = (
+        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1) if signal.is_signed else (0, (1 << signal.length) - 1)
+    )
     ends = sorted((low * signal.scale + signal.offset, high * signal.scale + signal.offset))
     return float(ends[0]), float(ends[1])
 
@@ -216,7 +220,9 @@ def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
         foreign = {can_id: count for (index, can_id), count in observation.foreign.items() if index == bus}
         if foreign:
             ids = ", ".join(_identifier(can_id) for can_id in sorted(foreign))
-            notes.append(f"{name}: {len(foreign)} identifiers ({sum(foreign.values())} frames) are in no database: {ids}")
+            notes.append(
+                f"{name}: {len(foreign)} identifiers ({sum(foreign.values())} frames) are in no database: {ids}"
+            )
         doubled = sorted(message for index, message in observation.doubled if index == bus)
         if doubled:
             notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")

@@ -10,7 +10,7 @@ import tomlkit
 from tomlkit.items import Item
 
 #: Tables that lines belong to.
-CHECK, SIGNAL, RULE = "check", "signal", "rule"
+CHECK, SIGNAL, RULE, CAUSE = "check", "signal", "rule", "fault"
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Line:
 
     Attributes:
         bus: name of the bus.
-        table: CHECK, SIGNAL or RULE.
-        name: of the message, of the signal ("Message.Signal"), or of the rule.
+        table: CHECK, SIGNAL, RULE, or CAUSE: what a fault is not told beside.
+        name: of the message, of the signal ("Message.Signal"), of the rule, or of the fault.
         keys: of the entry.
         why: what it stands on, for people.
     """
@@ -38,6 +38,8 @@ class Line:
 
     def text(self) -> str:
         """Return it as it stands in the file."""
+        if self.table == CAUSE:
+            return f'"{self.name}".caused_by = {inline(self.keys["caused_by"])}'
         return f"    {inline(self.keys)},  # {self.why}"
 
 
@@ -78,7 +80,8 @@ def _item(value: Any) -> Item:
         for each in value:
             array.append(_item(each))
         return array
-    return tomlkit.item(value)
+    made: Item = tomlkit.item(value)
+    return made
 
 
 def short(value: float, digits: int = 4) -> float:

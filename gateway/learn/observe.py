@@ -23,7 +23,7 @@ from gateway.learn.snapshots import Snapshots
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup
-from gateway.signals.tables import DecodePlan, compile_plan
+from gateway.signals.tables import compile_plan
 
 #: A message that is away for so long when the log ends had ended before [ns], unless its own gaps are as long.
 GONE_NS = 2_000_000_000
@@ -132,6 +132,7 @@ class Observer:
         kept, doubled = unique_databases(databases)
         pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
         self._plan = compile_plan(kept, pgn=pgn)
+        self._last_column = 0
         self._rows: dict[int, int] = {}
         self._made = [self._seen(row, kept) for row in range(len(self._plan.message_names))]
         self._foreign: Counter[tuple[int, int]] = Counter()
@@ -143,13 +144,11 @@ class Observer:
         bus, name = self._plan.message_names[row]
         message = dict(databases)[bus].message(name)
         by_place = {
-            ref.signal: place
-            for ref, place in self._plan.positions.items()
-            if (ref.bus, ref.message) == (bus, name)
+            ref.signal: place for ref, place in self._plan.positions.items() if (ref.bus, ref.message) == (bus, name)
         }
         by_name = {signal.name: signal for signal in message.signals}
         signals = [by_name[each] for each in sorted(by_place, key=lambda each: by_place[each])]
-        first = 0 if row == 0 else self._last_column
+        first = self._last_column
         self._last_column = first + len(signals)
         courses = Courses([no_value(signal) for signal in signals])
         return Seen(bus, message, signals, slice(first, self._last_column), courses)

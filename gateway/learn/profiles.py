@@ -34,9 +34,7 @@ def e2e_claim(message: Message, found_with: Payloads, proof: Payloads) -> Claim 
         found_with: frames, one after the other.
         proof: others.
     """
-    tried = 0
     for keys, free_bits, note in _candidates(message, found_with):
-        tried += 1
         claim = proven(message, {"e2e": keys}, proof, free_bits=free_bits, hypotheses=1 << 10, note=note)
         if claim is not None and _counts(claim.protection, found_with):
             return claim

@@ -1,4 +1,4 @@
-"""The configuration that was learned, replayed: it must be silent on the whole log, above all on what it did not see."""
+"""The learned configuration, replayed: it must be silent on the whole log, above all on what it did not see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a message is protected: its counter and its checksum, or its E2E profile, found in frames and proven on others."""
+"""How a message is protected: counter and checksum, or E2E profile, found in frames and proven on others."""
 
 from __future__ import annotations
 
@@ -41,9 +41,7 @@ class ProtectionFound:
     frames: int
 
 
-def protection_found(
-    message: Message, file: Path, runs: Sequence[Payloads], *, whole: bool = True
-) -> ProtectionFound:
+def protection_found(message: Message, file: Path, runs: Sequence[Payloads], *, whole: bool = True) -> ProtectionFound:
     """Find what protects a message.
 
     Args:

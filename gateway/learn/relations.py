@@ -86,7 +86,7 @@ def _correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore", divide="ignore"):
         found = product / np.sqrt(square * square.T)
     found[both < LEAST_ROWS] = 0.0
-    return np.nan_to_num(found)
+    return np.asarray(np.nan_to_num(found), np.float64)
 
 
 def _groups(correlation: NDArray[np.float64]) -> list[list[int]]:

@@ -15,7 +15,7 @@ from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound
 from gateway.learn.relations import Relation, relations
 
-#: Largest deviation seen -> tolerance, at least this share of the largest value: logs seldom show tight turns, slip, ...
+#: Largest deviation seen -> tolerance, at least this share of the largest value: logs seldom show tight turns, slip.
 WIDER, LEAST = 2.0, 0.15
 
 
@@ -31,9 +31,7 @@ def rule_lines(
             column = seen.columns.start + k
             names[column] = seen, signal
             named = called_counter(signal.name) or called_checksum(signal.name)
-            allowed[column] = not (
-                named or signal.name in own or signal.is_multiplexer or seen.courses.each[k].states
-            )
+            allowed[column] = not (named or signal.name in own or signal.is_multiplexer or seen.courses.each[k].states)
     lines: dict[str, Line] = {}
     for relation in relations(observation.snapshots.matrix(), allowed):
         line = _line(relation, names, buses)
@@ -75,9 +73,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
     tolerance = _up(max(WIDER * relation.worst + rounding + step, LEAST * high))
     others = "_".join(names[column][1].name for column in relation.by)
     name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{seen.message.name}_{signal.name}_by_{others}")
-    why = (
-        f"largest deviation {shown(relation.worst)} at {relation.rows} times, movements agree to {relation.movement:.3f}"
-    )
+    why = f"at most {shown(relation.worst)} off at {relation.rows} times, movements agree to {relation.movement:.3f}"
     return Line(buses[seen.bus], RULE, name, {"name": name, "holds": text, "tolerance": tolerance}, why)
 
 

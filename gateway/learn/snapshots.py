@@ -41,7 +41,7 @@ class Snapshots:
         """Return the times of a batch that rows are wanted of."""
         if self._next_ns is None:
             self._next_ns = first_ns + self._step_ns
-        times = np.arange(self._next_ns, last_ns + 1, self._step_ns, np.int64)
+        times: NDArray[np.int64] = np.arange(self._next_ns, last_ns + 1, self._step_ns, dtype=np.int64)
         if len(times):
             self._next_ns = int(times[-1]) + self._step_ns
         self._block = np.full((len(times), len(self._held)), np.nan)

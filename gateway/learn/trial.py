@@ -115,7 +115,7 @@ def _of_signal(line: Line, bus: int, database: Database, monitor: str, period: f
     if line.keys.get("invalid") == "auto":
         yield trial("value", no_value(signal)[0], "invalid")
     if "gradient" in line.keys:
-        size = 0.75 * line.keys["gradient"] * period  # up and down by it is one and a half times the limit
+        size = 1.5 * line.keys["gradient"] * period  # up and down by it is three times the limit
         least, most = line.keys.get("plausible", (low, high))
         if 0 < size < 0.25 * (most - least):
             yield trial("jump", size, "gradient")
@@ -158,9 +158,7 @@ def chosen(all_: Sequence[Trial], most: int, rng: np.random.Generator) -> list[T
     return [all_[k] for k in np.sort(rng.choice(len(all_), most, replace=False))]
 
 
-def tried(
-    proof: Replayed, some: Sequence[Trial], seed: int, progress: Callable[[int, int], None]
-) -> list[Outcome]:
+def tried(proof: Replayed, some: Sequence[Trial], seed: int, progress: Callable[[int, int], None]) -> list[Outcome]:
     """Put each fault into the first window that was held out; returns what came of it."""
     if not proof.windows:
         return []

@@ -54,7 +54,7 @@ def widened(line: Line, kind: str, alarm: Alarm, again: bool) -> tuple[Line | No
 def _left(line: Line, keys: Mapping[str, Any]) -> bool:
     """Tell whether a line still asks for something."""
     if line.table == SIGNAL:
-        return bool(set(keys) - {"signal", "name", "failed_ms", "passed_ms"}) and keys.get("invalid") != [] or bool(
+        return (bool(set(keys) - {"signal", "name", "failed_ms", "passed_ms"}) and keys.get("invalid") != []) or bool(
             set(keys) & {"plausible", "gradient", "stuck", "undefined"}
         )
     return line.table != RULE or "holds" in keys

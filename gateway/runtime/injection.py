@@ -32,9 +32,10 @@ SIGNAL_KINDS = ("stuck", "offset", "value", "jump")
 #: Of these, those that want a number.
 _NUMBERED = ("offset", "value", "jump")
 
+_NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _TEXT = re.compile(
     r"(?P<kind>[a-z]+) +(?P<target>[^\s=]+)(?: *= *(?P<value>[^\s]+))?"
-    r"(?: +@ *(?P<first>[0-9.]+)(?: *\.\. *(?P<last>[0-9.]+))?)?\s*"
+    rf"(?: +@ *(?P<first>{_NUMBER})(?: *\.\. *(?P<last>{_NUMBER}))?)?\s*"
 )
 
 #: What is to be written, for messages of errors.
@@ -86,7 +87,8 @@ def parse_injection(text: str, names: Sequence[str], databases: Sequence[Databas
     of_signal = kind in SIGNAL_KINDS
     if len(parts) != (2 if of_signal else 1):
         wanted = "Message.Signal" if of_signal else "Message"
-        raise InputError(f"{kind} is a fault of a {wanted.lower()}: {wanted}; {USAGE}", key=key, value=text)
+        what = "signal" if of_signal else "whole message"
+        raise InputError(f"{kind} is a fault of a {what}, {wanted}; {USAGE}", key=key, value=text)
     if (found["value"] is not None) != (kind in _NUMBERED):
         wanted = "wants" if kind in _NUMBERED else "has no"
         raise InputError(f"{kind} {wanted} a value; {USAGE}", key=key, value=text)

@@ -15,7 +15,8 @@ from cantools.database.can.signal import Signal
 from gateway.errors import InputError, nearest
 
 _LINE = re.compile(r"line (\d+)")
-_SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+#: Of files that hold a database.
+SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
 
 
 class Database:
@@ -103,8 +104,8 @@ def load_database(paths: Sequence[Path]) -> Database:
 
 def _load(path: Path) -> list[Message]:
     suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise InputError(f"a database is one of {', '.join(_SUFFIXES)}", file=path)
+    if suffix not in SUFFIXES:
+        raise InputError(f"a database is one of {', '.join(SUFFIXES)}", file=path)
     try:
         loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
     except OSError as error:

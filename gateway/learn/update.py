@@ -1,0 +1,88 @@
+"""Another drive added to a configuration that was learned before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from gateway.errors import InputError
+from gateway.learn.document import BusAsked
+from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line, short
+from gateway.learn.merge import File, of_a_person, read
+from gateway.learn.state import Kept
+
+
+def read_file(out: Path) -> File:
+    """Read the configuration as it is now.
+
+    Raises:
+        InputError: it cannot be read, or is not TOML.
+    """
+    try:
+        return read(out.read_text())
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=out) from error
+    except ValueError as error:
+        raise InputError(f"not TOML: {error}", file=out) from error
+
+
+def add_before(learned: Learned, before: Kept, file: File, buses: tuple[BusAsked, ...]) -> set[tuple[str, str, str]]:
+    """Add what earlier logs said to what the new ones do; returns a person's places, which are taken out.
+
+    What earlier logs said of a message that did not come now stays. A relation keeps the wider of its tolerances. A
+    protection that was proven before and for which the new logs have too few frames stays.
+    """
+    kept = of_a_person(file, before.written)
+    names = {bus.name for bus in buses}
+    for place, line in before.written.items():
+        if place[0] not in names:
+            continue
+        new = learned.lines.get(place)
+        learned.lines[place] = line if new is None else _joined(line, new)
+    _in_order(learned)
+    for place in kept:
+        learned.lines.pop(place, None)
+    return kept
+
+
+def _joined(old: Line, new: Line) -> Line:
+    """Return the line of all logs: of the new one, which has counted the old logs in, with what only the old say."""
+    keys = dict(new.keys)
+    why = new.why
+    if new.table == RULE:
+        return old if old.keys["tolerance"] >= new.keys["tolerance"] else new
+    if new.table == CHECK:
+        if not {"e2e", "crc", "checksum", "counter"} & set(keys):
+            for name in ("e2e", "crc", "checksum", "counter"):
+                if name in old.keys:
+                    keys[name] = old.keys[name]
+                    why += f"; {name} of earlier logs"
+        if "timeout_ms" in keys and "timeout_ms" in old.keys:
+            keys["timeout_ms"] = max(keys["timeout_ms"], old.keys["timeout_ms"])
+        for name in ("length", "value"):
+            if old.keys.get(name) is False:
+                keys[name] = False
+    if new.table == SIGNAL:
+        _widest(keys, old)
+    return Line(new.bus, new.table, new.name, keys, why)
+
+
+def _widest(keys: dict[str, Any], old: Line) -> None:
+    """Keep the wider of two limits: the old one may have been widened since healthy logs broke it."""
+    before = old.keys
+    for name in ("plausible", "gradient", "stuck", "undefined"):
+        if name in keys and name not in before:
+            del keys[name]  # it was taken out, or the earlier logs did not carry it
+    if "plausible" in keys:
+        (low, high), (least, most) = keys["plausible"], before["plausible"]
+        keys["plausible"] = [short(min(low, least)), short(max(high, most))]
+    if "gradient" in keys:
+        keys["gradient"] = max(keys["gradient"], before["gradient"])
+    if before.get("invalid") == [] and "invalid" in keys:
+        keys["invalid"] = []
+
+
+def _in_order(learned: Learned) -> None:
+    """Put the lines in the order of the tables."""
+    order = {CHECK: 0, SIGNAL: 1, RULE: 2}
+    learned.lines = dict(sorted(learned.lines.items(), key=lambda item: order[item[1].table]))
