@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,9 @@ from gateway.errors import InputError
 from gateway.learn.claims import Claim, proven
 from gateway.learn.columns import bits_of
 from gateway.learn.counters import CounterFound
+from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged
-from gateway.learn.polynomials import polynomial_of, solved
 from gateway.signals.bits import field_of, mask_of
-from gateway.signals.protection.checksum import LIST
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
@@ -111,7 +110,7 @@ def _unnamed(
     """Yield what fits the frames, and what was free to be chosen for it [bit]."""
     if signal.length <= 16:
         yield from ((keys, signal.length) for keys in _sums(message, signal, frames))
-    yield from _polynomials(message, signal, counter, frames)
+    yield from crcs(message, signal, counter, frames, _ranges(message, signal))
 
 
 def _protection(message: Message, keys: Keys) -> Protection | None:
@@ -179,94 +178,3 @@ def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
                     made = {"checksum": keys | ({"plus": plus} if plus else {})}
                     if _fits(message, made, frames):
                         yield made
-
-
-def _polynomials(
-    message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
-) -> Iterator[tuple[Keys, int]]:
-    """Yield CRCs whose polynomial is recovered from differences of frames."""
-    own = mask_of(field_of(signal))
-    checksums = bits_of(frames.words, field_of(signal))
-    whole = frames.bytes[:, : message.length].copy()
-    kept = []
-    for k in range(message.length):
-        part = own >> (8 * k) & 0xFF
-        whole[:, k] &= 0xFF & ~part
-        if part != 0xFF:
-            kept.append(k)
-    groups = [np.arange(len(frames))]
-    if counter is not None:  # frames of one value: what goes in by the counter is the same for them
-        values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
-        each, count = np.unique(values, return_counts=True)
-        groups.append(np.flatnonzero(values == each[count.argmax()]))
-    for over in _ranges(message, signal):
-        first, last = over.get("over", (0, message.length))
-        covered = whole[:, [k for k in kept if first <= k < last]]
-        for refin in (False, True):
-            for refout in (False, True):
-                for group in groups:
-                    if len(group) < FIRST_LOOK:
-                        continue
-                    poly = polynomial_of(
-                        covered[group], [int(c) for c in checksums[group]], signal.length, refin=refin, refout=refout
-                    )
-                    if poly is None:
-                        continue
-                    crc = {"signal": signal.name, "width": signal.length, "poly": poly}
-                    crc |= {"refin": True} if refin else {}
-                    crc |= {"refout": True} if refout else {}
-                    yield from _constants(message, {**crc, **over}, counter, frames, signal.length)
-                    break
-
-
-def _constants(
-    message: Message, crc: Keys, counter: CounterFound | None, frames: Payloads, width: int
-) -> Iterator[tuple[Keys, int]]:
-    """Yield a CRC with the constant, or the list by the counter's value, that makes it that of the frames."""
-    asked = _protection(message, {"crc": crc})
-    if asked is None:
-        return
-    difference = judged(frames, asked).difference
-    if (difference == difference[0]).all():
-        constant = int(difference[0])
-        yield {"crc": crc | ({"xorout": constant} if constant else {})}, 2 * width
-        return
-    if counter is None or counter.first + counter.modulus > LIST:
-        return
-    listed = _by_counter(message, crc, counter, frames)
-    if listed is not None:
-        yield {"crc": crc | {"data_id": {"bytes": listed, "place": "by_counter"}}}, width + 8 * LIST
-
-
-def _by_counter(message: Message, crc: Keys, counter: CounterFound, frames: Payloads) -> Sequence[int] | None:
-    """Return the byte that goes in for each value of the counter, None where there is none."""
-    plain = {"signal": counter.signal}
-    values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
-
-    def difference(byte: int, some: Payloads) -> Any:
-        keys = {"crc": crc | {"data_id": {"bytes": [byte] * LIST, "place": "by_counter"}}, "counter": plain}
-        asked = _protection(message, keys)
-        assert asked is not None
-        return judged(some, asked).difference
-
-    listed = []
-    for value in range(LIST):
-        mine = frames[values == value]
-        if not len(mine):
-            if counter.first <= value < counter.first + counter.modulus:
-                return None  # a value that it has, and that never came: nothing is known of its byte
-            listed.append(0)
-            continue
-        zero = difference(0, mine)
-        if (zero != zero[0]).any():
-            return None
-        images = [int(difference(1 << k, mine[:1])[0] ^ zero[0]) for k in range(8)]
-        byte = solved(images, int(zero[0]))
-        if byte is None:
-            return None
-        listed.append(byte)
-    return listed
-
-
-def _signal(message: Message, name: str) -> Signal:
-    return next(signal for signal in message.signals if signal.name == name)

@@ -72,7 +72,7 @@ def trials(
             yield from _of_check(line, bus, seconds)
         elif line.table == SIGNAL:
             period = periods_s.get((bus, line.name.rpartition(".")[0]), 0.0)
-            yield from _of_signal(line, bus, databases[bus], monitor_name(line.bus, SIGNAL, buses), period)
+            yield from _of_signal(line, bus, databases[bus], monitor_name(line.bus, SIGNAL, buses), period, seconds)
         elif line.table == RULE:
             yield from _of_rule(line, index, databases, buses)
 
@@ -93,7 +93,9 @@ def _of_check(line: Line, bus: int, seconds: float) -> Iterator[Trial]:
         yield trial("flip", "crc")
 
 
-def _of_signal(line: Line, bus: int, database: Database, monitor: str, period: float) -> Iterator[Trial]:
+def _of_signal(
+    line: Line, bus: int, database: Database, monitor: str, period: float, seconds: float
+) -> Iterator[Trial]:
     message, _, name = line.name.rpartition(".")
     signal = database.signal(message, name)
     prefix = f"{monitor}.{line.keys.get('name', name)}"
@@ -119,7 +121,7 @@ def _of_signal(line: Line, bus: int, database: Database, monitor: str, period: f
         least, most = line.keys.get("plausible", (low, high))
         if 0 < size < 0.25 * (most - least):
             yield trial("jump", size, "gradient")
-    if "stuck" in line.keys:
+    if "stuck" in line.keys and line.keys["stuck"]["seconds"] < seconds - LEAD_S - 1.0:
         yield trial("stuck", 0.0, "stuck")
     if line.keys.get("undefined"):
         unknown = _undefined(signal)

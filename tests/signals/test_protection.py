@@ -7,6 +7,7 @@ import e2e
 import numpy as np
 import pytest
 from amount import amount, examples
+from e2e_frames import CASES, DATABASES, E2E, MODES, drawn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from opendbc.can.dbc import DBC
@@ -77,40 +78,6 @@ def test_there_are_many_crcs():
     assert {crc._width for crc in CRCS} >= {4, 5, 6, 7, 8, 10, 16, 32, 64}
 
 
-#: Profile -> what makes a frame, bytes of the header, bits of the data id.
-E2E = {
-    "P01": (e2e.p01.e2e_p01_protect, 2, 16),
-    "P02": (e2e.p02.e2e_p02_protect, 2, 0),
-    "P04": (e2e.p04.e2e_p04_protect, 12, 32),
-    "P05": (e2e.p05.e2e_p05_protect, 3, 16),
-    "P06": (e2e.p06.e2e_p06_protect, 5, 16),
-    "P07": (e2e.p07.e2e_p07_protect, 20, 32),
-    "P11": (e2e.p11.e2e_p11_protect, 2, 16),
-}
-MODES = {"both": "BOTH", "alternating": "ALT", "low": "LOW", "nibble": "NIBBLE"}
-CASES = [
-    (profile, mode) for profile in E2E for mode in {"P01": MODES, "P11": ("both", "nibble")}.get(profile, ("both",))
-]
-
-
-def drawn(profile, mode, seed):
-    """Return a random header, and what makes a frame for it as autosar-e2e does."""
-    rng = random.Random(f"{profile} {mode} {seed}")
-    make, header, bits = E2E[profile]
-    length = rng.choice([n for n in (2, 4, 8, 12, 16, 24, 32, 64) if n > header])
-    offset = 0 if profile == "P02" else rng.randint(0, length - header)
-    if profile == "P02":
-        ids = bytes(rng.randbytes(16))
-        return Header(length, data_ids=ids), lambda data: make(data, ids, increment_counter=True)
-    data_id = rng.getrandbits(bits)
-    options = {"offset": offset, "increment_counter": True}
-    if profile in ("P01", "P11"):
-        if mode == "nibble":
-            data_id &= 0xFFF
-        options["data_id_mode"] = getattr(getattr(e2e, profile.lower()), f"E2E_{profile}_DATAID_{MODES[mode]}")
-    return Header(length, data_id, mode=mode, offset=offset), lambda data: make(data, data_id, **options)
-
-
 @pytest.mark.parametrize(("profile", "mode"), CASES)
 def test_e2e_frames_of_another_program_are_accepted_and_any_flip_is_not(profile, mode):
     for seed in range(amount(20)):
@@ -145,15 +112,6 @@ def test_e2e_frames_of_ours_are_theirs(profile, mode):
             known = bytes(header.data_ids) if profile == "P02" else header.data_id
             assert check(data, known, **options), f"seed {seed}, frame {sent}"
             assert checked.fits(data)
-
-
-DATABASES = {
-    "body": "comma_body", "chrysler": "chrysler_pacifica_2017_hybrid_generated", "fca_giorgio": "fca_giorgio",
-    "honda": "honda_civic_touring_2016_can_generated", "hyundai_canfd": "hyundai_canfd_generated",
-    "psa": "psa_aee2010_r3", "subaru": "subaru_global_2017_generated", "tesla": "tesla_model3_party",
-    "toyota": "toyota_new_mc_pt_generated", "volkswagen_mlb": "vw_mlb", "volkswagen_mqb": "vw_mqb",
-    "volkswagen_pq": "vw_pq",
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("rule", DATABASES)

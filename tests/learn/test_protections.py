@@ -1,0 +1,195 @@
+"""What protects a message, found in its frames: profiles with random ids, carmakers' rules, any CRC; not in noise."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from amount import amount
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from e2e_frames import CASES, DATABASES, E2E, drawn
+from opendbc.can.dbc import DBC
+from opendbc.can.packer import CANPacker
+
+from gateway.learn.judged import Payloads, judged
+from gateway.learn.protections import protection_found
+from gateway.signals.bits import field_of
+from gateway.signals.database import load_database
+from gateway.signals.protection.checksum import Checksum
+from gateway.signals.protection.crc import Crc
+from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill, protect_all
+
+NOWHERE = Path("made_up.dbc")
+
+
+def payloads(frames):
+    data = np.zeros((len(frames), 64), np.uint8)
+    for row, frame in zip(data, frames, strict=True):
+        row[: len(frame)] = np.frombuffer(bytes(frame), np.uint8)
+    return Payloads(data.view("<u8").reshape(len(frames), 8), np.array([len(f) for f in frames], np.int64))
+
+
+def message_of(length, *signals):
+    named = {signal.start // 8 for signal in signals}
+    rest = [Signal(f"Byte{k}", 8 * k, 8) for k in range(length) if k not in named]
+    return Message(0x123, "M", length, [*signals, *rest], strict=False)
+
+
+@pytest.mark.parametrize(("profile", "mode"), CASES)
+def test_e2e_profiles_with_random_ids_are_recovered(profile, mode):
+    """Frames of another program: what was found accepts all later ones, and says the id where frames show it."""
+    tried = 0
+    for seed in range(amount(100, 5)):
+        header, protect_frame = drawn(profile, mode, seed)
+        if header.length == E2E[profile][1]:
+            continue  # a header alone: sixteen different frames prove no list of sixteen ids
+        tried += 1
+        rng = random.Random(seed)
+        data, frames = bytearray(rng.randbytes(header.length)), []
+        for _ in range(400):
+            for k in {*range(header.offset), *range(header.offset + E2E[profile][1], header.length)}:
+                if rng.random() < 0.3:
+                    data[k] = rng.getrandbits(8)
+            protect_frame(data)
+            frames.append(bytes(data))
+        found = protection_found(message_of(header.length), NOWHERE, [payloads(frames[:300])])
+        assert found.claim is not None, f"seed {seed}"
+        assert "e2e" in found.claim.keys, f"seed {seed}: {found.claim.keys}"
+        later = payloads(frames[300:])
+        assert judged(later, found.claim.protection).good.all(), f"seed {seed}"
+        wrong = Payloads(later.words ^ np.uint64(1 << 8 * (header.offset % 8)), later.lengths)
+        assert header.offset >= 8 or not judged(wrong, found.claim.protection).good.any(), f"seed {seed}"
+        keys = found.claim.keys["e2e"]
+        if profile in ("P04", "P05", "P06", "P07") or mode == "alternating":
+            assert keys["data_id"] == header.data_id, f"seed {seed}"
+        elif profile == "P02":
+            assert keys["data_ids"] == list(header.data_ids), f"seed {seed}"
+        else:
+            assert "one of 256" in found.claim.note, f"seed {seed}: 8 bits cannot tell 16"
+    assert tried >= 3
+
+
+@pytest.mark.parametrize("rule", DATABASES)
+def test_rules_of_carmakers_are_recovered(rule, tmp_path):
+    """Frames of opendbc's packer, without the name of the file that would say the carmaker."""
+    name = DATABASES[rule]
+    packer, rng = CANPacker(name), random.Random(rule)
+    file = tmp_path / "car.dbc"
+    tried = 0
+    for message in DBC(name).msgs.values():
+        field = next((s for s in message.sigs.values() if s.calc_checksum is not None), None)
+        if field is None or message.size > 64 or tried == amount(40, 6):
+            continue
+        others = [s for s in message.sigs.values() if s is not field and "COUNTER" not in s.name.upper()]
+        if sum(s.size for s in others) < 16:
+            continue  # too few different frames to prove anything
+        tried += 1
+        mine = next((s for s in message.sigs.values() if "COUNTER" in s.name.upper()), None)
+        frames = []
+        for sent in range(1200):
+            values = {s.name: rng.getrandbits(s.size) * s.factor + s.offset for s in others}
+            values |= {} if mine is None else {mine.name: sent % (1 << mine.size)}
+            frames.append(packer.make_can_msg(message.name, 0, values)[1])
+        signals = [
+            Signal(s.name, s.start_bit, s.size,
+                   byte_order="little_endian" if s.is_little_endian else "big_endian")
+            for s in message.sigs.values() if s is field or s is mine
+        ]  # fmt: skip
+        described = Message(
+            message.address,
+            message.name,
+            message.size,
+            signals,
+            is_extended_frame=message.address > 0x7FF,
+            strict=False,
+        )
+        found = protection_found(described, file, [payloads(frames[:900])])
+        assert found.claim is not None, message.name
+        assert judged(payloads(frames[900:]), found.claim.protection).good.all(), message.name
+        assert found.claim.matched == found.claim.frames, message.name
+        assert mine is None or mine.size < 2 or (found.counter is not None and found.counter.signal == mine.name)
+    assert tried >= 1
+
+
+def crc_frames(rng, crc, length, listed):
+    """Return a message with a CRC in its first bytes and a counter, and 700 frames of it."""
+    size = -(-crc.width // 8)
+    field, counter = Signal("Check", 0, crc.width), Signal("Alive", 8 * size, 4)
+    message = message_of(length, field, counter)
+    asked = Protection(
+        Checksum(crc, by_counter=listed),
+        field_of(field),
+        Counter(field_of(counter), 15 if listed else 16),
+    )
+    data = np.zeros((700, 64), np.uint8)
+    row = bytearray(rng.randbytes(length))
+    for k in range(700):
+        for at in range(size, length):
+            if rng.random() < 0.4:
+                row[at] = rng.getrandbits(8)
+        data[k, :length] = np.frombuffer(bytes(row), np.uint8)
+    made = payloads([bytes(each[:length]) for each in data])
+    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+    fill(rows[0], asked, tables)
+    protect_all(made.words, made.lengths, rows.view(np.recarray)[0], tables.array(), 0)
+    return message, made
+
+
+@pytest.mark.parametrize("width", [8, 16, 24, 32])
+def test_crcs_of_any_polynomial_are_recovered(width):
+    """Polynomial, reflection, and what is constant, or a byte by the counter, from frames alone."""
+    for seed in range(amount(60, 6)):
+        rng = random.Random(f"{width} {seed}")
+        both = rng.random() < 0.5
+        crc = Crc(width, rng.getrandbits(width) | 1, rng.getrandbits(width), both, both, rng.getrandbits(width))
+        listed = tuple(rng.randbytes(16)) if rng.random() < 0.5 else ()
+        message, made = crc_frames(rng, crc, rng.choice([8, 12, 20]), listed)
+        found = protection_found(message, NOWHERE, [made[:500]])
+        assert found.counter is not None, f"seed {seed}"
+        assert found.counter.modulus == (15 if listed else 16), f"seed {seed}"
+        assert found.claim is not None, f"seed {seed}"
+        assert judged(made[500:], found.claim.protection).good.all(), f"seed {seed}"
+
+
+def test_nothing_is_claimed_for_random_bytes():
+    """Messages that look protected (a field called CHECKSUM, a counter) and whose bytes are chance."""
+    count = amount(1000, 60)
+    for seed in range(count):
+        rng = random.Random(seed)
+        length = rng.choice([4, 8, 8, 8, 16, 64])
+        data, frames, often = bytearray(rng.randbytes(length)), [], rng.random()
+        for sent in range(600):
+            for k in range(length):
+                if rng.random() < often:
+                    data[k] = rng.getrandbits(8)
+            data[0] = rng.getrandbits(8)
+            data[1] = (data[1] & 0xF0) | (sent & 15)
+            frames.append(bytes(data))
+        message = message_of(length, Signal("CHECKSUM", 0, 8), Signal("COUNTER", 8, 4))
+        found = protection_found(message, NOWHERE, [payloads(frames)])
+        assert found.claim is None, f"seed {seed}: {found.claim}"
+        assert found.counter is not None, f"seed {seed}"
+        assert found.counter.signal == "COUNTER", f"seed {seed}"
+        assert found.unexplained == ("CHECKSUM",), f"seed {seed}"
+
+
+def test_frames_that_do_not_change_prove_nothing():
+    """Constant frames fit many rules: none is claimed."""
+    message = message_of(8, Signal("CHECKSUM", 0, 8), Signal("COUNTER", 8, 4))
+    found = protection_found(message, NOWHERE, [payloads([bytes(8)] * 500)])
+    assert found.claim is None
+    assert found.counter is None
+
+
+def test_what_a_database_says_is_believed_only_with_proof(tmp_path):
+    """opendbc's names say Toyota; frames that are none are not called so."""
+    file = tmp_path / "toyota_x.dbc"
+    file.write_text('VERSION ""\nBS_:\nBU_: A\nBO_ 291 M: 8 A\n SG_ CHECKSUM : 63|8@0+ (1,0) [0|255] "" A\n')
+    message = load_database([file]).message("M")
+    rng = random.Random(1)
+    frames = [rng.randbytes(8) for _ in range(400)]
+    assert protection_found(message, file, [payloads(frames)]).claim is None
+    right = [bytes([*f[:7], (sum(f[:7]) + 8 + 0x01 + 0x23) & 0xFF]) for f in frames]
+    found = protection_found(message, file, [payloads(right)])
+    assert found.claim.keys["checksum"]["rule"] == "toyota"
