@@ -132,6 +132,8 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"proof: silent on all, and on {found['held_out_frames']} frames, {found['held_out_s']:.0f} s held out")
     if result.outcomes:
         print(f"{found['faults_named']} of {found['faults_tried']} faults put into these were named")
+    if result.conditions:
+        print(f"the logs themselves: {', '.join(result.conditions)}")
     for note in result.learned.notes:
         print(note if len(note) <= 78 else f"{note[:75]}...")
     print(f"{asked.out.with_suffix('.md')}: the evidence. Next: gateway check {asked.out}")

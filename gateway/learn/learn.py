@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import numpy as np
 
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import load_databases
+from gateway.engine.checks.memory_health import OWNER
 from gateway.errors import InputError
 from gateway.learn.derive import derive
 from gateway.learn.document import BusAsked, document
@@ -27,8 +29,8 @@ from gateway.learn.update import add_before, read_file
 from gateway.learn.widen import owner, widened
 from gateway.signals.database import Database
 
-#: The configuration is replayed and widened so often at most.
-ROUNDS = 6
+#: A limit is widened so often, then taken out; the configuration is replayed so often at most.
+WIDENED, ROUNDS = 3, 8
 
 #: Told: what is done, log or number, how far it is (0 to 1).
 Progress = Callable[[str, str, float], None]
@@ -69,6 +71,7 @@ class Result:
         text: of the configuration.
         changes: what was widened, one line each.
         alarms: faults that healthy logs set still, none if all is well.
+        conditions: faults of the logs themselves: their clock was set, the bus was off.
         held_s, held_frames: what was held out.
         outcomes: of the faults that were put into it.
         possible: how many faults a limit can show; those tried were drawn from them.
@@ -81,6 +84,7 @@ class Result:
     text: str
     changes: list[str] = field(default_factory=list)
     alarms: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
     held_s: float = 0.0
     held_frames: int = 0
     outcomes: list[Outcome] = field(default_factory=list)
@@ -157,7 +161,7 @@ def settle(
     progress: Progress,
 ) -> None:
     """Replay the lines on the logs, widen what alarms until they are silent, and put faults in."""
-    before: set[tuple[tuple[str, str, str], str]] = set()
+    before: Counter[tuple[tuple[str, str, str], str]] = Counter()
     proof: Replayed | None = None
     for number in range(ROUNDS):
         result.text = compose()
@@ -165,7 +169,9 @@ def settle(
         with _beside(asked.out, result.text) as path:
             proof = replayed(path, result.observation.logs, asked.maps, _of_logs(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
-        result.alarms = tuple(sorted(proof.alarms))
+        own = {fault for fault in proof.alarms if _of_log(fault, [bus.name for bus in asked.buses])}
+        result.alarms = tuple(sorted(set(proof.alarms) - own))
+        result.conditions = tuple(sorted(own))
         if not _widen(asked, result, proof, before):
             break
     assert proof is not None
@@ -173,11 +179,17 @@ def settle(
         _try(asked, result, proof, databases, progress)
 
 
+def _of_log(fault: str, buses: Sequence[str]) -> bool:
+    """Tell whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
+    owner_, _, rest = fault.partition(".")
+    return owner_ == OWNER or (owner_ in buses and "." not in rest)
+
+
 def _of_logs(progress: Progress, said: str) -> Callable[[Path, int, float], None]:
     return lambda path, _frames, done: progress(said, path.name, done)
 
 
-def _widen(asked: Asked, result: Result, proof: Replayed, before: set[tuple[tuple[str, str, str], str]]) -> bool:
+def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[tuple[str, str, str], str]]) -> bool:
     """Widen what alarmed; returns whether anything was changed."""
     changed = False
     for fault, alarm in sorted(proof.alarms.items()):
@@ -185,8 +197,8 @@ def _widen(asked: Asked, result: Result, proof: Replayed, before: set[tuple[tupl
         if owned is None:
             continue
         line, kind = owned
-        new, said = widened(line, kind, alarm, (line.place, kind) in before)
-        before.add((line.place, kind))
+        new, said = widened(line, kind, alarm, before[line.place, kind] >= WIDENED)
+        before[line.place, kind] += 1
         if new is None:
             del result.learned.lines[line.place]
             result.learned.notes.append(f"{line.bus}: {line.name}: {said}")

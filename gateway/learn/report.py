@@ -28,6 +28,7 @@ def summary(result: Result) -> dict[str, Any]:
         "held_out_s": round(result.held_s, 3),
         "held_out_frames": result.held_frames,
         "alarms": list(result.alarms),
+        "conditions": list(result.conditions),
         "widened": result.changes,
         "faults_possible": result.possible,
         "faults_tried": len(result.outcomes),
@@ -70,6 +71,7 @@ def markdown(asked: Asked, result: Result) -> str:
         f"{found['messages']} messages: {found['timeouts']} timeouts, {found['counters']} counters,"
         f" {found['checksums']} checksums. {found['signals']} signals with limits, {found['relations']} relations.",
         _silence(result),
+        f"The logs themselves: {', '.join(result.conditions)}." if result.conditions else "",
         *_faults(result),
         *_lines(result),
         *_list("Not in it", result.learned.notes),

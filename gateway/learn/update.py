@@ -7,7 +7,7 @@ from typing import Any
 
 from gateway.errors import InputError
 from gateway.learn.document import BusAsked
-from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line, short
+from gateway.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, short
 from gateway.learn.merge import File, of_a_person, read
 from gateway.learn.state import Kept
 
@@ -32,7 +32,7 @@ def add_before(learned: Learned, before: Kept, file: File, buses: tuple[BusAsked
     What earlier logs said of a message that did not come now stays. A relation keeps the wider of its tolerances. A
     protection that was proven before and for which the new logs have too few frames stays.
     """
-    kept = of_a_person(file, before.written)
+    kept = {place for place in of_a_person(file, before.written) if place[1] != CAUSE}
     names = {bus.name for bus in buses}
     for place, line in before.written.items():
         if place[0] not in names:
