@@ -37,7 +37,9 @@ def pytest_collection_modifyitems(config, items):
             left_out.append(item)
             continue
         seen.add(name)
-        if item.get_closest_marker("chain"):
+        if not COMPILED and item.get_closest_marker("costly"):
+            left_out.append(item)
+        elif item.get_closest_marker("chain"):
             chain.append(item)
         elif item.get_closest_marker("long") or item.get_closest_marker("system"):
             left_out.append(item)
