@@ -1,5 +1,6 @@
 """Settings for all tests."""
 
+import gc
 import os
 
 import pytest
@@ -36,13 +37,22 @@ def pytest_collection_modifyitems(config, items):
             left_out.append(item)
             continue
         seen.add(name)
-        if item.get_closest_marker("chain"):
+        if not COMPILED and item.get_closest_marker("costly"):
+            left_out.append(item)
+        elif item.get_closest_marker("chain"):
             chain.append(item)
         elif item.get_closest_marker("long") or item.get_closest_marker("system"):
             left_out.append(item)
     config.hook.pytest_deselected(items=left_out)
     gone = {id(item) for item in (*chain, *left_out)}
     items[:] = chain + [item for item in items if id(item) not in gone]
+
+
+def pytest_collection_finish():
+    """What is loaded by now stays: the garbage collector need not look through it again and again."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000)  # as in the command line
 
 
 @pytest.fixture(autouse=True)

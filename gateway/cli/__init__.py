@@ -481,6 +481,8 @@ def main() -> None:
     """Run the command line; no traceback reaches a user who did not ask for it."""
     # Nearly all that a start allocates stays; to look through it after each 700 objects takes a fifteenth of a start.
     gc.set_threshold(20_000)
+    # Its matrices have some rows: a thread of numpy's BLAS waits for work in a loop, as long as a whole start takes.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     install_hooks()
     try:
         app()

@@ -135,7 +135,8 @@ def doctor(config: Path | None = None, *, memory: Path | None = None, running: b
     code = 1 if running and not healthy else 0
     lacking = no_socketcan()
     can = not lacking
-    kernels, plugins = _kernels(), _plugins()
+    kernels, plugins, extras = _kernels(), _plugins(), _extras()
+    libraries = {name: version(name) for name in _LIBRARIES}
     facts = {
         "gateway": __version__,
         "python": platform.python_version(),
@@ -145,8 +146,8 @@ def doctor(config: Path | None = None, *, memory: Path | None = None, running: b
         "buffers": _kernel_buffers(),
         "kernels": kernels,
         "daemon": daemon,
-        "libraries": {name: version(name) for name in _LIBRARIES},
-        "extras": _extras(),
+        "libraries": libraries,
+        "extras": extras,
         "plugins": plugins,
     }
     if json:
@@ -159,11 +160,11 @@ def doctor(config: Path | None = None, *, memory: Path | None = None, running: b
         print(f"CAN interfaces: {shown}")
     print(_told(kernels))
     _tell_daemon(daemon)
-    print(", ".join(f"{name} {version(name)}" for name in _LIBRARIES))
+    print(", ".join(f"{name} {found}" for name, found in libraries.items()))
     for kind, types in plugins.items():
         for name, wrong in types.items():
             print(f"{kind} type {name} of another package: {wrong or 'usable'}")
-    for extra, found in _extras().items():
-        if found is None:
+    for extra, package in extras.items():
+        if package is None:
             print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
     return code

@@ -8,10 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
-
-from cantools.database.can import Message
-from cantools.database.can.signal import Signal
+from typing import TYPE_CHECKING, Any
 
 from gateway.common.resources import shipped
 from gateway.config.codes import codes_of_messages, network_codes
@@ -31,6 +28,10 @@ from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
 from gateway.signals.tables import SignalRef
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+    from cantools.database.can.signal import Signal
 
 #: Databases of messages that the gateway itself sends.
 OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, FRAME
@@ -19,6 +18,9 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.protection import ProtectionConst, protect
 from gateway.signals.tables import encode_rows
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 #: Frames that one pass of the loop can send.
 MOST_FRAMES = 1024

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-from cantools.database.can import Message
+from typing import TYPE_CHECKING, Any
 
 from gateway.monitors.contract import Fault, Monitor, MonitorParams
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 
 @dataclass(frozen=True)

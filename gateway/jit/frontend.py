@@ -263,9 +263,11 @@ def _linked(library: Any, module: Any) -> Any:
         seen.add(id(one))
         whole.link_in(one._get_module_for_linking(), preserve=True)
         todo += one._linking_libraries
-    for symbol in (*whole.functions, *whole.global_variables):
-        if not symbol.is_declaration and symbol.name not in kept:
-            symbol.linkage = "internal"
+    inside = [s for s in (*whole.functions, *whole.global_variables) if not s.is_declaration and s.name not in kept]
+    for number, symbol in enumerate(inside):
+        symbol.linkage = "internal"
+        # numba's names count what the process has compiled before, and inlining writes them into metadata.
+        symbol.name = f"inside{number}"
     return whole
 
 

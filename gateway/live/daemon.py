@@ -89,6 +89,7 @@ class Daemon:
                 clock=self._clock,
                 tick_s=self._machine.tick_s,
                 monotonic=self._machine.monotonic,
+                settle=self._machine.settle,
             )
         except BaseException:
             for link in links:

@@ -74,6 +74,17 @@ class Fed(Protocol):
         """Put down what a successor is to find; returns the frames to send."""
 
 
+def collect_and_freeze() -> None:
+    """Take what was built for the start out of the collector's sight.
+
+    It lives until the end, or the next configuration; looking through it again and again would cost milliseconds in the
+    middle of traffic.
+    """
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
+
+
 class Live:
     """Feeds a gateway from its buses.
 
@@ -85,6 +96,7 @@ class Live:
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic [s].
         monotonic: for what is done every so often [s].
+        settle: called when everything is built, and again when it is replaced.
     """
 
     def __init__(
@@ -97,7 +109,9 @@ class Live:
         clock: Clock,
         tick_s: float = TICK_S,
         monotonic: Callable[[], float] = time.monotonic,
+        settle: Callable[[], None] = collect_and_freeze,
     ) -> None:
+        self._settle = settle
         self._gateway = gateway
         self._links = list(links)
         self._tell = tell
@@ -110,7 +124,7 @@ class Live:
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._choose()
-        _settle()
+        self._settle()
 
     @property
     def links(self) -> Sequence[Link]:
@@ -124,7 +138,7 @@ class Live:
         self._offset_ns = self._clock.told_offset_ns
         self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
         self._choose()
-        _settle()
+        self._settle()
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are."""
@@ -307,17 +321,6 @@ class Live:
 
     def _states(self) -> list[dict[str, Any]]:
         return [bus_event(link, "open" if link.running else "lost", self._clock.wall()) for link in self._links]
-
-
-def _settle() -> None:
-    """Take what was built for the start out of the collector's sight.
-
-    It lives until the end, or the next configuration; looking through it again and again would cost milliseconds in the
-    middle of traffic.
-    """
-    gc.unfreeze()
-    gc.collect()
-    gc.freeze()
 
 
 def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from gateway.bus.base import Bus
 from gateway.bus.uri import open_bus
 from gateway.faults.store import Connect
 from gateway.live.clock import Clock
-from gateway.live.loop import TICK_S
+from gateway.live.loop import TICK_S, collect_and_freeze
 from gateway.runtime.upkeep import PATIENCE_S, begin_writer
 
 
@@ -53,6 +53,7 @@ class Machine:
         patience_s: how long a single write of that thread is waited for [s].
         connect: opens the fault memory, as ``sqlite3.connect`` does.
         tick_s: longest wait without traffic [s].
+        settle: called when everything is built: it leaves the garbage collector nothing to look through.
     """
 
     clock: Clock = field(default_factory=Clock)
@@ -63,3 +64,4 @@ class Machine:
     patience_s: float = PATIENCE_S
     connect: Connect = sqlite3.connect
     tick_s: float = TICK_S
+    settle: Callable[[], None] = collect_and_freeze

@@ -8,12 +8,14 @@ spill comes from the word before.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cantools.database.can.signal import Signal
 
 from gateway.jit import Record, kernel, u1
+
+if TYPE_CHECKING:
+    from cantools.database.can.signal import Signal
 
 
 class Field(Record):

@@ -6,13 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-
-import cantools
-from cantools.database.can import Database as CanDatabase
-from cantools.database.can import Message
-from cantools.database.can.signal import Signal
+from typing import TYPE_CHECKING
 
 from gateway.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+    from cantools.database.can.signal import Signal
 
 _LINE = re.compile(r"line (\d+)")
 #: Of files that hold a database.
@@ -106,6 +106,8 @@ def _load(path: Path) -> list[Message]:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"a database is one of {', '.join(SUFFIXES)}", file=path)
+    import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
+
     try:
         loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
     except OSError as error:
@@ -115,6 +117,6 @@ def _load(path: Path) -> list[Message]:
         found = _LINE.search(text)
         line = int(found[1]) if found else None
         raise InputError(f"not a good {suffix} file: {text}", file=path, line=line) from error
-    if not isinstance(loaded, CanDatabase) or not loaded.messages:
+    if not isinstance(loaded, cantools.database.can.Database) or not loaded.messages:
         raise InputError("the file holds no CAN messages", file=path)
     return list(loaded.messages)

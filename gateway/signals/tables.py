@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from cantools.database.can import Message
-from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED
@@ -28,6 +26,10 @@ from gateway.signals.decode import (
     hashed,
     pgn_key,
 )
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+    from cantools.database.can.signal import Signal
 
 #: Length asked of a message that its database describes wrongly.
 NEVER_LONG_ENOUGH = 255

@@ -134,6 +134,7 @@ def test_the_output_is_in_the_span_and_says_whose_it_is(rows, channels, noise, d
         assert int(s["source"]) in range(7)
 
 
+@pytest.mark.costly
 @settings(max_examples=examples(200))
 @given(
     st.integers(0, 2**32 - 1),

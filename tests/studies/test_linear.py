@@ -158,7 +158,7 @@ def test_noise_makes_less_than_one_alarm_an_hour():
 
 @compiled
 def test_random_cases_are_clean():
-    cases = amount(600, 150)
+    cases = amount(600, 75)
     print(f"seeds from {FIRST_SEED} on, {cases} cases")
     rows = {row.case: row for row in holdout(cases, FIRST_SEED, ("jumps",))}
     assert sum(row.cases for row in rows.values()) == cases
@@ -169,7 +169,7 @@ def test_random_cases_are_clean():
 
 @compiled
 def test_random_cases_with_noise():
-    rows = {row.case: row for row in holdout(amount(600, 150), FIRST_SEED, ("jumps, with noise",))}
+    rows = {row.case: row for row in holdout(amount(600, 75), FIRST_SEED, ("jumps, with noise",))}
     assert rows["actuator"].clean >= 0.95
     assert rows["sensor"].clean >= 0.97
     assert rows["both"].clean >= 0.9

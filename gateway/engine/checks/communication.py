@@ -12,9 +12,8 @@ calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 in
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cantools.database.can import Message
 from pydantic import Field
 
 from gateway.common.times import NEVER
@@ -28,6 +27,9 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE = range(6)
 

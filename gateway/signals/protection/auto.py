@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cantools.database.can import Message
 from pydantic import ValidationError
 
 from gateway.common.tomlfile import input_errors
 from gateway.errors import InputErrors
 from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.params import ProtectionParams
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 #: What a database's file name begins with -> the rule of its signals CHECKSUM, and COUNTER (opendbc's convention).
 _BY_FILE = (

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from cantools.database.can import Message
 
 from gateway.errors import InputError
 from gateway.signals.bits import Field, mask_of, place
@@ -16,6 +16,9 @@ from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_fra
 from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
 from gateway.signals.protection.rules import RULES, Frame
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 
 def _candidates(message: Message) -> Iterator[tuple[str, Checksum]]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
@@ -14,6 +13,9 @@ from gateway.signals.bits import field_of
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 #: Signals that are filled, where a message has them.
 COUNTER, CRC = "FrameCnt", "Crc"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from cantools.database.can import Message
-from cantools.database.can.signal import Signal
 from pydantic import BeforeValidator, Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
@@ -16,6 +14,10 @@ from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.e2e import Header, protection_of
 from gateway.signals.protection.protection import Counter, Protection, Window
 from gateway.signals.protection.rules import RULES, Frame
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+    from cantools.database.can.signal import Signal
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
 

@@ -100,6 +100,7 @@ def test_masks_of_many_words():
     assert (unpack(pack([np.flatnonzero(row) for row in dense], dense.shape[1]), dense.shape[1]) == dense).all()
 
 
+@pytest.mark.costly
 def test_a_large_model_takes_several_words():
     """A chain of 150 variables, both ends and the middle measured: three sets, of more equations than a word
     has bits.

@@ -75,6 +75,7 @@ def test_99_sets(truck, msos):
     assert (np.diff(msos.sum(1)) >= 0).all()
 
 
+@pytest.mark.costly
 def test_2677_candidates(candidates):
     """The paper says 2667; each MSO set has as many candidates as equations, and there are 2677 of them."""
     assert len(candidates) == 2677
@@ -106,6 +107,7 @@ def test_as_printed(truck):
     assert table["S"] == (6, 33)
 
 
+@pytest.mark.costly
 def test_explicit_form(truck, msos):
     """With d/dt as equations: the same sets, more candidates, and the same numbers for the model's own equations."""
     model = truck.explicit()

@@ -102,6 +102,7 @@ def test_wheels_of_all_kinds(wheel):
     assert int(np.argmax(result.proven)) <= first + Wheel.parse(wheel).pulses + 1
 
 
+@pytest.mark.costly
 def test_a_wheel_of_equal_parts_is_followed_within_its_part():
     """Nissan VQ: three times ten teeth; which third it is only a cam can tell."""
     text = "9*1,3,9*1,3,9*1,3"
@@ -111,6 +112,7 @@ def test_a_wheel_of_equal_parts_is_followed_within_its_part():
     assert (result.teeth % 10 == teeth[1:] % 10)[result.proven].all()
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("first", [58 * 20 + 25, 58 * 20 + 55, 58 * 20 - 1])
 def test_three_and_more_in_a_row_are_loss_of_signal_and_the_labels_stay(first):
     times, teeth = engine(seconds=2.0)
@@ -132,6 +134,7 @@ def test_a_long_silence_is_loss_of_signal_and_the_next_gap_restores():
     assert result.proven[-1]
 
 
+@pytest.mark.costly
 def test_a_broken_tooth_is_missed_at_its_place_every_turn():
     times, teeth = engine(seconds=2.0)
     gone = (teeth == 20) & (np.arange(len(teeth)) > 58 * 20)

@@ -76,6 +76,7 @@ def test_the_half_of_the_cycle_is_known_and_right(form, edges):
     assert max(v["CrankAngle"] for v in values) > 600
 
 
+@pytest.mark.costly
 def test_the_half_counts_from_tooth_0_wherever_that_is():
     """The same cam described by crank angles of an engine whose tooth 0 stands at 84 degrees."""
     told = tuple(((angle + 84.0) % 720, level) for angle, level in HALF_MOON)
@@ -119,6 +120,7 @@ def test_a_cam_that_falls_silent():
     assert set(failed) == {CAM_SILENT}
 
 
+@pytest.mark.costly
 def test_edges_in_both_halves_tell_nothing_and_disturb_nothing():
     same = ((100.0, 1), (200.0, 0), (460.0, 1), (560.0, 0))
     failed, _, _, values = run("classic", same, same)

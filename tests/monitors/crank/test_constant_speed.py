@@ -65,6 +65,7 @@ def test_a_displaced_gap_has_the_papers_residual_and_names_direction_and_count(c
     np.testing.assert_allclose(residuals, sign * np.array(SHAPES[count]), atol=1e-9)
 
 
+@pytest.mark.costly
 @settings(max_examples=examples(60), deadline=None)
 @example("36-1", -1, 0.6875, 0, 7).via("a residual of just the threshold")
 @given(
@@ -95,6 +96,7 @@ def test_a_fault_in_mid_turn_is_named_and_sync_is_kept(wheel, count, share, seed
     assert bench.s[0]["revolutions"] == 10
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("wheel", ["60-2", "36-1", "30-2", "36-2-1", "57*1,3"])
 def test_a_healthy_wheel_makes_no_event_and_its_speed_is_right(wheel):
     rng = np.random.default_rng(5)

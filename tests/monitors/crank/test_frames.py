@@ -50,6 +50,7 @@ def state_of(engine, method="adaptive"):
     return state, state["fast" if method == "adaptive" else "paper"]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("form", ["classic", "fd"])
 @pytest.mark.parametrize(
     ("method", "share"),

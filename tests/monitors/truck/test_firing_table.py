@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from amount import amount
+from amount import FULL, amount
 from truck_runs import CONFIG, TABLE, TRUCK, UNISOLATED, configured, driven, fired, run
 
 from gateway.jit import COMPILED
@@ -24,9 +24,15 @@ def right(events, dtc, onset):
     return dtc in codes and codes <= {dtc, UNISOLATED} and min(t for _, t in failed) >= onset
 
 
+ONSETS = (0.0, 400.0, 840.0, 1200.0)
+#: Each fault with each onset; in CI each with two of them, so that each onset comes.
+CASES = [
+    (*row, onset) for k, row in enumerate(TABLE) for j, onset in enumerate(ONSETS) if FULL or (j - k) % len(ONSETS) < 2
+]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("onset", [0.0, 400.0, 840.0, 1200.0])
-@pytest.mark.parametrize(("fault", "dtc", "paper", "robust"), TABLE)
+@pytest.mark.parametrize(("fault", "dtc", "paper", "robust", "onset"), CASES)
 def test_exactly_the_tests_of_the_signature_fire(fault, dtc, paper, robust, onset):
     for seed in range(5000, 5000 + amount(20, 1)):
         peak, _, events = run(driven(fault, onset), seed)
