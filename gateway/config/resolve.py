@@ -5,8 +5,9 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -177,11 +178,8 @@ def _monitors(
             except InputError as error:
                 raise InputError(error.message, key=f'{key}.signals."{name}"', value=other) from error
 
-        def give(names: Iterable[str]) -> dict[str, str]:
-            return codes.give(config.bus[bus].name, names)
-
         try:
-            several = dict(parts.of(params, find, give))
+            several = dict(parts.of(params, find, partial(codes.give, config.bus[bus].name)))
         except InputError as error:
             own = f"{key}.{error.key}" if error.key else key
             raise InputError(error.message, key=own, value=error.value) from error
