@@ -16,6 +16,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
+def named(what: str, name: str, known: Iterable[str], most: int = 16) -> str:
+    """Return "<what> a, b, c; did you mean b?"; where there are many, only what is close to the name."""
+    names = sorted(known)
+    close = nearest(name, names)
+    return f"{what} {', '.join(names)}{close}" if len(names) <= most else f"{what} {len(names)}{close}"
+
+
 class GatewayError(Exception):
     """Base of every error that the command line reports without a traceback."""
 

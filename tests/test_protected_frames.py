@@ -126,7 +126,11 @@ class StateMachine:
 
 @settings(max_examples=examples(40), deadline=None)
 @given(
-    st.lists(st.sampled_from(["OK", "OK", "OK", "OK", "ERROR", "REPEATED", "WRONGSEQUENCE", "NONEWDATA"]), max_size=80),
+    st.lists(
+        st.sampled_from([*["OK"] * 6, "ERROR", "REPEATED", "WRONGSEQUENCE", *["NONEWDATA"] * 3]),
+        min_size=30,
+        max_size=80,
+    ),
     st.sampled_from([(6, (3, 2, 4), (1, 3, 1)), (3, (2, 1, 3), (0, 2, 0)), (10, (1, 1, 8), (2, 2, 1))]),
 )
 @pytest.mark.long

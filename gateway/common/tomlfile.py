@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -58,12 +59,19 @@ def key_path(location: tuple[int | str, ...]) -> str:
     return path
 
 
-def _place(location: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
-    """Return a location without the names of union members, which are no keys of the file."""
+def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> tuple[int | str, ...]:
+    """Return a location without the names of union members, which are no keys of the file.
+
+    Args:
+        location: pydantic's.
+        data: what was validated.
+        missing: its last part is a key that is not there.
+    """
     place: list[int | str] = []
     for k, part in enumerate(location):
-        last = k == len(location) - 1
-        if isinstance(part, str) and isinstance(data, dict) and part not in data and not last:
+        last = missing and k == len(location) - 1
+        known = k > 0 and data is not None  # else it may come from the environment
+        if known and isinstance(part, str) and not last and not (isinstance(data, dict) and part in data):
             continue
         place.append(part)
         try:
@@ -137,6 +145,10 @@ def _explained(
         return key, "a list: write [...]", value
     if kind in ("model_type", "dict_type") and isinstance(value, list):
         return key, f"one table: write [{_toml_name(key)}], with one bracket", None
+    if kind == "model_type":
+        here = sorted({field for of in _models_at(model, place) for field in of.model_fields})
+        keys = f" with keys of {', '.join(here)}" if 0 < len(here) <= MOST_KEYS else ""
+        return key, f"a table: write {{ ... }}{keys}", value
     if kind == "union_tag_not_found":
         tag = str(detail["ctx"]["discriminator"]).strip("'")
         return f"{key}.{tag}", "this key is missing: it tells which kind this is", None
@@ -149,6 +161,34 @@ def _explained(
     if kind == "literal_error" and isinstance(value, str):
         message += nearest(value, _expected(detail))
     return key, message, value
+
+
+#: Errors that say no more than that something is of another kind.
+_KINDS = re.compile(r"(int|float|string|bool|model|dict|tuple|literal)_(type|parsing|error)")
+
+
+def _telling(
+    details: list[Any], places: list[tuple[int | str, ...]], model: type[BaseModel] | None
+) -> Iterator[tuple[Any, tuple[int | str, ...]]]:
+    """Yield those of pydantic's errors that tell something: of a mistake that makes several, one."""
+    unknown = [place for detail, place in zip(details, places, strict=True) if detail["type"] == "extra_forbidden"]
+    told: set[tuple[int | str, ...]] = set()
+    for detail, place in zip(details, places, strict=True):
+        kind = detail["type"]
+        inner = any(other[: len(place)] == place and other != place for other in places)
+        if kind == "too_short" and inner:
+            continue  # its items are there, but wrong
+        if kind == "missing" and any(
+            other[:-1] == place[:-1] and str(place[-1]) in _unknown(str(other[-1]), _models_at(model, place[:-1]))
+            for other in unknown
+        ):
+            continue  # it is there, misspelt
+        same = [d for d, other in zip(details, places, strict=True) if other == place]
+        if _KINDS.fullmatch(kind) and len(same) + inner > 1:  # one member of a union does not take it
+            if inner or not all(_KINDS.fullmatch(other["type"]) for other in same) or place in told:
+                continue
+            told.add(place)
+        yield detail, place
 
 
 def input_errors(
@@ -170,13 +210,8 @@ def input_errors(
     """
     found = []
     details = error.errors(include_url=False)
-    places = [detail["loc"] for detail in details]
-    for detail in details:
-        here = tuple(detail["loc"])
-        inner = any(place[: len(here)] == here and place != here for place in places)
-        if detail["type"] == "too_short" and inner:
-            continue  # its items are there, but wrong
-        place = _place(here, data)
+    places = [_place(tuple(detail["loc"]), data, missing=detail["type"] == "missing") for detail in details]
+    for detail, place in _telling(details, places, model):
         own = key_path(place)
         key = f"{prefix}.{own}" if prefix and own else own or prefix
         key, message, value = _explained(detail, place, key, model)

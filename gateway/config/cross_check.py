@@ -62,9 +62,13 @@ def _checks(config: Config) -> Iterator[InputError]:
 def _shared_codes(config: Config) -> Iterator[InputError]:
     """Yield checks that have the DTCs of one before; what single faults are set to is the catalogue's to judge."""
     first: dict[str, str] = {}
+    messages: set[str] = set()
     for k, bus in enumerate(config.bus):
         for j, check in enumerate(bus.check):
             faults = f"{bus.name}.{check.message}."
+            if faults in messages:
+                continue
+            messages.add(faults)
             if bus.codes == "own" or any(name.startswith(faults) for name in config.fault):
                 continue
             key = f"bus[{k}].check[{j}]"

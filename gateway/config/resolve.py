@@ -5,8 +5,9 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.gate import CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
@@ -170,20 +171,40 @@ def _monitors(
     if parts is not None:
 
         def find(name: str) -> Signal:
-            *named, message, signal = entry.signals.get(name, name).split(".")
-            of = bus if not named else config.bus_index(".".join(named))
-            return databases[of].signal(message, signal)
+            return _signal(config, databases, bus, entry.signals.get(name, name))
 
-        def give(names: Iterable[str]) -> dict[str, str]:
-            return codes.give(config.bus[bus].name, names)
+        for name, other in entry.signals.items():
+            try:
+                find(name)
+            except InputError as error:
+                raise InputError(error.message, key=f'{key}.signals."{name}"', value=other) from error
 
         try:
-            several = dict(parts.of(params, find, give))
+            several = dict(parts.of(params, find, partial(codes.give, config.bus[bus].name)))
         except InputError as error:
             own = f"{key}.{error.key}" if error.key else key
             raise InputError(error.message, key=own, value=error.value) from error
     for name, part in several.items():
         yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
+
+
+def _signal(config: Config, databases: Sequence[Database], bus: int, name: str) -> Signal:
+    """Return a signal by ``Message.Signal`` of a bus, or ``bus.Message.Signal``.
+
+    Raises:
+        InputError: there is none.
+    """
+    *of, message, signal = name.rsplit(".", 2) if "." in name else ("", "", "")
+    if not signal:
+        close = nearest(name, [each.name for message in databases[bus] for each in message.signals])
+        having = [f"{m.name}.{each.name}" for m in databases[bus] for each in m.signals if each.name == name]
+        hint = f"; did you mean {' or '.join(having[:3])}?" if having else close
+        raise InputError(f'a signal is named "Message.Signal" or "bus.Message.Signal"{hint}')
+    try:
+        index = config.bus_index(of[0]) if of else bus
+    except InputError as error:
+        raise InputError(error.message) from error
+    return databases[index].signal(message, signal)
 
 
 def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams, database: Database) -> Message:

@@ -32,7 +32,7 @@ from gateway.engine.tables import (
     table,
 )
 from gateway.engine.wiring import Wired, wire
-from gateway.errors import InputError
+from gateway.errors import InputError, named
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS
 from gateway.signals.database import Database
@@ -283,7 +283,7 @@ def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> 
         for root in gate.roots:
             if root not in ids or root == name:
                 raise InputError(
-                    f"the faults are {', '.join(sorted(set(ids) - {name}))}",
+                    named("no such fault; known:", root, set(ids) - {name}),
                     key=f'fault."{name}".caused_by',
                     value=root,
                 )

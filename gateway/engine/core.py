@@ -245,7 +245,8 @@ class Engine:
         shown: dict[str, dict[str, float]] = {}
         for k, (instance, state) in enumerate(zip(self.monitors, self._states, strict=True)):
             values = {name: np.asarray(state[0][name]).item() for name in instance.monitor.readout}
-            values["steps"] = int(self.tables.handlers[k]["steps"])
-            values["not_tested"] = int(self.tables.handlers[k]["skipped"])
+            before = shown.get(instance.name, {})  # another part of it
+            values["steps"] = int(self.tables.handlers[k]["steps"]) + before.get("steps", 0)
+            values["not_tested"] = int(self.tables.handlers[k]["skipped"]) + before.get("not_tested", 0)
             shown[instance.name] = values
         return shown

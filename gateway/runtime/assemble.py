@@ -15,7 +15,7 @@ from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, named
 from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
@@ -140,7 +140,7 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
         raise InputErrors(
             [
                 InputError(
-                    f"no monitor reports this fault; known: {', '.join(sorted(known))}",
+                    named("no monitor reports this fault; known:", fault, known),
                     key=f'fault."{fault}"',
                 )
                 for fault in unknown

@@ -70,11 +70,16 @@ def field_at(byte: int, bits: int, *, big: bool = False, shift: int = 0) -> Any:
     return row
 
 
+def placed(row: Any, value: int) -> int:
+    """Return a payload as a number, bit 0 of the first byte lowest, that is zero but for a field."""
+    words = np.zeros(8, np.uint64)
+    write_bits(words, row.view(np.recarray) if not hasattr(row, "word") else row, np.uint64(value))
+    return int.from_bytes(words.tobytes(), "little")
+
+
 def mask_of(row: Any) -> int:
     """Return the bits of a payload that a field takes, bit 0 of the first byte lowest."""
-    words = np.zeros(8, np.uint64)
-    write_bits(words, row.view(np.recarray) if not hasattr(row, "word") else row, np.uint64(0xFFFFFFFFFFFFFFFF))
-    return int.from_bytes(words.tobytes(), "little")
+    return placed(row, 0xFFFFFFFFFFFFFFFF)
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import InputError, nearest
@@ -122,11 +122,16 @@ class SumCheck(StrictModel):
     xorout: int = Field(0, ge=0, description="applied to a sum at the end")
     over: tuple[int, int] | None = Field(None, description="as of a CRC")
 
-    @model_validator(mode="after")
-    def _known(self) -> Self:
+    @field_validator("rule")
+    @classmethod
+    def _is_known(cls, rule: str) -> str:
         known = sorted([*RULES, "sum", "xor"])
-        if self.rule not in known:
-            raise ValueError(f"the rules are {', '.join(known)}{nearest(self.rule, known)}")
+        if rule not in known:
+            raise ValueError(f"the rules are {', '.join(known)}{nearest(rule, known)}")
+        return rule
+
+    @model_validator(mode="after")
+    def _no_more(self) -> Self:
         own = {"of", "plus", "negative", "xorout", "over"} & self.model_fields_set
         if self.rule in RULES and own:
             raise ValueError(f"{', '.join(sorted(own))}: of sum and xor; {self.rule} says it itself")
@@ -238,26 +243,33 @@ class ProtectionParams(StrictModel):
         return self
 
 
-def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str) -> Signal:
+def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str, table: str = "") -> Signal:
     """Return a signal by its name, or by what such signals are called.
+
+    Args:
+        message: that has it.
+        name: None: by what it is called.
+        called: how the names of such signals end.
+        what: it is, for people.
+        table: whose key "signal" names it.
 
     Raises:
         InputError: there is none, or several are called so.
     """
-    names = [signal.name for signal in message.signals]
+    names, key = [signal.name for signal in message.signals], f"{table}.signal".lstrip(".")
     if name is None:
         found = [n for n in names if n.upper().rstrip("0123456789_").endswith(called)]
         if len(found) != 1:
             text = f"which signal of {message.name} is the {what}? Give signal; it has {', '.join(names)}"
-            raise InputError(text, key="signal")
+            raise InputError(text, key=key)
         name = found[0]
     if name not in names:
-        raise InputError(f"{message.name} has no such signal{nearest(name, names)}", key="signal", value=name)
+        raise InputError(f"{message.name} has no such signal{nearest(name, names)}", key=key, value=name)
     return next(signal for signal in message.signals if signal.name == name)
 
 
 def _counter(message: Message, asked: CounterCheck) -> Counter:
-    signal = signal_of(message, asked.signal, COUNTERS, "counter")
+    signal = signal_of(message, asked.signal, COUNTERS, "counter", "counter")
     if signal.is_float or signal.length > 32:
         raise InputError("a counter is an integer of at most 32 bits", key="counter.signal", value=asked.signal)
     values = 1 << signal.length
@@ -280,8 +292,12 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
         except InputError as error:
             raise InputError(error.message, key=f"e2e.{error.key}", value=error.value) from error
     counter = None if asked.counter is None else _counter(message, asked.counter)
+    for table in ("crc", "checksum"):
+        over = getattr(getattr(asked, table), "over", None)
+        if over is not None and over[1] > message.length:
+            raise InputError(f"{message.name} has {message.length} bytes", key=f"{table}.over", value=list(over))
     if asked.crc is not None:
-        signal = signal_of(message, asked.crc.signal, CHECKSUMS, "CRC")
+        signal = signal_of(message, asked.crc.signal, CHECKSUMS, "CRC", "crc")
         if signal.length != asked.crc.crc.width:
             text = f"the CRC has {asked.crc.crc.width} bits, its signal {signal.length}"
             raise InputError(text, key="crc.signal", value=signal.name)
@@ -291,12 +307,14 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
         name = asked.crc.algorithm if asked.crc.width is None else f"crc{asked.crc.width}"
         return Protection(checksum, field_of(signal), counter, name=name)
     if asked.checksum is not None:
-        signal = signal_of(message, asked.checksum.signal, CHECKSUMS, "checksum")
+        signal = signal_of(message, asked.checksum.signal, CHECKSUMS, "checksum", "checksum")
         checksum = asked.checksum.checksum(message)
         if checksum.crc is not None and checksum.crc.width != signal.length:
             text = f"{asked.checksum.rule} has {checksum.crc.width} bits, its signal {signal.length}"
             raise InputError(text, key="checksum.signal", value=signal.name)
         if checksum.by_counter and counter is None:
-            counter = _counter(message, CounterCheck(signal=signal_of(message, None, COUNTERS, "counter").name))
+            counter = _counter(
+                message, CounterCheck(signal=signal_of(message, None, COUNTERS, "counter", "counter").name)
+            )
         return Protection(checksum, field_of(signal), counter, name=asked.checksum.rule)
     return Protection(counter=counter)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
-from gateway.signals.bits import Field, mask_of, read_bits, write_bits
+from gateway.signals.bits import Field, mask_of, placed, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
 from gateway.signals.protection.crc import KNOWN, Crc, table_of
 
@@ -133,9 +133,7 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
     bits = mask = 0
     for k, (field, value, _) in enumerate(asked.constants):
         row["header"][k], row["expected"][k] = field, value
-        words = np.zeros(8, np.uint64)
-        write_bits(words, field, np.uint64(value))
-        bits |= int.from_bytes(words.tobytes(), "little")
+        bits |= placed(field, value)
         mask |= mask_of(field)
     row["constants"] = len(asked.constants)
     row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")

@@ -230,6 +230,7 @@ def test_more_signals_than_a_part_has_room_for(tmp_path):
     made = Car(write(tmp_path, f"BO_ 256 Many: 8 A\n{many}", text))
     made.feed([(1 << 29 | 1).to_bytes(8, "little")] * 10)
     assert made.failed() == ["S0.high", "S29.high"]
+    assert made.gateway.engine.readout()["w"]["steps"] == 30, "three parts, which people see as one"
 
 
 @pytest.mark.parametrize(
