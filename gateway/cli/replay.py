@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.bus.frames import Frames
-from gateway.bus.log_contents import contents
+from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.trace import Trace, only, single
@@ -41,21 +42,7 @@ def replay(
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
-    """Replay a log; returns the exit code.
-
-    Args:
-        log: to be replayed.
-        config_path: configuration; None: as found here.
-        memory: SQLite file of the fault memory.
-        maps: channels of the log taken as buses.
-        allow_empty: a log without a frame of a configured bus is no error.
-        allow_cut: nor is one that is cut off.
-        monitor: run this one only.
-        trace: print each step of it.
-        injections: faults to put into the frames (see :mod:`gateway.runtime.injection`).
-        seed: of their randomness.
-        json: print events as JSON Lines.
-        fail_on_dtc: exit code 1 if a DTC was set.
+    """Replay a log; returns the exit code. Arguments as the command has them (``gateway replay --help``).
 
     Raises:
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
@@ -89,10 +76,7 @@ def replay(
             allow_cut=allow_cut,
         )
         summary = gateway.summary(seconds)
-        if found.left_out < found.frames and not summary["decoded"] and _watches(config):
-            found.notes.append("none of its frames is one that a monitor or check here wants")
-        for text, injector in zip(injections, injectors, strict=True):
-            found.notes.append(f"--inject {text!r}: {injector.count} frames")
+        found.notes += _notes(found, config, summary, dict(zip(injections, injectors, strict=True)))
         printer(found.event())
         printer(summary)
     finally:
@@ -102,6 +86,14 @@ def replay(
     if lost := say_unless_stored(gateway.stored, memory):
         return lost
     return 1 if fail_on_dtc and printer.failures else 0
+
+
+def _notes(found: Contents, config: Config, summary: Mapping[str, Any], injected: Mapping[str, Injector]) -> list[str]:
+    """Return what a person should know of a replay beyond its events, one line each."""
+    notes = [f"--inject {text!r}: {injector.count} frames" for text, injector in injected.items()]
+    if found.left_out < found.frames and not summary["decoded"] and _watches(config):
+        notes.append("none of its frames is one that a monitor or check here wants")
+    return notes
 
 
 def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) -> list[Injector]:

@@ -65,8 +65,8 @@ def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFo
     return sum(bool(moved) and not own >> (8 * k) & 0xFF for k, moved in enumerate(changing)) >= LEAST_BYTES
 
 
-def known_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
-    """Return the known checksum that frames of a message have, None if there is none.
+def rule_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
+    """Return the carmaker's rule that frames of a message have, None if there is none.
 
     Args:
         message: whose frames all have its length.
@@ -78,7 +78,7 @@ def known_claim(message: Message, counter: CounterFound | None, found_with: Payl
 
 
 def any_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
-    """Return a sum, an exclusive or, or a CRC with any polynomial and constants; arguments of :func:`known_claim`."""
+    """Return a known CRC, a sum, an exclusive or, or a CRC with any polynomial; arguments of :func:`rule_claim`."""
     return _first(message, counter, found_with, proof, _unnamed)
 
 
@@ -101,13 +101,13 @@ def _named(
 ) -> Iterator[tuple[Keys, int]]:
     """Yield what fits the frames, and what was free to be chosen for it [bit]."""
     yield from ((keys, 0) for keys in _rules(message, signal, frames))
-    yield from ((keys, 16) for keys in _known(message, signal, frames))
 
 
 def _unnamed(
     message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
     """Yield what fits the frames, and what was free to be chosen for it [bit]."""
+    yield from ((keys, 16) for keys in _known(message, signal, frames))
     if signal.length <= 16:
         yield from ((keys, signal.length) for keys in _sums(message, signal, frames))
     yield from crcs(message, signal, counter, frames, _ranges(message, signal))

@@ -142,6 +142,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
     learned = derive(observation, databases, names, before.seconds)
     result = Result(learned, observation, "")
     logs = [*before.logs, *logs_text(observation)]
+    kept: set[tuple[str, str, str]] = set()
     if file is None:
         settle(asked, result, databases, lambda: document(asked.name, asked.buses, learned, logs), progress)
     else:
@@ -149,7 +150,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
         result.kept = len(kept)
         settle(asked, result, databases, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
     seconds = before.seconds + sum(log.seconds for log in observation.logs)
-    result.state = state_of(observation, learned, names, seconds, logs, before)
+    result.state = state_of(observation, learned, names, seconds, logs, before, kept)
     return result
 
 

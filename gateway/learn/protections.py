@@ -11,7 +11,7 @@ import numpy as np
 from cantools.database.can import Message
 from numpy.typing import NDArray
 
-from gateway.learn.checksums import any_claim, called_checksum, known_claim
+from gateway.learn.checksums import any_claim, called_checksum, rule_claim
 from gateway.learn.claims import Claim, proven
 from gateway.learn.columns import bits_of
 from gateway.learn.counters import CounterFound, candidates, of_raw
@@ -64,7 +64,7 @@ def protection_found(message: Message, file: Path, runs: Sequence[Payloads], *, 
     if len(found_with):
         claim = (
             _as_the_database_says(message, file, proof)
-            or known_claim(message, counter, found_with, proof)
+            or rule_claim(message, counter, found_with, proof)
             or e2e_claim(message, found_with, proof)
             or any_claim(message, counter, found_with, proof)
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,9 +68,15 @@ def load_state(out: Path) -> Kept:
 
 
 def state_of(
-    observation: Observation, learned: Learned, buses: Sequence[str], seconds: float, logs: Sequence[str], before: Kept
+    observation: Observation,
+    learned: Learned,
+    buses: Sequence[str],
+    seconds: float,
+    logs: Sequence[str],
+    before: Kept,
+    by_hand: Collection[tuple[str, str, str]],
 ) -> dict[str, Any]:
-    """Return what is to be kept, after :func:`merge`."""
+    """Return what is to be kept, after :func:`merge`; of a person's places, what we wrote there last."""
     messages = dict(before.messages)
     for (bus, name), seen in observation.seen.items():
         messages[buses[bus], name] = {
@@ -88,13 +94,14 @@ def state_of(
         keys = {name: line.keys[name] for name in ("e2e", "crc", "checksum", "counter") if name in line.keys}
         if line.table == "check" and keys:
             protections[line.bus, line.name] = keys
+    written = [*learned.lines.values(), *(before.written[place] for place in by_hand if place in before.written)]
     return {
         "form": FORM,
         "seconds": seconds,
         "logs": list(logs),
         "messages": [[bus, name, entry] for (bus, name), entry in messages.items()],
         "protections": [[bus, name, keys] for (bus, name), keys in protections.items()],
-        "written": [[line.bus, line.table, line.name, line.keys, line.why] for line in learned.lines.values()],
+        "written": [[line.bus, line.table, line.name, line.keys, line.why] for line in written],
     }
 
 
