@@ -90,8 +90,8 @@ def parse_injection(text: str, names: Sequence[str], databases: Sequence[Databas
         what = "signal" if of_signal else "whole message"
         raise InputError(f"{kind} is a fault of a {what}, {wanted}; {USAGE}", key=key, value=text)
     if (found["value"] is not None) != (kind in _NUMBERED):
-        wanted = "wants" if kind in _NUMBERED else "has no"
-        raise InputError(f"{kind} {wanted} a value; {USAGE}", key=key, value=text)
+        wanted = "wants a" if kind in _NUMBERED else "has no"
+        raise InputError(f"{kind} {wanted} value; {USAGE}", key=key, value=text)
     try:
         bus = _having(parts[0], bus, databases)
         databases[bus].message(parts[0])

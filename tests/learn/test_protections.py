@@ -38,8 +38,11 @@ def message_of(length, *signals):
 
 @pytest.mark.parametrize(("profile", "mode"), CASES)
 def test_e2e_profiles_with_random_ids_are_recovered(profile, mode):
-    """Frames of another program: what was found accepts all later ones, and says the id where frames show it."""
-    tried = 0
+    """Frames of another program: what was found accepts all later ones, and says the id where frames show it.
+
+    One in 256 ids of profiles with 8 bits is what a carmaker's rule computes: then it may have that name.
+    """
+    tried, otherwise = 0, 0
     for seed in range(amount(100, 5)):
         header, protect_frame = drawn(profile, mode, seed)
         if header.length == E2E[profile][1]:
@@ -55,11 +58,14 @@ def test_e2e_profiles_with_random_ids_are_recovered(profile, mode):
             frames.append(bytes(data))
         found = protection_found(message_of(header.length), NOWHERE, [payloads(frames[:300])])
         assert found.claim is not None, f"seed {seed}"
-        assert "e2e" in found.claim.keys, f"seed {seed}: {found.claim.keys}"
         later = payloads(frames[300:])
         assert judged(later, found.claim.protection).good.all(), f"seed {seed}"
         wrong = Payloads(later.words ^ np.uint64(1 << 8 * (header.offset % 8)), later.lengths)
         assert header.offset >= 8 or not judged(wrong, found.claim.protection).good.any(), f"seed {seed}"
+        if "e2e" not in found.claim.keys:
+            assert profile in ("P01", "P11"), f"seed {seed}: {found.claim.keys}"
+            otherwise += 1
+            continue
         keys = found.claim.keys["e2e"]
         if profile in ("P04", "P05", "P06", "P07") or mode == "alternating":
             assert keys["data_id"] == header.data_id, f"seed {seed}"
@@ -68,6 +74,7 @@ def test_e2e_profiles_with_random_ids_are_recovered(profile, mode):
         else:
             assert "one of 256" in found.claim.note, f"seed {seed}: 8 bits cannot tell 16"
     assert tried >= 3
+    assert otherwise <= 1 + tried // 20
 
 
 @pytest.mark.parametrize("rule", DATABASES)
@@ -108,7 +115,9 @@ def test_rules_of_carmakers_are_recovered(rule, tmp_path):
         assert found.claim is not None, message.name
         assert judged(payloads(frames[900:]), found.claim.protection).good.all(), message.name
         assert found.claim.matched == found.claim.frames, message.name
-        assert mine is None or mine.size < 2 or (found.counter is not None and found.counter.signal == mine.name)
+        if mine is not None and mine.size > 1 and "e2e" not in found.claim.keys:
+            assert found.counter is not None, message.name
+            assert found.counter.signal == mine.name
     assert tried >= 1
 
 
