@@ -184,7 +184,7 @@ def learn(
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
     json: Json = False,
 ) -> None:
-    """Learn a configuration from healthy logs: timeouts, counters, checksums, ranges, relations."""
+    """Learn a configuration from a database and healthy logs."""
     from gateway.cli.learn import learn_car as work
 
     raise typer.Exit(

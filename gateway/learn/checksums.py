@@ -39,8 +39,9 @@ def called_checksum(name: str) -> bool:
 
 
 def candidates(message: Message, frames: Payloads, counter: CounterFound | None) -> list[Signal]:
-    """Return the signals that may be the checksum: those that are called so first, then those that look like one."""
+    """Return the signals that may be the checksum: those that are called so first, then what looks like one."""
     named, others = [], []
+    undescribed = [each for each in _undescribed(message) if _busy(each, message, frames, counter)]
     for signal in message.signals:
         if signal.is_float or signal.is_signed or signal.length > MOST_BITS or signal.multiplexer_ids:
             continue
@@ -50,13 +51,23 @@ def candidates(message: Message, frames: Payloads, counter: CounterFound | None)
             named.append(signal)
         elif signal.length >= LEAST_BITS_UNNAMED and signal.length % 8 == 0 and _busy(signal, message, frames, counter):
             others.append(signal)
-    return named + others[:MOST_UNNAMED]
+    return named + (undescribed + others)[:MOST_UNNAMED]
+
+
+def _undescribed(message: Message) -> list[Signal]:
+    """Return the bytes that no signal of the database lies in, as a configuration names them, the last first."""
+    from cantools.database.can.signal import Signal as Made  # noqa: PLC0415 - not where no database is read
+
+    taken = 0
+    for signal in message.signals:
+        taken |= mask_of(field_of(signal))
+    return [Made(f"byte {k}", 8 * k, 8) for k in reversed(range(message.length)) if not taken >> (8 * k) & 0xFF]
 
 
 def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFound | None) -> bool:
     """Tell whether a field changes as a checksum does, and other bytes do, too."""
     values = bits_of(frames.words, field_of(signal))
-    if len(np.unique(values)) < min(64, len(frames) // 4):
+    if len(np.unique(values)) < min(24, len(frames) // 8):
         return False
     own = mask_of(field_of(signal))
     if counter is not None:

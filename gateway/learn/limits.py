@@ -186,6 +186,8 @@ def _gradient(signal: Signal, course: Course, period: float, _seconds: float) ->
     if course.states or course.count < LEAST_VALUES or course.steepest <= 0 or period <= 0:
         return {}, ""
     low, high = database_range(signal) or representable(signal)
+    if course.lowest < low or course.highest > high:  # the database is wrong
+        low, high = representable(signal)
     reach = high - low if np.isfinite(high - low) else 10.0 * course.span
     limit = short(max(STEEPER * course.steepest, reach / ACROSS_S), 3)
     if limit * period > TOLD * reach:

@@ -22,8 +22,8 @@ class Samples:
     def add(self, words: NDArray[np.uint64], lengths: NDArray[np.int64], t_ns: NDArray[np.int64]) -> None:
         """Add frames that came one after the other: payloads, shape (frames, 8), lengths [byte], stamps [ns]."""
         count = len(words)
-        if self._seen + count > self._next:
-            first = max(0, min(self._next - self._seen, count - RUN))
+        while self._seen + count > self._next:
+            first = max(0, self._next - self._seen)
             part = slice(first, first + RUN)
             self._runs.append((words[part].copy(), lengths[part].copy(), t_ns[part].copy()))
             self._next = max(self._seen + first + RUN, int(1.5 * self._next))

@@ -69,6 +69,8 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     checks = {line.name: line.keys for line in lines if line.table == CHECK}
     for name in ("SPEED", "GAS_PEDAL", "PCM_CRUISE", "STEER_TORQUE_SENSOR"):
         assert checks[name]["checksum"] == {"rule": "toyota", "signal": "CHECKSUM"}
+    for name in ("KINEMATICS", "STEER_ANGLE_SENSOR", "ENGINE_RPM"):
+        assert checks[name]["checksum"] == {"rule": "toyota", "signal": "byte 7"}, "the database does not know it"
     for name in ("WHEEL_SPEEDS", "BRAKE_MODULE"):
         assert not {"checksum", "crc", "e2e"} & set(checks[name]), "they have none"
     assert 30 <= checks["WHEEL_SPEEDS"]["timeout_ms"] <= 120

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
@@ -55,7 +56,7 @@ class DataId(StrictModel):
 class CrcCheck(StrictModel):
     """A CRC over the payload without the CRC itself, and a data id."""
 
-    signal: str = Field(description="name of the CRC signal")
+    signal: str = Field(description='name of the CRC signal; "byte 7", "bytes 6-7": where the database has none')
     algorithm: Literal[
         "crc8_sae_j1850", "crc8_autosar", "crc16_ccitt_false", "crc16_xmodem", "crc16_arc", "crc32", "crc32_autosar",
         "crc64_xz",
@@ -115,7 +116,7 @@ class SumCheck(StrictModel):
     """A carmaker's rule, or a sum or exclusive or of bytes or half bytes."""
 
     rule: str = Field(description="a carmaker's rule; or sum, xor")
-    signal: str | None = Field(None, description="name of the checksum signal; default: the one called so")
+    signal: str | None = Field(None, description='name of the checksum signal; default: the one called so; or "byte 7"')
     of: Literal["bytes", "nibbles"] = Field("bytes", description="what a sum or an exclusive or is of")
     plus: int = Field(0, description="added to a sum; first value of an exclusive or")
     negative: bool = Field(False, description="the sum is taken from plus")
@@ -243,6 +244,19 @@ class ProtectionParams(StrictModel):
         return self
 
 
+#: Bytes that a database does not describe, least significant one first.
+_BYTES = re.compile(r"bytes? ([0-9]{1,2})(?:-([0-9]{1,2}))?")
+
+
+def _undescribed(message: Message, name: str, first: int, last: int, key: str) -> Signal:
+    from cantools.database.can.signal import Signal as Made  # noqa: PLC0415 - not where no database is read
+
+    if not first <= last < message.length or last - first >= 8:
+        text = f"{message.name} has bytes 0 to {message.length - 1}, a checksum at most 8 of them"
+        raise InputError(text, key=key, value=name)
+    return Made(name, 8 * first, 8 * (last - first + 1))
+
+
 def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str, table: str = "") -> Signal:
     """Return a signal by its name, or by what such signals are called.
 
@@ -256,6 +270,8 @@ def signal_of(message: Message, name: str | None, called: tuple[str, ...], what:
     Raises:
         InputError: there is none, or several are called so.
     """
+    if name is not None and (place := _BYTES.fullmatch(name)) is not None:
+        return _undescribed(message, name, int(place[1]), int(place[2] or place[1]), f"{table}.signal".lstrip("."))
     names, key = [signal.name for signal in message.signals], f"{table}.signal".lstrip(".")
     if name is None:
         found = [n for n in names if n.upper().rstrip("0123456789_").endswith(called)]
