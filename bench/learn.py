@@ -1,6 +1,6 @@
 """`gateway learn` on a long log: the shipped drive, again and again, with growing stamps.
 
-Prints the CPU seconds of each stage, the largest memory, and what they cost a frame beside the loop that one would write
+Prints the CPU seconds of each stage, the largest memory, and what a frame costs beside the loop that one would write
 to look at the same log: python-can's reader with cantools' decode.
 
     python bench/learn.py [--frames 1000000 --frames 10000000] [--peer-frames 50000]
@@ -43,7 +43,8 @@ progress("end", "", 1.0)
 mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 named = sum(outcome.named for outcome in result.outcomes)
 stages = {name: round(seconds, 2) for name, seconds in stages.items()}
-print(json.dumps({"s": stages, "mb": round(mb), "alarms": result.alarms, "named": named, "tried": len(result.outcomes)}))
+tried = len(result.outcomes)
+print(json.dumps({"s": stages, "mb": round(mb), "alarms": result.alarms, "named": named, "tried": tried}))
 """
 
 

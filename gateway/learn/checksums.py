@@ -108,10 +108,10 @@ def _first(
 
 
 def _named(
-    message: Message, signal: Signal, _counter: CounterFound | None, frames: Payloads
+    message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
     """Yield what fits the frames, and what was free to be chosen for it [bit]."""
-    yield from ((keys, 0) for keys in _rules(message, signal, frames))
+    yield from ((keys, 0) for keys in _rules(message, signal, counter, frames))
 
 
 def _unnamed(
@@ -139,11 +139,18 @@ def _fits(message: Message, keys: Keys, frames: Payloads) -> bool:
     return bool(judged(frames, asked).good.mean() > 0.98)
 
 
-def _rules(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
+def _rules(message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads) -> Iterator[Keys]:
+    """Yield the carmakers' rules that fit; those that go by the counter's value with its name."""
+    alive: Keys = {}
+    if counter is not None:
+        bits = next(each.length for each in message.signals if each.name == counter.signal)
+        alive = {"counter": counter.keys(bits)}
     for rule in RULES:
         keys = {"checksum": {"rule": rule, "signal": signal.name}}
         if _fits(message, keys, frames):
             yield keys
+        elif alive and _fits(message, keys | alive, frames):
+            yield keys | alive
 
 
 def _known(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:

@@ -1,7 +1,8 @@
 """Signals that follow each other: y = a x + b, and y = a (x1 - x2) + b, found in values of the same times.
 
-A relation is claimed where the values agree, their movements do, too (two quantities that both only grow agree by
-chance), and where what the first half of the log says holds in the second.
+A relation is claimed where the values agree, their movements do, too, where what the first half of the log says holds
+in the second, and where the signals turn around often: two quantities that both only grow, or two slow waves, agree by
+chance.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from numpy.typing import NDArray
 #: Rows that it takes, and different values of a signal in them.
 LEAST_ROWS, LEAST_VALUES = 100, 24
 #: Correlation of the values, of their movements, and of a difference with a third signal.
-SAME, MOVES, DIFFERENCE = 0.995, 0.9, 0.98
+SAME, MOVES, DIFFERENCE = 0.995, 0.9, 0.99
 #: Largest deviation from the relation, of the signal's span; and what the second half may add to the first's.
 MOST_OFF, MOST_WORSE = 0.1, 3.0
+#: How often both signals must turn around, where they agree to their resolution less often; by this share of their span.
+TURNS, TURNS_EXACT, TURN = 6, 4, 0.01
 #: Members of a group whose differences are looked at.
 MOST_GROUP = 6
 
@@ -119,10 +122,13 @@ def _checked(values: NDArray[np.float64], of: int, by: tuple[int, ...]) -> list[
     held = np.abs(y[half:] - np.polyval(first, x[half:])).max()
     step = _resolution(y)
     movement = _movement(x, y)
+    exact = off.max() <= 3 * max(step, abs(slope) * _resolution(x))
+    turns = min(_turns(x), _turns(y))
     if (
         off.max() > MOST_OFF * np.ptp(y)
         or held > MOST_WORSE * learned + 2 * step + 0.01 * np.ptp(y)
         or movement < MOVES
+        or turns < (TURNS_EXACT if exact and len(by) == 1 else TURNS)
     ):
         return []
     return [Relation(of, by, float(slope), float(offset), float(max(off.max(), held)), len(x), movement)]
@@ -134,6 +140,18 @@ def _movement(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     if one.std() == 0 or other.std() == 0:
         return 0.0
     return float(abs(np.corrcoef(one, other)[0, 1]))
+
+
+def _turns(y: NDArray[np.float64]) -> int:
+    """Return how often a course turns around by more than a share of its span."""
+    least = TURN * np.ptp(y)
+    turns, way, extreme = 0, 0, y[0]  # way: 1 up, -1 down, 0 not known yet
+    for value in y:
+        if way * (value - extreme) > 0:
+            extreme = value
+        elif abs(value - extreme) > least:
+            turns, way, extreme = turns + 1, 1 if value > extreme else -1, value
+    return turns
 
 
 def _resolution(y: NDArray[np.float64]) -> float:

@@ -47,17 +47,16 @@ def _of_protection(found: ProtectionFound) -> set[str]:
 def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequence[str]) -> Line:
     seen, signal = names[relation.of]
 
+    columns = (relation.of, *relation.by)
+    units = {names[column][1].unit or "" for column in columns} - {""}
+
     def called(column: int) -> str:
         other, its = names[column]
         bus = "" if len(buses) == 1 else f"{buses[other.bus]}."
         text = f"{bus}{other.message.name}.{its.name}"
-        return text if (its.unit or "") == (signal.unit or "") or not its.unit or not signal.unit else f"number({text})"
+        return f"number({text})" if len(units) > 1 else text
 
-    by = [called(column) for column in relation.by]
-    of = called(relation.of)
-    units = {names[column][1].unit or "" for column in relation.by} - {""}
-    if signal.unit and units - {signal.unit}:
-        of = f"number({of})"
+    of, *by = (called(column) for column in columns)
     right = by[0] if len(by) == 1 else f"({by[0]} - {by[1]})"
     slope, offset = short(relation.slope), short(relation.offset)
     text = f"{of} == " + (right if slope == 1.0 else f"{inline(slope)} * {right}")

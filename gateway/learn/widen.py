@@ -74,10 +74,7 @@ def _changed(keys: dict[str, Any], kind: str, alarm: Alarm, again: bool) -> str:
     if kind == "gradient" and not again:
         keys["gradient"] = short(WIDER * max(alarm.value, keys["gradient"]), 3)
         return f"gradient {inline(keys['gradient'])}"
-    if kind == "rule" and not again:
-        keys["tolerance"] = short(WIDER * keys["tolerance"], 3)
-        return f"tolerance {inline(keys['tolerance'])}"
-    return _taken_out(keys, kind)
+    return _taken_out(keys, kind)  # a relation, too: one that did not hold in all of the log is none
 
 
 def _taken_out(keys: dict[str, Any], kind: str) -> str:
