@@ -177,6 +177,7 @@ def learn(
         float, typer.Option(min=0.0, max=0.9, help="Share of each log that is kept back to prove what was learned.")
     ] = 0.3,
     maps: Maps = None,
+    pgn: Annotated[bool, typer.Option("--pgn", help="Extended identifiers match by J1939 PGN.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults that are put into what was kept back.")] = 1,
     update: Annotated[
         bool, typer.Option("--update", help="Add the logs to a configuration learned before; edited lines stay.")
@@ -194,6 +195,7 @@ def learn(
             buses=bus or (),
             hold_out=hold_out,
             maps=maps or (),
+            pgn=pgn,
             seed=seed,
             update=update,
             force=force,

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ def learn_car(
     buses: Sequence[str],
     hold_out: float,
     maps: Sequence[str],
+    pgn: bool,
     seed: int,
     update: bool,
     force: bool,
@@ -46,6 +48,8 @@ def learn_car(
     if out.exists() and not (update or force):
         raise InputError("this file is there: --update adds the logs to it, --force writes it anew", file=out)
     asked_buses = _of_file(out) if update else _buses(databases, buses)
+    if pgn:
+        asked_buses = [replace(bus, match="pgn") for bus in asked_buses]
     asked = Asked(
         name=re.sub(r"[^A-Za-z0-9_-]", "_", out.stem),
         buses=tuple(_relative(bus, out) for bus in asked_buses),

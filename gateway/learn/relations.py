@@ -19,7 +19,7 @@ LEAST_ROWS, LEAST_VALUES = 100, 24
 SAME, MOVES, DIFFERENCE = 0.995, 0.9, 0.99
 #: Largest deviation from the relation, of the signal's span; and what the second half may add to the first's.
 MOST_OFF, MOST_WORSE = 0.1, 3.0
-#: How often both signals must turn around, where they agree to their resolution less often; by this share of their span.
+#: How often both signals must turn around, less often where they agree to their resolution; by this share of a span.
 TURNS, TURNS_EXACT, TURN = 6, 4, 0.01
 #: Members of a group whose differences are looked at.
 MOST_GROUP = 6

@@ -281,6 +281,22 @@ def test_other_people_s_logs_and_databases(tmp_path):
     assert line.keys["counter"]["modulus"] == 15
 
 
+def test_messages_by_pgn(tmp_path):
+    """Frames of another source address than the database's are the same message."""
+    (tmp_path / "car.dbc").write_text(DBC.replace("BO_ 256 ", f"BO_ {0x80000000 | 0x18FF0100} ").split("VAL_")[0])
+    alive = plant(random.Random(4))[0][2]
+    with can.Logger(tmp_path / "drive.asc") as writer:
+        for k in range(3000):
+            frame = can.Message(timestamp=k * 0.01, arbitration_id=0x18FF0142, is_extended_id=True, data=alive(k))
+            writer.on_message_received(frame)
+    said = gateway("learn", "car.dbc", "drive.asc", "-o", "x.toml", "--pgn", cwd=tmp_path)
+    assert said.returncode == 0, said.stderr
+    config = load_config(tmp_path / "x.toml")
+    assert config.bus[0].match == "pgn"
+    assert config.bus[0].check[0].counter.modulus == 15
+    assert gateway("learn", "car.dbc", "drive.asc", "-o", "y.toml", cwd=tmp_path).returncode == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
