@@ -19,7 +19,7 @@ from gateway.monitors.pedal.monitor import AGREED, DEGRADED, INVALID, ONE_CHANNE
 from gateway.monitors.pedal.params import PRESETS, Channel, PairParams, TripleParams
 from gateway.signals.database import load_database
 from gateway.vecu.pedal.ecu import pedal_frames
-from gateway.vecu.pedal.params import PedalParams, SensorFault
+from gateway.vecu.pedal.params import PedalParams, SensorFault, SensorParams
 
 PEDAL = shipped("dbc/pedal.dbc")
 VOTED = cantools.database.load_file(PEDAL)
@@ -85,6 +85,48 @@ def test_a_healthy_pedal_has_no_fault(preset):
     seen, engine = found(drive(preset=preset, seconds=amount(20.0, 20.0, 0.5)), preset)
     assert seen.failed() == []
     assert engine.readout()["pedal"]["quality"] == AGREED
+
+
+#: What a foot does slowly: the readings go from step to step, or rest.
+SLOW = (
+    ((0.0, 0.1), (5.0, 0.1), (20.0, 0.4)),
+    ((0.0, 0.0), (2.0, 0.0), (3.0, 0.02), (4.0, 0.02), (8.0, 0.05), (20.0, 0.06)),
+)
+
+
+@pytest.mark.skipif(SMALL, reason="20 s of samples each 1 ms")
+@pytest.mark.parametrize("noise", [0.0, 0.0003, 0.001, 0.004])
+@pytest.mark.parametrize("points", [*SLOW, ()])
+def test_a_pedal_with_other_noise_than_its_data_sheet_s_is_not_accused(noise, points):
+    """Told 2 mV: an ADC that averages has less, and repeats itself at rest and between two steps."""
+    rng = np.random.default_rng([int(1e4 * noise), len(points)])
+    for _ in range(amount(20, 2)):
+        sensors = tuple(
+            SensorParams(
+                signal=name,
+                at_rest=rest,
+                at_full=full,
+                noise=noise,
+                offset=rng.normal(0, 0.004),
+                gain=rng.normal(1, 0.002),
+            )
+            for name, rest, full in (("Ch1", 0.5, 4.5), ("Ch2", 4.5, 0.5))
+        )
+        stroke = "points" if points else "driving"
+        frames = drive(sensor=sensors, stroke=stroke, points=points, seconds=20.0, seed=int(rng.integers(1 << 30)))
+        seen, _ = found(frames)
+        assert seen.failed() == []
+
+
+@pytest.mark.parametrize("noise", [0.0003, 0.002])
+def test_a_frozen_channel_is_found_by_the_movement_of_the_other_whatever_the_noise(noise):
+    sensors = (
+        SensorParams(signal="Ch1", at_rest=0.5, at_full=4.5, noise=noise),
+        SensorParams(signal="Ch2", at_rest=4.5, at_full=0.5, noise=noise, offset=0.003),
+    )
+    points = ((0.0, 0.2), (BEGIN, 0.2), (BEGIN + 0.3, 0.5), (END, 0.6))
+    seen, _ = found(drive(fault("stuck"), sensor=sensors, stroke="points", points=points))
+    assert seen.failed()[0] == "channel_1_stuck"
 
 
 @pytest.mark.parametrize(

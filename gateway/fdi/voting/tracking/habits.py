@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
+
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.jit import Record, f8s, i8s, kernel
 
@@ -17,7 +19,7 @@ class State(Record):
     ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
     on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
-    repeat.
+    repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -28,6 +30,7 @@ class State(Record):
     line: Annotated[i8s, MOST_CHANNELS]
     begin: Annotated[f8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
+    strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
 
 @kernel
@@ -42,6 +45,7 @@ def start(h: State, n: int, y: f8s) -> None:
         h.begin[i] = y[i]
         for j in range(n):
             h.anchor[i * MOST_CHANNELS + j] = y[j]
+            h.strayed[i * MOST_CHANNELS + j] = 0.0
 
 
 @kernel
@@ -59,12 +63,17 @@ def watch(h: State, n: int, y: f8s, trusted: int, straight: float, slew: float) 
     for i in range(n):
         if y[i] == h.last[i]:
             h.same[i] += 1
+            for j in range(n):
+                far = abs(y[j] - h.anchor[i * MOST_CHANNELS + j])
+                if not np.isnan(far):
+                    h.strayed[i * MOST_CHANNELS + j] = max(h.strayed[i * MOST_CHANNELS + j], far)
         else:
             if trusted & (1 << i):
                 h.longest[i] = max(h.longest[i], h.same[i])
             h.same[i] = 0
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
+                h.strayed[i * MOST_CHANNELS + j] = 0.0
         bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
         if bend <= straight and abs(y[i] - h.last[i]) <= slew:
             h.line[i] += 1

@@ -47,7 +47,8 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     """Tell whether channel ``i`` has stopped while one of the others goes on.
 
     It repeats itself while another moves away; or it is silent, as no live channel with noise is, while the others
-    are not. One that others stand still with is not frozen.
+    are not, and stray by more than resolution lets two live channels differ: noise may be less than the data sheet
+    says. One that others stand still with is not frozen.
     """
     h = s.habits
     # A channel that has repeated itself before, in a quiet time or behind a filter, may do so again.
@@ -56,7 +57,7 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     for j in range(c.channels):
         if others & (1 << j):
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= c.agree)
-            silent = silent and h.same[j] <= patience // 2
+            silent = silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= c.lively
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.

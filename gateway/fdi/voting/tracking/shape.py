@@ -32,6 +32,9 @@ CALM, LONG = 4.0, 1e9
 REMEMBER, REGRET = 6, 2
 #: Rejections from which on a channel's agreement with another does not move the track by itself.
 DOUBT = 4
+#: Steps of the resolution that the others must stray for a channel's silence to count: a sensor quieter than its data
+#: sheet says repeats itself at rest, and in slow movement, while its neighbour goes on by a step or two.
+LIVELY = 3.0
 #: A count that is not reached.
 NEVER = 1 << 62
 #: Why a channel is isolated.
@@ -45,8 +48,8 @@ class Const(Record):
 
     ``floor``, ``ceiling``: where readings are clipped; ``variance``: of a reading; ``agree``: largest difference
     of readings that agree; ``straight``: largest second difference on a line; ``noise_gate``: largest change of a
-    parity that is noise; ``silent``: repetitions that no live channel makes; ``widest``: largest deviation of the
-    level.
+    parity that is noise; ``silent``: repetitions that no live channel makes; ``lively``: movement of the others that
+    a live channel shows, too; ``widest``: largest deviation of the level.
     """
 
     channels: i8
@@ -64,6 +67,7 @@ class Const(Record):
     creep: f8
     noise_gate: f8
     silent: i8
+    lively: f8
     widest: f8
 
 
@@ -165,4 +169,5 @@ def prepare(
     c.tolerance = tolerance * span
     c.creep = creep * span
     c.silent = _silent(noise, step)
+    c.lively = LIVELY * step
     c.widest = span / 4
