@@ -124,7 +124,7 @@ def test_a_frozen_channel_is_found_by_the_movement_of_the_other_whatever_the_noi
         SensorParams(signal="Ch1", at_rest=0.5, at_full=4.5, noise=noise),
         SensorParams(signal="Ch2", at_rest=4.5, at_full=0.5, noise=noise, offset=0.003),
     )
-    points = ((0.0, 0.2), (BEGIN, 0.2), (BEGIN + 0.3, 0.5), (END, 0.6))
+    points = ((0.0, 0.2), (BEGIN, 0.2), (BEGIN + 0.2, 0.5), (END + 0.1, 0.6))
     seen, _ = found(drive(fault("stuck"), sensor=sensors, stroke="points", points=points))
     assert seen.failed()[0] == "channel_1_stuck"
 
