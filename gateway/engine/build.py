@@ -146,6 +146,20 @@ class _Handlers:
     emitted: list[Emitted] = field(default_factory=list)
 
 
+def _prepare(m: MonitorInstance, state: Any, const: Any) -> None:
+    """Have a monitor fill its records.
+
+    Raises:
+        InputError: parameters that only show there that they are wrong; the key is that of the configuration.
+    """
+    try:
+        m.monitor.prepare(m.params, state, const)
+    except InputError as error:
+        place = m.key or f'monitor "{m.name}"'
+        key = f"{place}.{error.key}" if error.key else place
+        raise InputError(error.message, key=key, value=error.value) from error
+
+
 def _handlers(
     monitors: Sequence[MonitorInstance],
     wirings: Sequence[Wired],
@@ -158,7 +172,7 @@ def _handlers(
     for k, (m, wired) in enumerate(zip(monitors, wirings, strict=True)):
         row = made.rows[k]
         state, const = table(1, m.monitor.state), table(1, m.monitor.const)
-        m.monitor.prepare(m.params, state.view(np.recarray)[0], const.view(np.recarray)[0])
+        _prepare(m, state.view(np.recarray)[0], const.view(np.recarray)[0])
         made.states.append(state)
         made.consts.append(const)
         row["state"], row["const"] = state.ctypes.data, const.ctypes.data

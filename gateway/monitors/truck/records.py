@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from gateway.common.resources import shipped
+from gateway.errors import InputError, nearest
 from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
@@ -100,8 +101,16 @@ class State(Record):
 
 
 def prepare(p: Params, s: State, c: Const) -> None:
-    """Fill constants and state before the first step."""
+    """Fill constants and state before the first step.
+
+    Raises:
+        InputError: a parameter that the model does not have.
+    """
     model = load_model(shipped("models/truck.toml"))
+    for name, value in p.parameters.items():
+        if name not in model.parameters:
+            text = f"models/truck.toml has no such parameter{nearest(name, model.parameters)}"
+            raise InputError(text, key=f"parameters.{name}", value=value)
     c.period, c.system = 1e-3 * p.period_ms, SYSTEMS.index(p.system)
     c.tests = len(isolation.TESTS[p.system])
     c.blank = min(round(p.blank_ms / p.period_ms), blanking.MOST - 1)
