@@ -1,15 +1,15 @@
 """The hybrid powertrain's monitor: a step for each complete set of four frames.
 
-Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when its four
-counters are equal; time is the counter's steps, not the frames' arrival. A set that is missing is stepped over; behind
-a gap of more than :data:`LONGEST` sets the dynamic tests begin anew.
+Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when frames of its
+counter have come of all four messages (:mod:`.collection`); time is the counter's steps, not the frames' arrival. A set
+that is missing is stepped over; behind a gap of more than :data:`LONGEST` sets the dynamic tests begin anew.
 """
 
 from __future__ import annotations
 
 from gateway.jit import kernel
 from gateway.monitors.contract import CusumCalibration, Evidence, Fault, Monitor, Out, Readout
-from gateway.monitors.truck import blanking, decision, gate, isolation, motion, observer, static
+from gateway.monitors.truck import blanking, collection, decision, gate, isolation, motion, observer, static
 from gateway.monitors.truck.faults import faults_of
 from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
 from gateway.monitors.truck.messages import Inputs, connect
@@ -18,6 +18,8 @@ from gateway.monitors.truck.records import Const, State, peaks, prepare, sums
 
 #: Sets that may be missing in a row.
 LONGEST = 5
+#: Steps of the counter that are steps back: a set that was late.
+OLDER = 128
 #: Sets between two messages.
 SENT = 10
 
@@ -29,11 +31,20 @@ def _faults(p: Params) -> tuple[Fault, ...]:
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) -> None:
     """Take a frame; when its set is complete, step all tests."""
-    count = int(u.count_elec)
-    if u.count_mech != count or u.count_pt != count or u.count_veh != count or count == s.counter:
+    place = collection.collect(s.frames, u, c.period)
+    s.apart = s.frames.apart
+    if place < 0:
         return
-    steps = (count - s.counter) & 255 if s.counter >= 0 else 0
-    s.counter = count
+    steps = (s.frames.number[place] - s.counter) & 255 if s.counter >= 0 else 0
+    if steps > OLDER or (steps == 0 and s.counter >= 0):
+        return  # newer ones have been taken
+    s.counter = s.frames.number[place]
+    _take(s, c, s.frames.held[place], steps, out)
+
+
+@kernel
+def _take(s: State, c: Const, u: Inputs, steps: int, out: Out[Evidence, decision.Outputs]) -> None:
+    """Step all tests with a set that is ``steps`` behind the last one."""
     if s.sets == 0:
         t2.reset(s.t2, c.t2)
         t2.start(s.t2, c.t2, u)
@@ -79,6 +90,6 @@ MONITOR = Monitor(
             sums=sums,
             peaks=peaks,
         ),
-        Readout(("sets", "valid", "fired", "explained")),
+        Readout(("sets", "apart", "valid", "fired", "explained")),
     ),
 )

@@ -12,7 +12,7 @@ from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.jit import Record, f8, f8s, i8
-from gateway.monitors.truck import blanking, dynamic, excitation, gate, isolation, observer
+from gateway.monitors.truck import blanking, collection, dynamic, excitation, gate, isolation, observer
 from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
 from gateway.monitors.truck.params import QUANTITIES, Params
 
@@ -69,15 +69,18 @@ class State(Record):
     """State.
 
     ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
-    T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs.
+    T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
+    ``apart``: sets of which not all frames came.
     """
 
     sets: i8
+    apart: i8
     valid: i8
     fired: i8
     found: i8
     explained: i8
     counter: i8
+    frames: collection.State
     reported: i8
     watched: i8
     level: Annotated[f8s, isolation.MOST_TESTS]
@@ -128,6 +131,8 @@ def prepare(p: Params, s: State, c: Const) -> None:
         fill(getattr(c, field), model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
     _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
     s.counter, s.found = -1, -1
+    s.frames.last[:] = -1
+    s.frames.number[:] = -1
 
 
 def _prepare_observer(p: Params, s: observer.State, c: observer.Const, least: float) -> None:
