@@ -12,6 +12,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
+from gateway.servers.access import ways_around
 
 
 def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
@@ -52,6 +53,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for monitor, params in [monitor_of(entry)]
         for text in monitor.warnings(params)
     ]
+    warnings += _ways_around(config)
     warnings += _of_this_machine(config)
     if json:
         print_json({"ok": True, "faults": faults, "taken": notes, "warnings": warnings})
@@ -64,6 +66,14 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def _ways_around(config: Config) -> list[str]:
+    """Return how an intervention is easier than it looks."""
+    output = config.output
+    there = {name: getattr(output, name) is not None for name in ("uds", "obd", "j1939")}
+    said = list(ways_around(config.needs, config.security_levels, **there))
+    return said + ([] if output.uds is None else output.uds.weak_levels())
 
 
 def _of_this_machine(config: Config) -> list[str]:

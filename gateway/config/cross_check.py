@@ -9,6 +9,7 @@ from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import POWER
+from gateway.servers.access import wrong_rules
 from gateway.servers.identifiers import check_unique
 
 
@@ -21,6 +22,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _outputs(config),
         check_unique(config.did),
         _cycles(config),
+        _access(config),
     )
 
 
@@ -74,6 +76,18 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _access(config: Config) -> Iterator[InputError]:
+    uds, j1939 = config.output.uds, config.output.j1939
+    for name in () if uds is None else uds.rules:
+        if getattr(config.access, name) is not None:
+            yield InputError(f"output.uds.{name} says this already; take one of them out", key=f"access.{name}")
+    rule = config.access.j1939_clear
+    if j1939 is not None and j1939.allow_clear is not None and rule is not None and rule.allowed is not None:
+        text = "output.j1939.allow_clear says this already; take one of them out"
+        yield InputError(text, key="access.j1939_clear.allowed")
+    yield from wrong_rules(config.access, config.security_levels)
 
 
 def _cycles(config: Config) -> Iterator[InputError]:

@@ -25,6 +25,7 @@ from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
+from gateway.servers.access import FREE, GUARDED, SESSIONLESS, AccessParams, Conditions
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
@@ -78,6 +79,7 @@ def resolve(config: Config) -> Resolved:
     databases = load_databases(config)
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
+    _find_access(config, names)
     notes: list[str] = []
     monitors = tuple(
         each for at, entry in enumerate(config.monitor) for each in _monitors(config, entry, databases, at)
@@ -214,6 +216,17 @@ def _shown(config: Config, names: Names) -> tuple[str, ...]:
     for signal, key in shown.items():
         names.find(signal, key)
     return tuple(shown)
+
+
+def _find_access(config: Config, names: Names) -> None:
+    """Find the signals that rules of access ask for."""
+    own = {} if config.output.uds is None else config.output.uds.rules
+    rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
+    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, *SESSIONLESS)}
+    rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
+    for key, rule in rules.items():
+        for k, condition in enumerate(rule.when or () if rule is not None else ()):
+            names.find(condition.signal, f"{key}.when[{k}].signal")
 
 
 def _gates(config: Config, names: Names) -> dict[str, Gate]:

@@ -170,6 +170,11 @@ class Engine:
         """Return the last value of a mailbox slot, NaN before the first."""
         return float(self.tables.mailbox[slot])
 
+    def age_ns(self, slot: int) -> int | None:
+        """Return how long ago the message of a mailbox slot was last accepted; None: never, or not any more."""
+        arrived_ns = int(self.tables.vectors[self.plan.slot_message[slot]]["arrived_ns"])
+        return None if arrived_ns < 0 else self.now_ns - arrived_ns
+
     def signal(self, reference: SignalRef) -> float:
         """Return the last value of a signal in its unit, NaN before the first."""
         return self.value(self.plan.slot(*reference))

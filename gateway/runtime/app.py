@@ -47,6 +47,7 @@ from gateway.runtime.told import (
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.servers.access import signals_of
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.servers.uds.extended_data import EXTENDED_DATA
@@ -90,6 +91,7 @@ class Gateway:
         self.store = KeptStore(memory_path) if store is None else store
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
+        self._judged = [self._parts.slots[name] for name in signals_of(config.needs)]
         self._recorder = None if recording is None else Recorder(recording, names)
         self.memory = FaultMemory(
             self.catalogue,
@@ -104,6 +106,7 @@ class Gateway:
             self.store,
             self._recorder,
             self._parts.slots,
+            round(config.access.stale_ms * 1e6),
             self._before_clear,
             self._after_clear,
         )
@@ -248,7 +251,9 @@ class Gateway:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
-        sent = self.engine.process(frames[are_steps(frames)], self._on_events)
+        # And what conditions of access need: what is blinded because the vehicle stands must see that it moves.
+        needed = are_steps(frames) | self.engine.plan.among(frames, self._judged)
+        sent = self.engine.process(frames[needed], self._on_events)
         more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
         return np.concatenate([sent, more])
 

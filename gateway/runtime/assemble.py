@@ -181,7 +181,7 @@ def servers_of(
 ) -> list[BusServer]:
     """Build what is on the buses on the gateway's behalf."""
     made: list[BusServer] = []
-    asked = config.output
+    asked, needs = config.output, config.needs
     if asked.dtc_frame is not None:
         made.append(
             DtcFrameSender(
@@ -194,9 +194,9 @@ def servers_of(
         )
     uds = None
     if asked.uds is not None:
-        context = Context(asked.uds, memory, identifiers, control, parts.security)
+        context = Context(asked.uds, memory, identifiers, control, parts.security, needs)
         uds = UdsServer(context)
-    obd = None if asked.obd is None else ObdServer(asked.obd, memory, control)
+    obd = None if asked.obd is None else ObdServer(asked.obd, memory, control, needs["obd_clear"])
 
     def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
         transport = IsoTpEndpoint(params, config.bus_index(params.bus))
@@ -212,5 +212,5 @@ def servers_of(
     if asked.j1939 is not None:
         bus = config.bus_index(asked.j1939.bus)
         endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, bus)
-        made.append(J1939Server(asked.j1939, endpoint, memory, control))
+        made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"]))
     return made

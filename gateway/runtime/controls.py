@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from gateway.engine.core import Engine
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
+from gateway.faults.settings import ConditionSettings
 from gateway.faults.status import Status
 from gateway.faults.store import Store
 
@@ -21,6 +22,7 @@ class Controls:
         store: its file.
         recorder: of frames around failures, if there is one.
         slots: mailbox slots of signals by name.
+        stale_ns: a signal that is older meets no condition.
         before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
     """
 
@@ -31,6 +33,7 @@ class Controls:
         store: Store,
         recorder: Recorder | None,
         slots: Mapping[str, int],
+        stale_ns: int,
         before_clear: Callable[[], None] = lambda: None,
         after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
     ) -> None:
@@ -39,6 +42,7 @@ class Controls:
         self._store = store
         self._recorder = recorder
         self._slots = slots
+        self._stale_ns = stale_ns
         self._before_clear, self._after_clear = before_clear, after_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
         self._dtcs_on = True
@@ -54,6 +58,24 @@ class Controls:
         """Return a signal's value now in its unit, NaN before the first."""
         slot = self._slots.get(name)
         return math.nan if slot is None else self._engine.value(slot)
+
+    def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
+        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        return all(self._is_met(condition) for condition in conditions)
+
+    def _is_met(self, condition: ConditionSettings) -> bool:
+        slot = self._slots[condition.signal]
+        age_ns = self._engine.age_ns(slot)
+        if age_ns is None or age_ns > self._stale_ns:
+            return False
+        value = self._engine.value(slot)
+        low = -math.inf if condition.min is None else condition.min
+        high = math.inf if condition.max is None else condition.max
+        return low <= value <= high
+
+    def knows(self, group: int) -> bool:
+        """Tell whether there is such a DTC or group."""
+        return self._memory.knows(group)
 
     def clear(self, group: int) -> bool:
         """Clear one DTC or a group, durable on return; False if there is no such DTC or group.

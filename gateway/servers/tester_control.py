@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
+
+from gateway.faults.settings import ConditionSettings
 
 
 class TesterControl(Protocol):
     """The gateway, as the servers that testers speak to see it."""
+
+    def knows(self, group: int) -> bool:
+        """Tell whether there is such a DTC or group."""
+
+    def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
+        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
 
     def clear(self, group: int) -> bool:
         """Clear one DTC or a group, durable on return; False if there is no such DTC or group.

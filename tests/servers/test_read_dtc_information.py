@@ -7,7 +7,7 @@ from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rig import Rig, dtc_text, write_config
-from uds_tester import EXTRA, Asked, hexed
+from uds_tester import ANYBODY, EXTRA, Asked, hexed
 
 from gateway.faults.dtc import Dtc
 
@@ -22,7 +22,7 @@ FAULTS = {
 
 
 def test_every_sub_function(uds):
-    rig, ask = uds(faults=FAULTS)
+    rig, ask = uds(faults=FAULTS, more=ANYBODY)
     rig.value(0, 5.0)
     rig.value(1, 4.0)
     rig.fail(1)
@@ -117,7 +117,7 @@ def test_status_masks_find_what_a_model_finds(shared, steps, masks):
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory):
-    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="")))
+    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="") + ANYBODY))
     yield rig, Asked(rig)
     rig.close()
 

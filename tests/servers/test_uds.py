@@ -2,7 +2,7 @@
 
 import pytest
 from rig import FUNCTIONAL, MS, Rig, write_config
-from uds_tester import EXTRA, Asked, hexed
+from uds_tester import ANYBODY, EXTRA, Asked, hexed
 
 from gateway.bus.frames import empty
 from gateway.servers.uds.params import SecurityLevel
@@ -48,14 +48,27 @@ security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
         ("3e01", "7f3e12", "only zero"),
         ("3e", "7f3e13", "too short"),
         ("3e00", "7e00", "good"),
+        ("1101", "7f117f", "a reset is of the extended session"),
+        ("14ffffff", "7f147f", "clearing is of the extended session"),
+    ],
+)
+def test_refusals(uds, request_, expected, why):
+    _, ask = uds()
+    assert ask(request_) == expected, why
+
+
+@pytest.mark.parametrize(
+    ("request_", "expected", "why"),
+    [
         ("14ffff", "7f1413", "too short"),
         ("14123456", "7f1431", "no such DTC"),
         ("14000000", "7f1431", "reserved: clears nothing"),
         ("14fffffe", "7f1431", "a group that we do not have"),
     ],
 )
-def test_refusals(uds, request_, expected, why):
+def test_refusals_of_the_extended_session(uds, request_, expected, why):
     _, ask = uds()
+    assert ask("1003")
     assert ask(request_) == expected, why
 
 
@@ -167,6 +180,7 @@ def test_ecu_reset_starts_the_next_operation_cycle(uds):
     assert rig.gateway.memory.cycle_number() == number + 1
     assert ask("22f186") == "62f18601"
     assert rig.status(0) == 0x6D
+    assert ask("1003")
     assert ask("1104") == "7f1112"
 
 
@@ -288,8 +302,8 @@ def test_the_session_is_counted_from_the_late_answer(uds):
     assert ask("22f186") == "62f18601"
 
 
-def test_the_shipped_default_lets_anyone_clear(uds):
-    rig, ask = uds()
+def test_a_clear_of_one_and_of_all(uds):
+    rig, ask = uds(more=ANYBODY)
     for k in range(3):
         rig.fail(k)
     assert ask("14" + hexed(1)) == "54"
@@ -299,7 +313,7 @@ def test_the_shipped_default_lets_anyone_clear(uds):
 
 
 def test_a_clear_by_letter(uds):
-    rig, ask = uds(messages=5)
+    rig, ask = uds(messages=5, more=ANYBODY)
     for k in range(5):
         rig.fail(k)
     assert ask("14400000") == "54"

@@ -24,6 +24,8 @@ name = "setting"
 hex = "0102"
 writable = true
 """
+#: Of tests that are about what is done, not about who may do it.
+ANYBODY = "[access]\nclear = {}\nreset = {}\nroutine = {}\n"
 EXTRA = "[output.uds]\n{uds}\n" + DIDS
 
 

@@ -42,6 +42,7 @@ cycle_ms = 300.0
 [output.uds]
 security = [{ level = 1, secret = "00112233" }]
 write = { sessions = ["extended"], security = 1 }
+clear = {}
 
 [output.obd]
 vin = "1HGCM82633A004352"
@@ -255,8 +256,8 @@ def test_gallia_finds_exactly_our_services_and_sessions(scanner):
         elif match := re.search(r"\[0x(\w\w)\]", line):
             found.setdefault(session, []).append(int(match[1], 16))
     obd = [0x01, 0x02, 0x03, 0x04, 0x07, 0x09, 0x0A]
-    default = [*obd, 0x10, 0x11, 0x14, 0x19, 0x22, 0x3E, 0x86]
-    assert found == {1: default, 3: sorted([*default, 0x27, 0x28, 0x2E, 0x31, 0x85])}
+    default = [*obd, 0x10, 0x14, 0x19, 0x22, 0x3E, 0x86]
+    assert found == {1: default, 3: sorted([*default, 0x11, 0x27, 0x28, 0x2E, 0x31, 0x85])}
     results, complaints = scanner("sessions", "--depth", "1")
     assert complaints == []
     assert re.findall(r"\* Session 0x(\w\w)", "\n".join(results)) == ["01", "03"]

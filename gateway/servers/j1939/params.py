@@ -43,7 +43,9 @@ class J1939Params(StrictModel):
         ("malfunction", "stop", "warning", "protect"),
         description="lamps that there are; the others are shown as not available",
     )
-    allow_clear: bool = Field(True, description="do DM3 and DM11, rather than refuse them")
+    allow_clear: bool | None = Field(
+        None, description="do DM3 and DM11, rather than refuse them; default: as access.j1939_clear says"
+    )
     obd_compliance: int = Field(5, ge=1, le=250, description="OBD compliance in DM5; 5: none")
     freeze_frame: tuple[FreezeFrameSpn, ...] = Field(
         (), description="parameters of the expanded freeze frames (DM24, DM25)"

@@ -12,6 +12,7 @@ from gateway.faults.dtc import ALL_DTCS
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import StoreError
+from gateway.servers.access import Need
 from gateway.servers.bus_server import BusServer
 from gateway.servers.j1939 import messages as dm
 from gateway.servers.j1939.answers import Answers
@@ -31,6 +32,7 @@ class J1939Server(BusServer):
         endpoint: the address, with the sessions of its transport protocol.
         memory: the fault memory.
         control: the gateway.
+        clearing: what DM3 and DM11 need.
     """
 
     prompt = True
@@ -41,8 +43,9 @@ class J1939Server(BusServer):
         endpoint: J1939Endpoint,
         memory: FaultMemory,
         control: TesterControl,
+        clearing: Need | None = None,
     ) -> None:
-        self._allow_clear = params.allow_clear
+        self._clearing = clearing or Need()
         self.endpoint = endpoint
         self._control = control
         self._dtcs = CodedDtcs(memory)
@@ -81,8 +84,10 @@ class J1939Server(BusServer):
 
     def _clear(self, pgn: int) -> int:
         """Clear all DTCs (DM11), or those that were active (DM3); returns how to acknowledge it."""
-        if not self._allow_clear:
+        if not self._clearing.allowed:
             return DENIED
+        if not self._control.meets(self._clearing.when):
+            return NEGATIVE
         try:
             if pgn == dm.DM11:
                 self._control.clear(ALL_DTCS)

@@ -15,6 +15,7 @@ from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
 from gateway.faults.store import StoreError
+from gateway.servers.access import Need
 from gateway.servers.application import Application
 from gateway.servers.obd.params import ObdParams
 from gateway.servers.tester_control import TesterControl
@@ -38,6 +39,10 @@ def _bitmap(base: int, numbers: Iterable[int]) -> bytes:
     return bits.to_bytes(4, "big")
 
 
+class _RefusedError(Exception):
+    """Clearing is not allowed, or not now."""
+
+
 class ObdServer(Application):
     """Answers the modes of J1979.
 
@@ -45,12 +50,16 @@ class ObdServer(Application):
         params: settings.
         memory: the fault memory.
         control: the gateway.
+        clearing: what mode 04 needs.
     """
 
-    def __init__(self, params: ObdParams, memory: FaultMemory, control: TesterControl) -> None:
+    def __init__(
+        self, params: ObdParams, memory: FaultMemory, control: TesterControl, clearing: Need | None = None
+    ) -> None:
         self._params = params
         self._memory = memory
         self._control = control
+        self._clearing = clearing or Need()
         self._pids = {pid.id: pid for pid in params.pid}
         self._modes: dict[int, Callable[[bytes], bytes]] = {
             0x01: self._x01_current_data,
@@ -67,7 +76,7 @@ class ObdServer(Application):
         mode = self._modes.get(request[0])
         try:
             found = b"" if mode is None else mode(request[1:])
-        except StoreError:  # nothing was cleared, or it would come back at the next start
+        except (StoreError, _RefusedError):  # nothing was cleared, or it would come back at the next start
             return [bytes([0x7F, request[0], _CONDITIONS_NOT_CORRECT])]
         if found:
             return [bytes([request[0] + 0x40]) + found]
@@ -147,6 +156,8 @@ class ObdServer(Application):
 
     def _x04_clear(self, rest: bytes) -> bytes:
         if not rest:
+            if not (self._clearing.allowed and self._control.meets(self._clearing.when)):
+                raise _RefusedError
             self._control.clear(EMISSION_DTCS)
         return b""
 

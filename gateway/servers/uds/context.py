@@ -6,9 +6,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 from gateway.faults.memory import FaultMemory
+from gateway.servers.access import SESSIONS, Need, Needs
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.tester_control import TesterControl
-from gateway.servers.uds.params import SESSIONS, Access, UdsParams
+from gateway.servers.uds.nrc import Nrc, refuse_unless
+from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 
 DEFAULT = SESSIONS["default"]
@@ -36,18 +38,59 @@ class Context:
     identifiers: Identifiers
     control: TesterControl
     security: Security
+    needs: Needs
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
     routines_done: dict[int, bytes] = field(default_factory=dict)
+    need: Need = field(default_factory=Need)  # of the request that is served now
+    _lasting: set[str] = field(default_factory=set)
+
+    def check_security(self) -> None:
+        """Refuse the request that is served now, if it needs a security level that is locked.
+
+        Raises:
+            NegativeError: it does.
+        """
+        refuse_unless(self.need.security in (0, self.security.unlocked), Nrc.SECURITY_ACCESS_DENIED)
+
+    def check_conditions(self) -> None:
+        """Refuse the request that is served now, if its conditions are not met; the last check of all.
+
+        Raises:
+            NegativeError: they are not.
+        """
+        refuse_unless(self.control.meets(self.need.when), Nrc.CONDITIONS_NOT_CORRECT)
+
+    def set_lasting(self, name: str, on: bool) -> None:
+        """Note that an intervention lasts from now on, or no longer: its conditions are watched."""
+        (self._lasting.add if on else self._lasting.discard)(name)
+
+    @property
+    def watches(self) -> bool:
+        """Whether an intervention lasts that has conditions."""
+        return any(self.needs[name].when for name in self._lasting)
+
+    def end_unmet(self) -> None:
+        """End what lasts though its conditions are met no longer."""
+        for name in sorted(self._lasting):
+            if not self.control.meets(self.needs[name].when):
+                self._undo(name)
+
+    def _undo(self, name: str) -> None:
+        self._lasting.discard(name)
+        if name == "dtc_setting":
+            self.control.set_dtcs(True)
+        else:
+            self.control.set_communication(receive=True, send=True)
 
     def enter(self, session: int) -> None:
         """Change the session: security locks, and the default session undoes what others had set."""
         self.security.lock()
         self.session = session
         if session == DEFAULT:
-            self.control.set_dtcs(True)
-            self.control.set_communication(receive=True, send=True)
+            for name in ("dtc_setting", "communication"):
+                self._undo(name)
             self.events.started = False
             self.routines_done.clear()
 
@@ -80,7 +123,9 @@ class Service:
         shortest: bytes of the shortest request.
         longest: bytes of the longest one, None: no limit.
         sessions: in which it is allowed.
-        access: settings of the session and security that it needs, if they are configured.
+        action: whose rule of access it goes by, "": anybody may.
+        undoes: whether a request only undoes such an intervention; it needs the session, and nothing else.
+        late: whether its handler checks the security, after what the standard checks before.
         offered: whether there is anything to it in this configuration; else it is not supported.
     """
 
@@ -91,5 +136,7 @@ class Service:
     shortest: int = 1
     longest: int | None = None
     sessions: Collection[int] = ANY_SESSION
-    access: Callable[[UdsParams], Access] | None = None
+    action: str = ""
+    undoes: Callable[[bytes], bool] = lambda _: False
+    late: bool = False
     offered: Callable[[Context], bool] = lambda _: True

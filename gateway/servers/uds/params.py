@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.servers.access import Access
 from gateway.servers.isotp.params import IsoTpParams
 
-#: Diagnostic sessions by name (ISO 14229-1, 0x10).
-SESSIONS = {"default": 0x01, "extended": 0x03}
-
-
-class Access(StrictModel):
-    """In which sessions something is allowed, and at which security level."""
-
-    sessions: tuple[Literal["default", "extended"], ...] = Field(
-        ("default", "extended"), min_length=1, description="sessions in which it is allowed"
-    )
-    security: int = Field(0, ge=0, le=33, description="security level that it needs, 0: none")
-
-    def in_session(self, session: int) -> bool:
-        """Tell whether it is allowed in a session."""
-        return session in {SESSIONS[name] for name in self.sessions}
+#: Shorter seeds come again while somebody listens.
+LEAST_SEED = 4
 
 
 class SecurityLevel(StrictModel):
@@ -55,9 +43,9 @@ class UdsParams(IsoTpParams):
     p2_star_ms: int = Field(5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]")
     s3_ms: int = Field(5000, ge=10, le=600000, description="a session without requests ends after this [ms]")
     status_mask: int = Field(0xFF, ge=1, le=255, description="status bits that it shows")
-    clear: Access = Field(Access(), description="what clearing (0x14) needs")
-    write: Access = Field(Access(sessions=("extended",)), description="what writing (0x2E) needs")
-    routine: Access = Field(Access(sessions=("extended",)), description="what routines (0x31) need")
+    clear: Access | None = Field(None, description="what clearing (0x14) needs; the same as access.clear")
+    write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")
+    routine: Access | None = Field(None, description="what routines (0x31) need; the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
 
     @model_validator(mode="after")
@@ -65,8 +53,26 @@ class UdsParams(IsoTpParams):
         levels = [entry.level for entry in self.security]
         if len(set(levels)) != len(levels):
             raise ValueError("security: two entries have one level")
-        for name in ("clear", "write", "routine"):
-            needed = getattr(self, name).security
-            if needed and needed not in levels:
-                raise ValueError(f"{name}.security: no security level {needed} is set up")
+        for name, rule in self.rules.items():
+            if rule.security and rule.security not in levels:
+                raise ValueError(f"{name}.security: no security level {rule.security} is set up")
         return self
+
+    @property
+    def rules(self) -> dict[str, Access]:
+        """Rules of access that are given here, rather than in the table ``[access]``."""
+        named = {"clear": self.clear, "write": self.write, "routine": self.routine}
+        return {name: rule for name, rule in named.items() if rule is not None}
+
+    def weak_levels(self) -> list[str]:
+        """Return what is weak about the security levels, one line each."""
+        return [
+            f"output.uds.security[{k}].seed_length = {entry.seed_length}: a seed comes again soon; take 8 or more"
+            for k, entry in enumerate(self.security)
+            if entry.seed_length < LEAST_SEED
+        ]
+
+    @property
+    def levels(self) -> list[int]:
+        """Security levels that there are."""
+        return sorted(entry.level for entry in self.security)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
+from gateway.servers.access import Need
 from gateway.servers.application import Application
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, refuse_unless
@@ -14,6 +15,8 @@ from gateway.servers.uds.services.x86_response_on_event import responses_to
 
 #: The longest response that ISO-TP carries in its usual form.
 LONGEST = 4095
+#: How often the conditions of what lasts are looked at [ns].
+WATCH_NS = 100_000_000
 
 
 def _negative(sid: int, nrc: Nrc) -> bytes:
@@ -31,6 +34,7 @@ class UdsServer(Application):
         self._context = context
         self._later: tuple[int, Later] | None = None
         self._last_request_ns = 0
+        self._watched_ns = 0
 
     def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         """Return the responses to a request: none, one, or 0x78 with the final one to come.
@@ -66,11 +70,10 @@ class UdsServer(Application):
     def _serve(self, service: Service, request: bytes) -> bytes | Later:
         """Check a request in the standard's order, and let its service handle it."""
         c = self._context
-        access = None if service.access is None else service.access(c.params)
-        refuse_unless(
-            c.session in service.sessions and (access is None or access.in_session(c.session)),
-            Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
-        )
+        need = c.needs[service.action] if service.action else Need()
+        c.need = Need() if service.undoes(request) else need
+        in_session = c.session in service.sessions and c.session in c.need.sessions
+        refuse_unless(in_session, Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION)
         if service.sub_functions is not None:
             refuse_unless(len(request) >= 2, Nrc.INCORRECT_LENGTH)
             known = service.sub_functions(c)
@@ -79,10 +82,8 @@ class UdsServer(Application):
             refuse_unless(c.session in known[number], Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION)
         refuse_unless(len(request) >= service.shortest, Nrc.INCORRECT_LENGTH)
         refuse_unless(service.longest is None or len(request) <= service.longest, Nrc.INCORRECT_LENGTH)
-        refuse_unless(
-            access is None or access.security in (0, c.security.unlocked),
-            Nrc.SECURITY_ACCESS_DENIED,
-        )
+        if not service.late:
+            c.check_security()
         return service.handle(c, request)
 
     def _positive(self, sid: int, content: bytes) -> bytes:
@@ -105,6 +106,9 @@ class UdsServer(Application):
             self._last_request_ns = c.now_ns  # S3 starts with the final answer
         if c.session != DEFAULT and c.now_ns >= self._session_ends_ns:
             c.enter(DEFAULT)
+        if c.watches and c.now_ns >= self._watched_ns + WATCH_NS:
+            self._watched_ns = c.now_ns
+            c.end_unmet()
         return made
 
     @property
@@ -116,7 +120,10 @@ class UdsServer(Application):
         """When it has something to do next."""
         if self._later is not None:
             return 0
-        return NEVER if self._context.session == DEFAULT else self._session_ends_ns
+        if self._context.session == DEFAULT:
+            return NEVER
+        ends = self._session_ends_ns
+        return min(ends, self._watched_ns + WATCH_NS) if self._context.watches else ends
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
         """Take changes of status bytes; returns the responses that were asked for on them (0x86)."""

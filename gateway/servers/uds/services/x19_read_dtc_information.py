@@ -212,6 +212,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     number = request[1] & 0x7F
     length, report = REPORTS[number]
     refuse_unless(len(request) == 2 + length, Nrc.INCORRECT_LENGTH)
+    c.check_conditions()
     return bytes([number]) + report(c, request[2:])
 
 
@@ -221,4 +222,5 @@ SERVICE = Service(
     _handle,
     lambda _: dict.fromkeys(REPORTS, ANY_SESSION),
     shortest=2,
+    action="read_dtcs",
 )
