@@ -87,6 +87,10 @@ def _access(config: Config) -> Iterator[InputError]:
     if j1939 is not None and j1939.allow_clear is not None and rule is not None and rule.allowed is not None:
         text = "output.j1939.allow_clear says this already; take one of them out"
         yield InputError(text, key="access.j1939_clear.allowed")
+    for k, did in enumerate(config.did):
+        if did.id == config.access.trace_did:
+            text = "this identifier reads what testers did; give access.trace_did another number"
+            yield InputError(text, key=f"did[{k}].id", value=f"0x{did.id:04X}")
     yield from wrong_rules(config.access, config.security_levels)
 
 

@@ -31,6 +31,7 @@ from gateway.faults.failures import (
     known,
     latest_signals,
 )
+from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.outage import Outage
 from gateway.faults.reading import Readable
@@ -385,6 +386,14 @@ class FaultMemory(Readable):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do, with the next commit."""
         self._held.note_buses(states)
+
+    def note_intervention(self, intervention: Intervention) -> Intervention | None:
+        """Keep what a tester did, with the next commit; returns what to tell of it, None: nothing."""
+        return self._held.note_intervention(intervention)
+
+    def interventions(self) -> list[Intervention]:
+        """Return what testers did, the oldest first."""
+        return self._held.interventions.all()
 
     def note_descriptions(self) -> None:
         """Keep what the faults are called, with the next commit, for readers without the configuration."""

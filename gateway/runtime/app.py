@@ -31,6 +31,7 @@ from gateway.engine.events import (
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
+from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
@@ -43,6 +44,7 @@ from gateway.runtime.told import (
     clock_event,
     cycle_event,
     dtc_event,
+    intervention_event,
     monitor_event,
     summary_event,
 )
@@ -109,6 +111,7 @@ class Gateway:
             round(config.access.stale_ms * 1e6),
             self._before_clear,
             self._after_clear,
+            self._note_intervention,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
@@ -289,6 +292,7 @@ class Gateway:
         self._upkeep.look(self.engine.now_ns)
         cleared = self.memory.serve_requests(self._before_clear)
         if cleared:
+            self.controls.note(Intervention(0, "local", "", 0, "clear"))
             self.controls.forget(cleared)
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
@@ -372,6 +376,12 @@ class Gateway:
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self.engine.wall_ns(self.engine.now_ns)
         self._tell(clear_event(t_ns, gone))
+
+    def _note_intervention(self, intervention: Intervention) -> None:
+        """Keep what a tester did; it is told when it is stored."""
+        told = self.memory.note_intervention(intervention)
+        if told is not None:
+            self._untold.append(intervention_event(told))
 
     def _take_early(self) -> list[Frames]:
         early, self._early = self._early, []

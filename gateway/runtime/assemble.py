@@ -17,8 +17,10 @@ from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot
 from gateway.errors import InputError, InputErrors
 from gateway.faults.catalogue import Catalogue, define
+from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.servers.access import FREE, GUARDED
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
@@ -169,7 +171,15 @@ def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: T
     """Return the table of data identifiers, with those of the freeze frames' signals."""
     named = {did.name for did in config.did}
     frozen = {name for names in parts.frozen.values() for name in names} - named
-    return Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
+    made = Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
+    if config.access.trace_did is not None:
+        numbers = {**GUARDED, **FREE, "obd_clear": 0x04}
+        made.serve(config.access.trace_did, "interventions", lambda: encode(memory.interventions(), numbers))
+    return made
+
+
+def _bus_name(config: Config, name: str | None) -> str:
+    return config.bus[config.bus_index(name)].name
 
 
 def servers_of(
@@ -194,9 +204,12 @@ def servers_of(
         )
     uds = None
     if asked.uds is not None:
-        context = Context(asked.uds, memory, identifiers, control, parts.security, needs)
-        uds = UdsServer(context)
-    obd = None if asked.obd is None else ObdServer(asked.obd, memory, control, needs["obd_clear"])
+        bus = _bus_name(config, asked.uds.bus)
+        uds = UdsServer(Context(asked.uds, memory, identifiers, control, parts.security, needs, bus))
+    obd = None
+    if asked.obd is not None:
+        bus = _bus_name(config, asked.obd.bus)
+        obd = ObdServer(asked.obd, memory, control, needs["obd_clear"], bus)
 
     def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
         transport = IsoTpEndpoint(params, config.bus_index(params.bus))
@@ -210,7 +223,7 @@ def servers_of(
         if asked.obd is not None:
             server(asked.obd, None, obd)
     if asked.j1939 is not None:
-        bus = config.bus_index(asked.j1939.bus)
-        endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, bus)
-        made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"]))
+        index = config.bus_index(asked.j1939.bus)
+        endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, index)
+        made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"], config.bus[index].name))
     return made

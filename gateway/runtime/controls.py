@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from gateway.engine.core import Engine
+from gateway.faults.interventions import Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.settings import ConditionSettings
@@ -24,6 +26,7 @@ class Controls:
         slots: mailbox slots of signals by name.
         stale_ns: a signal that is older meets no condition.
         before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
+        noted: takes what a tester did, to be kept and told.
     """
 
     def __init__(
@@ -36,6 +39,7 @@ class Controls:
         stale_ns: int,
         before_clear: Callable[[], None] = lambda: None,
         after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
+        noted: Callable[[Intervention], None] = lambda intervention: None,
     ) -> None:
         self._engine = engine
         self._memory = memory
@@ -43,6 +47,7 @@ class Controls:
         self._recorder = recorder
         self._slots = slots
         self._stale_ns = stale_ns
+        self._noted = noted
         self._before_clear, self._after_clear = before_clear, after_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
         self._dtcs_on = True
@@ -72,6 +77,10 @@ class Controls:
         low = -math.inf if condition.min is None else condition.min
         high = math.inf if condition.max is None else condition.max
         return low <= value <= high
+
+    def note(self, intervention: Intervention) -> None:
+        """Keep and tell what a tester did, or was refused; its time is now."""
+        self._noted(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
 
     def knows(self, group: int) -> bool:
         """Tell whether there is such a DTC or group."""

@@ -82,6 +82,9 @@ class AccessParams(StrictModel):
     stale_ms: float = Field(
         1000.0, gt=0, le=60_000, allow_inf_nan=False, description="a signal is unknown when it is older [ms]"
     )
+    trace_did: int | None = Field(
+        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads what testers did; none: it is not read"
+    )
     session: Access | None = Field(None, description="entering another than the default session (0x10)")
     reset: Access | None = Field(None, description="reset (0x11)")
     clear: Access | None = Field(None, description="clearing (0x14)")

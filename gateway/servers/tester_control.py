@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from gateway.faults.interventions import Intervention
 from gateway.faults.settings import ConditionSettings
 
 
@@ -16,6 +17,9 @@ class TesterControl(Protocol):
 
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
         """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+
+    def note(self, intervention: Intervention) -> None:
+        """Keep and tell what a tester did, or was refused; its time is now."""
 
     def clear(self, group: int) -> bool:
         """Clear one DTC or a group, durable on return; False if there is no such DTC or group.

@@ -110,6 +110,7 @@ def mutated(rng, seeds):
 @pytest.fixture
 def rig(tmp_path):
     rig = Rig(write_config(tmp_path, 6, extra=EXTRA))
+    rig.gateway._listeners.clear()
     for k in range(4):
         rig.fail(k)
     yield rig
@@ -144,6 +145,8 @@ def test_mutated_requests(rig):
         nonlocal now, negative
         for n in range(rounds):
             now += 100_000
+            if n % 50 == 0:
+                rig.gateway.advance(now)  # what was done is told
             request = mutated(rng, slow if n % 50 == 0 else seeds)
             functional = bool(n & 1)
             answers = server._answer(request, functional, now)
@@ -208,6 +211,8 @@ def test_mutated_frames(rig):
                     j1939.on_time(now)
                 if done % 7 == 0:
                     isotp.on_time(now)
+                if done % 70 == 0:
+                    rig.gateway.advance(now)
                 done += 1
 
     assert grown(work, TOTAL // 2) < 100_000

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames, empty
 from gateway.faults.dtc import ALL_DTCS
 from gateway.faults.entries import DtcChange
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import StoreError
 from gateway.servers.access import Need
@@ -23,6 +24,9 @@ from gateway.servers.j1939.frame import GLOBAL
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
 
+#: Outcomes of what is refused, as UDS calls them.
+SECURITY_ACCESS_DENIED, CONDITIONS_NOT_CORRECT = 0x33, 0x22
+
 
 class J1939Server(BusServer):
     """Sends DM1 and answers requests at an address of its own.
@@ -33,6 +37,7 @@ class J1939Server(BusServer):
         memory: the fault memory.
         control: the gateway.
         clearing: what DM3 and DM11 need.
+        bus: name of its bus.
     """
 
     prompt = True
@@ -44,7 +49,9 @@ class J1939Server(BusServer):
         memory: FaultMemory,
         control: TesterControl,
         clearing: Need | None = None,
+        bus: str = "",
     ) -> None:
+        self._bus = bus
         self._clearing = clearing or Need()
         self.endpoint = endpoint
         self._control = control
@@ -74,13 +81,21 @@ class J1939Server(BusServer):
 
     def _answer(self, request: PgnRequest) -> None:
         if request.pgn in (dm.DM3, dm.DM11):
-            self.endpoint.acknowledge(self._clear(request.pgn), request)
+            kind = self._clear(request.pgn)
+            self._note(request, kind)
+            self.endpoint.acknowledge(kind, request)
             return
         data = self._answers.of(request.pgn)
         if data is None:
             self.endpoint.acknowledge(NEGATIVE, request)
         else:
             self.endpoint.answer(request, data)
+
+    def _note(self, request: PgnRequest, kind: int) -> None:
+        refused = {POSITIVE: DONE, DENIED: SECURITY_ACCESS_DENIED, NEGATIVE: CONDITIONS_NOT_CORRECT}
+        pgn = request.pgn.to_bytes(3, "big")
+        by = Intervention(0, "j1939", self._bus, request.source, "j1939_clear", pgn, refused[kind])
+        self._control.note(by)
 
     def _clear(self, pgn: int) -> int:
         """Clear all DTCs (DM11), or those that were active (DM3); returns how to acknowledge it."""

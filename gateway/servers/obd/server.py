@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 
 from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
@@ -51,15 +52,22 @@ class ObdServer(Application):
         memory: the fault memory.
         control: the gateway.
         clearing: what mode 04 needs.
+        bus: name of its bus.
     """
 
     def __init__(
-        self, params: ObdParams, memory: FaultMemory, control: TesterControl, clearing: Need | None = None
+        self,
+        params: ObdParams,
+        memory: FaultMemory,
+        control: TesterControl,
+        clearing: Need | None = None,
+        bus: str = "",
     ) -> None:
         self._params = params
         self._memory = memory
         self._control = control
         self._clearing = clearing or Need()
+        self._bus = bus
         self._pids = {pid.id: pid for pid in params.pid}
         self._modes: dict[int, Callable[[bytes], bytes]] = {
             0x01: self._x01_current_data,
@@ -77,14 +85,20 @@ class ObdServer(Application):
         try:
             found = b"" if mode is None else mode(request[1:])
         except (StoreError, _RefusedError):  # nothing was cleared, or it would come back at the next start
+            self._note_clear(_CONDITIONS_NOT_CORRECT, functional)
             return [bytes([0x7F, request[0], _CONDITIONS_NOT_CORRECT])]
         if found:
             return [bytes([request[0] + 0x40]) + found]
         if mode is not None and request[0] == 0x04 and len(request) == 1:
+            self._note_clear(DONE, functional)
             return [b"\x44"]
         if functional:
             return []
         return [bytes([0x7F, request[0], _NOT_SUPPORTED if mode is None else _NO_SUCH_PARAMETER])]
+
+    def _note_clear(self, outcome: int, functional: bool) -> None:
+        by = (self._params.functional or 0) if functional else self._params.request
+        self._control.note(Intervention(0, "obd", self._bus, by, "obd_clear", b"\x04", outcome))
 
     def _related(self) -> list[Entry]:
         return [entry for entry in self._memory.entries() if self._memory.definition(entry.fault).emission_related]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.servers.access import SESSIONS, Need, Needs
 from gateway.servers.identifiers import Identifiers
@@ -39,10 +40,13 @@ class Context:
     control: TesterControl
     security: Security
     needs: Needs
+    bus: str = ""
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
     routines_done: dict[int, bytes] = field(default_factory=dict)
+    asked_by: int = 0  # identifier of the latest request
+    asked_in: tuple[int, int] = (DEFAULT, 0)  # session and unlocked security level when it came
     need: Need = field(default_factory=Need)  # of the request that is served now
     _lasting: set[str] = field(default_factory=set)
 
@@ -62,6 +66,12 @@ class Context:
         """
         refuse_unless(self.control.meets(self.need.when), Nrc.CONDITIONS_NOT_CORRECT)
 
+    def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
+        """Keep and tell what the tester did, or was refused."""
+        session, level = self.asked_in
+        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level)
+        self.control.note(by)
+
     def set_lasting(self, name: str, on: bool) -> None:
         """Note that an intervention lasts from now on, or no longer: its conditions are watched."""
         (self._lasting.add if on else self._lasting.discard)(name)
@@ -78,7 +88,9 @@ class Context:
                 self._undo(name)
 
     def _undo(self, name: str) -> None:
-        self._lasting.discard(name)
+        if name in self._lasting:
+            self._lasting.discard(name)
+            self.note(f"{name}_ended", protocol="gateway")
         if name == "dtc_setting":
             self.control.set_dtcs(True)
         else:
@@ -125,6 +137,7 @@ class Service:
         sessions: in which it is allowed.
         action: whose rule of access it goes by, "": anybody may.
         undoes: whether a request only undoes such an intervention; it needs the session, and nothing else.
+        traced: whether a request is an intervention, which is kept and told.
         late: whether its handler checks the security, after what the standard checks before.
         offered: whether there is anything to it in this configuration; else it is not supported.
     """
@@ -139,4 +152,5 @@ class Service:
     action: str = ""
     undoes: Callable[[bytes], bool] = lambda _: False
     late: bool = False
+    traced: Callable[[bytes], bool] = lambda _: False
     offered: Callable[[Context], bool] = lambda _: True

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
+from gateway.faults.interventions import DONE
 from gateway.servers.access import Need
 from gateway.servers.application import Application
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
@@ -17,6 +18,18 @@ from gateway.servers.uds.services.x86_response_on_event import responses_to
 LONGEST = 4095
 #: How often the conditions of what lasts are looked at [ns].
 WATCH_NS = 100_000_000
+#: Refusals that say that a tester may not, or not now; others are of requests that make no sense.
+TRACED = frozenset(
+    {
+        Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
+        Nrc.SECURITY_ACCESS_DENIED,
+        Nrc.INVALID_KEY,
+        Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS,
+        Nrc.REQUIRED_TIME_DELAY_NOT_EXPIRED,
+        Nrc.CONDITIONS_NOT_CORRECT,
+        Nrc.GENERAL_PROGRAMMING_FAILURE,
+    }
+)
 
 
 def _negative(sid: int, nrc: Nrc) -> bytes:
@@ -32,7 +45,7 @@ class UdsServer(Application):
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._later: tuple[int, Later] | None = None
+        self._later: tuple[Service, bytes, Later] | None = None
         self._last_request_ns = 0
         self._watched_ns = 0
 
@@ -50,6 +63,8 @@ class UdsServer(Application):
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         c = self._context
         c.now_ns = self._last_request_ns = t_ns
+        c.asked_in = c.session, c.security.unlocked
+        c.asked_by = (c.params.functional or 0) if functional else c.params.request
         sid = request[0]
         service = SERVICES.get(sid)
         try:
@@ -57,12 +72,15 @@ class UdsServer(Application):
                 raise NegativeError(Nrc.SERVICE_NOT_SUPPORTED)
             found = self._serve(service, request)
         except NegativeError as error:
+            if service is not None:
+                self._note(service, request, error.nrc)
             if functional and error.nrc in SILENT_WHEN_FUNCTIONAL:
                 return []
             return [_negative(sid, error.nrc)]
         if isinstance(found, Later):
-            self._later = sid, found
+            self._later = service, request, found
             return [_negative(sid, Nrc.RESPONSE_PENDING)]
+        self._note(service, request, DONE)
         if service.sub_functions is not None and request[1] & 0x80:
             return []
         return [self._positive(sid, found)]
@@ -86,6 +104,14 @@ class UdsServer(Application):
             c.check_security()
         return service.handle(c, request)
 
+    def _note(self, service: Service, request: bytes, outcome: int) -> None:
+        """Keep what a request did, or was refused, if it would change anything."""
+        c = self._context
+        if service.traced(request) and (outcome == DONE or outcome in TRACED):
+            c.note(service.action, request, outcome)
+            if outcome == Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS:
+                c.note("lockout", request[:2], outcome)
+
     def _positive(self, sid: int, content: bytes) -> bytes:
         if 1 + len(content) > LONGEST:
             return _negative(sid, Nrc.RESPONSE_TOO_LONG)
@@ -97,12 +123,14 @@ class UdsServer(Application):
         c.now_ns = max(c.now_ns, t_ns)
         made: list[bytes] = []
         if self._later is not None:
-            sid, later = self._later
+            service, request, later = self._later
             self._later = None
             try:
-                made.append(self._positive(sid, later.work()))
+                made.append(self._positive(service.sid, later.work()))
+                self._note(service, request, DONE)
             except NegativeError as error:
-                made.append(_negative(sid, error.nrc))
+                made.append(_negative(service.sid, error.nrc))
+                self._note(service, request, error.nrc)
             self._last_request_ns = c.now_ns  # S3 starts with the final answer
         if c.session != DEFAULT and c.now_ns >= self._session_ends_ns:
             c.enter(DEFAULT)

@@ -26,4 +26,5 @@ SERVICE = Service(
     shortest=2,
     longest=2,
     action="reset",
+    traced=lambda _: True,
 )

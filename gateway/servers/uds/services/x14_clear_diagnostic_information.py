@@ -25,4 +25,5 @@ SERVICE = Service(
     shortest=4,
     longest=4,
     action="clear",
+    traced=lambda _: True,
 )

@@ -36,5 +36,6 @@ SERVICE = Service(
     longest=3,
     sessions=NOT_DEFAULT,
     action="communication",
+    traced=lambda _: True,
     undoes=lambda request: request[1:2] in (b"\x00", b"\x80"),
 )

@@ -28,6 +28,7 @@ SERVICE = Service(
     _handle,
     shortest=4,
     action="write",
+    traced=lambda _: True,
     late=True,
     offered=lambda c: any(did.writable for did in c.identifiers.table.values()),
 )

@@ -53,5 +53,6 @@ SERVICE = Service(
     lambda _: dict.fromkeys(range(0x80), ANY_SESSION),  # which there are is asked of the routine, after its identifier
     shortest=4,
     action="routine",
+    traced=lambda request: request[1:2] not in (b"\x03", b"\x83"),
     late=True,
 )

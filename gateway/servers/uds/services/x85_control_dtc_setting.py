@@ -27,5 +27,6 @@ SERVICE = Service(
     shortest=2,
     sessions=NOT_DEFAULT,
     action="dtc_setting",
+    traced=lambda _: True,
     undoes=lambda request: request[1:2] in (b"\x01", b"\x81"),
 )
