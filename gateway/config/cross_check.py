@@ -23,6 +23,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         check_unique(config.did),
         _cycles(config),
         _access(config),
+        _addresses(config),
     )
 
 
@@ -76,6 +77,33 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _addresses(config: Config) -> Iterator[InputError]:
+    """Each address of a diagnostic server has identifiers of its own, on its bus."""
+    uds, obd = config.output.uds, config.output.obd
+    if uds is None or not uds.further:
+        return
+    taken: dict[tuple[str | None, int], str] = {}
+    first = config.bus[0].name if len(config.bus) == 1 else None
+    for entry in [uds] + ([] if obd is None else [obd]):
+        for number in (entry.request, entry.response, entry.functional):
+            if number is not None:
+                taken[entry.bus or first, number] = "the first address"
+    named = {bus.name for bus in config.bus}
+    for k, further in enumerate(uds.further):
+        key = f"output.uds.further[{k}]"
+        if further.bus not in named and not (further.bus is None and len(named) == 1):
+            text = f"the buses are {', '.join(sorted(named))}"
+            yield InputError(text, key=f"{key}.bus", value=further.bus or "(no bus named)")
+            continue
+        for name in ("request", "response", "functional"):
+            number = getattr(further, name)
+            if number is None:
+                continue
+            owner = taken.setdefault((further.bus or first, number), key)
+            if owner != key:
+                yield InputError(f"{owner} has this identifier", key=f"{key}.{name}", value=f"0x{number:X}")
 
 
 def _access(config: Config) -> Iterator[InputError]:

@@ -32,6 +32,7 @@ from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.context import Context
+from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.signals.database import Database
@@ -182,6 +183,41 @@ def _bus_name(config: Config, name: str | None) -> str:
     return config.bus[config.bus_index(name)].name
 
 
+def _uds_servers(
+    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+) -> list[tuple[UdsParams, UdsServer]]:
+    """Build a UDS server for each of its addresses: a tester each, with a session of his own."""
+    if config.output.uds is None:
+        return []
+    testers: list[Context] = []
+    for params in config.output.uds.each_address:
+        bus = _bus_name(config, params.bus)
+        security = parts.security.beside() if testers else parts.security
+        testers.append(Context(params, memory, identifiers, control, security, config.needs, bus, testers))
+    return [(context.params, UdsServer(context)) for context in testers]
+
+
+def _diagnostic_servers(
+    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+) -> list[BusServer]:
+    """Build what is on ISO-TP: UDS with OBD on its first address if they share it, each further address, OBD alone."""
+    asked = config.output.obd
+    obd = None
+    if asked is not None:
+        obd = ObdServer(asked, memory, control, config.needs["obd_clear"], _bus_name(config, asked.bus))
+    made: list[BusServer] = []
+
+    def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
+        made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, obd))
+
+    shared = config.diagnostic_address_is_shared()
+    for k, (params, uds) in enumerate(_uds_servers(config, parts, memory, control, identifiers)):
+        server(params, uds, obd if shared and not k else None)
+    if asked is not None and not shared:
+        server(asked, None, obd)
+    return made
+
+
 def servers_of(
     config: Config,
     parts: Parts,
@@ -202,26 +238,7 @@ def servers_of(
                 control.fault_detection_counter,
             )
         )
-    uds = None
-    if asked.uds is not None:
-        bus = _bus_name(config, asked.uds.bus)
-        uds = UdsServer(Context(asked.uds, memory, identifiers, control, parts.security, needs, bus))
-    obd = None
-    if asked.obd is not None:
-        bus = _bus_name(config, asked.obd.bus)
-        obd = ObdServer(asked.obd, memory, control, needs["obd_clear"], bus)
-
-    def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
-        transport = IsoTpEndpoint(params, config.bus_index(params.bus))
-        made.append(DiagnosticServer(transport, uds, obd))
-
-    if asked.uds is not None and config.diagnostic_address_is_shared():
-        server(asked.uds, uds, obd)
-    else:
-        if asked.uds is not None:
-            server(asked.uds, uds, None)
-        if asked.obd is not None:
-            server(asked.obd, None, obd)
+    made += _diagnostic_servers(config, parts, memory, control, identifiers)
     if asked.j1939 is not None:
         index = config.bus_index(asked.j1939.bus)
         endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, index)

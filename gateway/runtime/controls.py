@@ -50,9 +50,10 @@ class Controls:
         self._noted = noted
         self._before_clear, self._after_clear = before_clear, after_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
-        self._dtcs_on = True
-        self.receive = True
-        self.send = True
+        # Which testers have it off; a tester's address stands for him.
+        self._dtcs_off: set[str] = set()
+        self._deaf: set[str] = set()
+        self._mute: set[str] = set()
 
     def fault_detection_counter(self, fault: str) -> int:
         """Return a fault's detection counter now, -128..127; 0 for one that is not monitored any more."""
@@ -108,18 +109,29 @@ class Controls:
             self._recorder.forget(names)
         self._after_clear(names)
 
-    def set_dtcs(self, on: bool) -> None:
-        """Let test results count, or not."""
-        self._dtcs_on = on
+    @property
+    def receive(self) -> bool:
+        """Whether normal messages are received."""
+        return not self._deaf
+
+    @property
+    def send(self) -> bool:
+        """Whether normal messages are sent."""
+        return not self._mute
+
+    def set_dtcs(self, on: bool, by: str = "") -> None:
+        """Let test results count, or not; they do when no tester has it off."""
+        _switch(self._dtcs_off, on, by)
         self._hold()
 
-    def set_communication(self, *, receive: bool, send: bool) -> None:
-        """Switch normal communication; without reception no result counts."""
-        self.receive, self.send = receive, send
+    def set_communication(self, *, receive: bool, send: bool, by: str = "") -> None:
+        """Switch normal communication; it is on when no tester has it off. Without reception no result counts."""
+        _switch(self._deaf, receive, by)
+        _switch(self._mute, send, by)
         self._hold()
 
     def _hold(self) -> None:
-        self._engine.hold_results(not (self._dtcs_on and self.receive))
+        self._engine.hold_results(bool(self._dtcs_off or self._deaf))
 
     def start_cycle(self, t_ns: int) -> None:
         """Start the operation cycle of the gateway itself, at a time of the engine."""
@@ -158,3 +170,10 @@ class Controls:
         """
         self._memory.join()
         self._store.compact()
+
+
+def _switch(off: set[str], on: bool, by: str) -> None:
+    if on:
+        off.discard(by)
+    else:
+        off.add(by)

@@ -28,11 +28,11 @@ class TesterControl(Protocol):
             StoreError: it could not be written; nothing was cleared.
         """
 
-    def set_dtcs(self, on: bool) -> None:
-        """Let test results count, or not (ISO 14229-1, 0x85)."""
+    def set_dtcs(self, on: bool, by: str = "") -> None:
+        """Let test results count, or not (ISO 14229-1, 0x85); they do when no tester has it off."""
 
-    def set_communication(self, *, receive: bool, send: bool) -> None:
-        """Switch normal communication (ISO 14229-1, 0x28)."""
+    def set_communication(self, *, receive: bool, send: bool, by: str = "") -> None:
+        """Switch normal communication (ISO 14229-1, 0x28); it is on when no tester has it off."""
 
     def restart_cycle(self) -> None:
         """End the operation cycle and begin the next one, as at key off and on."""

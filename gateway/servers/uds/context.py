@@ -41,6 +41,7 @@ class Context:
     security: Security
     needs: Needs
     bus: str = ""
+    testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
@@ -49,6 +50,11 @@ class Context:
     asked_in: tuple[int, int] = (DEFAULT, 0)  # session and unlocked security level when it came
     need: Need = field(default_factory=Need)  # of the request that is served now
     _lasting: set[str] = field(default_factory=set)
+
+    @property
+    def name(self) -> str:
+        """What the tester at this address is called inside."""
+        return f"{self.bus}:{self.params.request:X}"
 
     def check_security(self) -> None:
         """Refuse the request that is served now, if it needs a security level that is locked.
@@ -92,9 +98,9 @@ class Context:
             self._lasting.discard(name)
             self.note(f"{name}_ended", protocol="gateway")
         if name == "dtc_setting":
-            self.control.set_dtcs(True)
+            self.control.set_dtcs(True, self.name)
         else:
-            self.control.set_communication(receive=True, send=True)
+            self.control.set_communication(receive=True, send=True, by=self.name)
 
     def enter(self, session: int) -> None:
         """Change the session: security locks, and the default session undoes what others had set."""

@@ -36,6 +36,15 @@ class SecurityLevel(StrictModel):
         return self
 
 
+class FurtherAddress(StrictModel):
+    """A further address of the UDS server, with a session and a security of its own."""
+
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    request: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of physical requests")
+    response: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of the answers")
+    functional: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of functional requests")
+
+
 class UdsParams(IsoTpParams):
     """The UDS server."""
 
@@ -47,6 +56,9 @@ class UdsParams(IsoTpParams):
     write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")
     routine: Access | None = Field(None, description="what routines (0x31) need; the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
+    further: tuple[FurtherAddress, ...] = Field(
+        (), description="further addresses, for testers beside the first; each has its own session"
+    )
 
     @model_validator(mode="after")
     def _known_levels(self) -> Self:
@@ -57,6 +69,11 @@ class UdsParams(IsoTpParams):
             if rule.security and rule.security not in levels:
                 raise ValueError(f"{name}.security: no security level {rule.security} is set up")
         return self
+
+    @property
+    def each_address(self) -> list[UdsParams]:
+        """The server's settings for each of its addresses, the first one first."""
+        return [self, *(self.model_copy(update=further.model_dump()) for further in self.further)]
 
     @property
     def rules(self) -> dict[str, Access]:

@@ -67,7 +67,7 @@ class Security:
         levels: Sequence[SecurityLevel],
         random: Callable[[int], bytes] = secrets.token_bytes,
     ) -> None:
-        self._levels = {}
+        self._levels: dict[int, _Level] = {}
         for k, params in enumerate(levels):
             try:
                 self._levels[params.level] = _Level(params, key_function(params.key))
@@ -76,6 +76,12 @@ class Security:
         self._random = random
         self._seed: tuple[int, bytes] | None = None
         self.unlocked = 0
+
+    def beside(self) -> Security:
+        """Return the security of another tester: unlocked by itself, but wrong keys count for both."""
+        other = Security((), self._random)
+        other._levels = self._levels
+        return other
 
     @property
     def levels(self) -> list[int]:

@@ -48,6 +48,7 @@ class UdsServer(Application):
         self._later: tuple[Service, bytes, Later] | None = None
         self._last_request_ns = 0
         self._watched_ns = 0
+        self._busy = False
 
     def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         """Return the responses to a request: none, one, or 0x78 with the final one to come.
@@ -132,12 +133,27 @@ class UdsServer(Application):
                 made.append(_negative(service.sid, error.nrc))
                 self._note(service, request, error.nrc)
             self._last_request_ns = c.now_ns  # S3 starts with the final answer
-        if c.session != DEFAULT and c.now_ns >= self._session_ends_ns:
-            c.enter(DEFAULT)
+        self._end_session()
         if c.watches and c.now_ns >= self._watched_ns + WATCH_NS:
             self._watched_ns = c.now_ns
             c.end_unmet()
         return made
+
+    def _end_session(self) -> None:
+        """End the session if S3 is over; it does not run while a message is under way."""
+        c = self._context
+        if c.session != DEFAULT and not self._busy and c.now_ns >= self._session_ends_ns:
+            c.enter(DEFAULT)
+
+    def hold(self, busy: bool, t_ns: int) -> None:
+        """Stop S3 while a message is under way; it begins anew when that is over (ISO 14229-2, 7.5)."""
+        c = self._context
+        c.now_ns = max(c.now_ns, t_ns)
+        if busy and not self._busy:
+            self._end_session()  # it may have been over before
+        elif self._busy and not busy:
+            self._last_request_ns = c.now_ns
+        self._busy = busy
 
     @property
     def _session_ends_ns(self) -> int:
@@ -150,7 +166,7 @@ class UdsServer(Application):
             return 0
         if self._context.session == DEFAULT:
             return NEVER
-        ends = self._session_ends_ns
+        ends = NEVER if self._busy else self._session_ends_ns
         return min(ends, self._watched_ns + WATCH_NS) if self._context.watches else ends
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:

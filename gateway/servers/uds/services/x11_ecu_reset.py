@@ -13,7 +13,8 @@ HARD, KEY_OFF_ON, SOFT = 0x01, 0x02, 0x03
 
 def _handle(c: Context, request: bytes) -> bytes:
     c.check_conditions()
-    c.enter(DEFAULT)
+    for tester in c.testers:  # a reset is one for all
+        tester.enter(DEFAULT)
     c.control.restart_cycle()
     return bytes([request[1] & 0x7F])
 

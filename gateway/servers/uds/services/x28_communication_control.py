@@ -23,7 +23,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     if kind & _NORMAL:
         receive, send = _SETTINGS[number]
         c.set_lasting("communication", not (receive and send))
-        c.control.set_communication(receive=receive, send=send)
+        c.control.set_communication(receive=receive, send=send, by=c.name)
     return bytes([number])
 
 
