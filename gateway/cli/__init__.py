@@ -352,7 +352,7 @@ def faults_list(memory: MemoryOption = None, config: ConfigArgument = None, json
 
 @faults_app.command("show")
 def faults_show(
-    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     json: Json = False,
@@ -394,7 +394,7 @@ def faults_interventions(memory: MemoryOption = None, config: ConfigArgument = N
 
 @faults_app.command("recordings")
 def faults_recordings(
-    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the logs.")] = Path(),

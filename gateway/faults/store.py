@@ -159,10 +159,10 @@ class Store:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute("PRAGMA foreign_keys = ON")
-        for k in range(version, len(MIGRATIONS)):
+        if version < len(MIGRATIONS):  # in one transaction: a new file is there at once
             self._db.executescript(
                 f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
-                f"{MIGRATIONS[k]} PRAGMA user_version = {k + 1}; COMMIT;"
+                f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)}; COMMIT;"
             )
         # Whoever asked a writer that is gone has been told that nothing was done.
         self._db.execute("DELETE FROM request")

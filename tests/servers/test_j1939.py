@@ -221,7 +221,10 @@ def test_dm2_dm6_dm12_and_dm28(make):
 
 
 def test_dm5_counts_and_readiness(make):
-    rig = make(faults={0: coded(100, 1), 1: coded(101, 1, 'readiness = "egr"\n')})
+    related = "emission_related = true\n"
+    faults = dict.fromkeys(range(4), related)
+    faults |= {0: coded(100, 1), 1: coded(101, 1, 'readiness = "egr"\n' + related)}
+    rig = make(faults=faults)
     rig.fail(0)
     rig.heal(2)
     rig.heal(3)

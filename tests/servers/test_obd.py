@@ -20,8 +20,8 @@ pid = [
 
 FAULTS = {
     0: "indicator = true\n",
-    1: "confirm_cycles = 2\n",
-    2: "emission_related = false\n",
+    1: "confirm_cycles = 2\nemission_related = true\n",
+    3: "emission_related = true\n",
 }
 
 
@@ -87,6 +87,33 @@ def test_mode_01_mil_count_and_readiness(rig, ask):
     assert ask("0141") == "414100440000", "in this cycle none has run"
 
 
+def test_the_mil_is_that_of_mil_lamps_only(tmp_path):
+    """D9: another lamp, on a dashboard's other side, is no MIL; and its DTC is no permanent one."""
+    faults = {0: 'indicator = true\nlamp = "warning"\n', 3: "indicator = true\nemission_related = true\n"}
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA, faults=faults))
+    tester = Tester(rig)
+    rig.fail(0)
+    assert rig.status(0) == 0xAF
+    assert tester.ask("0101").hex()[4:6] == "01", "one DTC, and the MIL is off"
+    assert tester.ask("0a").hex() == "4a00"
+    rig.fail(3)
+    assert tester.ask("0101").hex()[4:6] == "82"
+    assert tester.ask("0a").hex() == "4a01d003"
+    rig.close()
+
+
+def test_only_powertrain_codes_are_emission_related_by_themselves(tmp_path):
+    """D5: mode 03 showed, and mode 04 cleared, brake, steering and network DTCs."""
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA))
+    tester = Tester(rig)
+    for k in range(4):
+        rig.fail(k)
+    assert tester.ask("03").hex() == "43011000"
+    assert tester.ask("04").hex() == "44"
+    assert [rig.status(k) for k in range(4)] == [0x50, 0x2F, 0x2F, 0x2F]
+    rig.close()
+
+
 def test_modes_03_07_0a_and_04(rig, ask):
     assert (ask("03"), ask("07"), ask("0a")) == ("4300", "4700", "4a00")
     for k in range(4):
@@ -102,7 +129,8 @@ def test_modes_03_07_0a_and_04(rig, ask):
 
 
 def test_many_dtcs_come_in_several_frames(tmp_path):
-    rig = Rig(write_config(tmp_path, 60, extra=EXTRA))
+    related = dict.fromkeys(range(60), "emission_related = true\n")
+    rig = Rig(write_config(tmp_path, 60, extra=EXTRA, faults=related))
     tester = Tester(rig)
     for k in range(60):
         rig.fail(k)

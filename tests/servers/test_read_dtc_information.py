@@ -16,7 +16,7 @@ from gateway.faults.dtc import Dtc
 
 FAULTS = {
     0: 'severity = "immediately"\nfunctional_unit = 7\nfreeze_frame = ["M1.Value", "volts", "M0.Value"]\n',
-    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\n',
+    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\nemission_related = true\n',
     2: "emission_related = false\n",
 }
 

@@ -52,7 +52,8 @@ pid = [{ id = 0x0C, signal = "M0.Value" }]
 address = 0x10
 """
 FAULTS = {
-    k: f'spn = {100 + k}\nfmi = 3\nseverity = "immediately"\nfreeze_frame = ["volts", "M1.Value"]\nindicator = true\n'
+    k: f'spn = {100 + k}\nfmi = 3\nseverity = "immediately"\nfreeze_frame = ["volts", "M1.Value"]\n'
+    "indicator = true\nemission_related = true\n"
     for k in range(COUNT)
 }
 SETTINGS = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from gateway.faults.catalogue import MIL
 from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
 from gateway.faults.interventions import DONE, Intervention
@@ -119,7 +120,10 @@ class ObdServer(Application):
             return bitmap if pid == 0 or any(bitmap) else b""
         if pid == 0x01:
             related = self._related()
-            lit = any(entry.status & Status.WARNING_INDICATOR for entry in related)
+            lit = any(
+                entry.status & Status.WARNING_INDICATOR and self._memory.definition(entry.fault).lamp == MIL
+                for entry in related
+            )
             count = len(_codes(e for e in related if e.status & Status.CONFIRMED_DTC))
             return bytes([lit << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
         if pid == 0x1C:
