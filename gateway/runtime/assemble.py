@@ -20,7 +20,6 @@ from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
-from gateway.servers.access import FREE, GUARDED
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
@@ -32,6 +31,7 @@ from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.context import Context
+from gateway.servers.uds.intervention_memory import NUMBERS
 from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
@@ -174,8 +174,7 @@ def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: T
     frozen = {name for names in parts.frozen.values() for name in names} - named
     made = Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
     if config.access.trace_did is not None:
-        numbers = {**GUARDED, **FREE, "obd_clear": 0x04}
-        made.serve(config.access.trace_did, "interventions", lambda: encode(memory.interventions(), numbers))
+        made.serve(config.access.trace_did, "interventions", lambda: encode(memory.interventions(), NUMBERS))
     return made
 
 
@@ -190,10 +189,11 @@ def _uds_servers(
     if config.output.uds is None:
         return []
     testers: list[Context] = []
+    trace = config.access.trace_did
     for params in config.output.uds.each_address:
         bus = _bus_name(config, params.bus)
         security = parts.security.beside() if testers else parts.security
-        testers.append(Context(params, memory, identifiers, control, security, config.needs, bus, testers))
+        testers.append(Context(params, memory, identifiers, control, security, config.needs, bus, trace, testers))
     return [(context.params, UdsServer(context)) for context in testers]
 
 

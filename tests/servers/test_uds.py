@@ -34,8 +34,8 @@ security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
         ("100100", "7f1013", "too long"),
         ("1041", "7f1012", "sub-functions have 7 bits"),
         ("19", "7f1913", "too short"),
-        ("1905", "7f1912", "not offered"),
-        ("1999ff", "7f1912", "the sub-function comes before the length"),
+        ("190f", "7f1912", "not offered"),
+        ("198fff", "7f1912", "the sub-function comes before the length"),
         ("1902", "7f1913", "its mask is missing"),
         ("1902ffff", "7f1913", "one byte too many"),
         ("190200", "5902ff", "an empty mask finds nothing"),
@@ -74,7 +74,7 @@ def test_refusals_of_the_extended_session(uds, request_, expected, why):
 
 def test_what_concerns_others_is_not_answered_to_a_functional_request(uds):
     rig, ask = uds()
-    for request in ("ba00", "1905", "22beef", "2801", "14123456", "1002"):
+    for request in ("ba00", "190f", "22beef", "2801", "14123456", "1002"):
         assert ask(request, functional=FUNCTIONAL) == "", request
     assert ask("3e00", functional=FUNCTIONAL) == "7e00"
     assert ask("10", functional=FUNCTIONAL) == "7f1013", "a wrong length is told to everybody"

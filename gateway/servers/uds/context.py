@@ -41,6 +41,7 @@ class Context:
     security: Security
     needs: Needs
     bus: str = ""
+    trace_did: int | None = None  # data identifier of what testers did
     testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
     now_ns: int = 0
     session: int = DEFAULT
