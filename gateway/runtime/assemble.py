@@ -241,6 +241,8 @@ def servers_of(
     made += _diagnostic_servers(config, parts, memory, control, identifiers)
     if asked.j1939 is not None:
         index = config.bus_index(asked.j1939.bus)
-        endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, index)
+        endpoint = J1939Endpoint(
+            asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
+        )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"], config.bus[index].name))
     return made

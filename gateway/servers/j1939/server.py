@@ -75,6 +75,9 @@ class J1939Server(BusServer):
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame; answers the request that it completes."""
         request = self.endpoint.receive(frame, t_ns)
+        while self.endpoint.commanded:
+            source, command = self.endpoint.commanded.pop()
+            self._control.note(Intervention(0, "j1939", self._bus, source, "address", command))
         if request is not None:
             self._answer(request)
         return self.endpoint.take_frames()

@@ -25,6 +25,7 @@ NUMBERS = {
     "obd_clear": 0x04,
     "j1939_clear": 0xD3,
     "lockout": 0x36,
+    "address": 0xD8,
     "dtc_setting_ended": 0xC5,
     "communication_ended": 0x68,
 }
