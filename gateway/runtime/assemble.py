@@ -205,6 +205,7 @@ def _diagnostic_servers(
     obd = None
     if asked is not None:
         obd = ObdServer(asked, memory, control, config.needs["obd_clear"], _bus_name(config, asked.bus))
+        identifiers.fall_back(obd.identifier)
     made: list[BusServer] = []
 
     def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:

@@ -13,6 +13,7 @@ from gateway.faults.recorder import Recorder
 from gateway.faults.settings import ConditionSettings
 from gateway.faults.status import Status
 from gateway.faults.store import Store
+from gateway.servers.tester_control import LatestResult
 
 
 class Controls:
@@ -59,6 +60,12 @@ class Controls:
         """Return a fault's detection counter now, -128..127; 0 for one that is not monitored any more."""
         index = self._index.get(fault)
         return 0 if index is None else self._engine.fault_detection_counter(index)
+
+    def test_result(self, fault: str) -> LatestResult | None:
+        """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""
+        index = self._index.get(fault)
+        found = None if index is None else self._engine.last_result(index)
+        return None if found is None else LatestResult(*found)
 
     def value(self, name: str) -> float:
         """Return a signal's value now in its unit, NaN before the first."""

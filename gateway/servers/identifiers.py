@@ -115,6 +115,7 @@ class Identifiers:
         self._read = read
         self._written = written
         self._write = write
+        self._others: Callable[[int], bytes | None] = lambda _: None
         self._served: dict[int, tuple[str, Callable[[], bytes]]] = {}
         self.table = {did.id: did for did in params}
         self._by_source = {did.signal: did for did in params if did.signal is not None}
@@ -129,13 +130,17 @@ class Identifiers:
         """Add an identifier that the gateway itself has something to say by."""
         self._served[number] = name, read
 
+    def fall_back(self, read: Callable[[int], bytes | None]) -> None:
+        """Have identifiers that are not in the table read elsewhere; None: not there either."""
+        self._others = read
+
     def read(self, number: int) -> bytes | None:
         """Return the bytes of an identifier now, None if there is none."""
         if number in self._served:
             return self._served[number][1]()
         did = self.table.get(number)
         if did is None:
-            return None
+            return self._others(number)
         if did.signal is not None:
             return did.encode(self._read(did.signal))
         written = self._written.get(number)

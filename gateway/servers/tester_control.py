@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from gateway.faults.interventions import Intervention
 from gateway.faults.settings import ConditionSettings
+
+
+class LatestResult(NamedTuple):
+    """A fault's latest test result: what was tested, its limit, whether it failed."""
+
+    value: float
+    limit: float
+    failed: bool
 
 
 class TesterControl(Protocol):
@@ -42,6 +50,9 @@ class TesterControl(Protocol):
 
     def fault_detection_counter(self, fault: str) -> int:
         """Return a fault's detection counter now, -128..127."""
+
+    def test_result(self, fault: str) -> LatestResult | None:
+        """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""
 
     def value(self, name: str) -> float:
         """Return a signal's value now in its unit, NaN before the first."""

@@ -256,7 +256,7 @@ def test_gallia_finds_exactly_our_services_and_sessions(scanner):
             session = int(match[1], 16)
         elif match := re.search(r"\[0x(\w\w)\]", line):
             found.setdefault(session, []).append(int(match[1], 16))
-    obd = [0x01, 0x02, 0x03, 0x04, 0x07, 0x09, 0x0A]
+    obd = [0x01, 0x02, 0x03, 0x04, 0x06, 0x07, 0x09, 0x0A]
     default = [*obd, 0x10, 0x14, 0x19, 0x22, 0x3E, 0x86]
     assert found == {1: default, 3: sorted([*default, 0x11, 0x27, 0x28, 0x2E, 0x31, 0x85])}
     results, complaints = scanner("sessions", "--depth", "1")
