@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -407,6 +408,16 @@ class FaultMemory(Readable):
         """
         with self._held.undoing():
             self._held.set_identifier(did, data)
+            self._held.write(self._now_ns)
+
+    def attempts(self, level: int) -> int:
+        """Return how many wrong keys a security level has had since the last right one."""
+        return self._held.fact(f"attempts.{level}")
+
+    def keep_attempts(self, level: int, wrong: int) -> None:
+        """Keep how many wrong keys a security level has had; durable on return, if anything can be written."""
+        self._held.set_fact(f"attempts.{level}", wrong)
+        with suppress(StoreError):  # it is tried again, and counts in this process in any case
             self._held.write(self._now_ns)
 
     def fold_statistics(self) -> None:

@@ -188,6 +188,7 @@ def _uds_servers(
     """Build a UDS server for each of its addresses: a tester each, with a session of his own."""
     if config.output.uds is None:
         return []
+    parts.security.keep_in(memory.attempts, memory.keep_attempts)
     testers: list[Context] = []
     trace = config.access.trace_did
     for params in config.output.uds.each_address:

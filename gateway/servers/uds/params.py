@@ -11,7 +11,7 @@ from gateway.servers.access import Access
 from gateway.servers.isotp.params import IsoTpParams
 
 #: Shorter seeds come again while somebody listens.
-LEAST_SEED = 4
+LEAST_SEED = 8
 
 
 class SecurityLevel(StrictModel):
@@ -23,9 +23,12 @@ class SecurityLevel(StrictModel):
         description='"hmac_sha256", or "package.module:function" of (seed, secret, level) -> key',
     )
     secret: str = Field(description="secret of the key function, as hex digits")
-    seed_length: int = Field(4, ge=2, le=32, description="bytes of the seed")
+    seed_length: int = Field(8, ge=2, le=64, description="bytes of the seed")
     attempts: int = Field(3, ge=1, le=255, description="wrong keys before the delay")
     delay_s: float = Field(10.0, gt=0, le=3600, description="delay after them [s]")
+    start_delay_s: float = Field(
+        0.0, ge=0, le=3600, description="delay after each start of the gateway, from the first request on [s]"
+    )
 
     @model_validator(mode="after")
     def _a_secret(self) -> Self:
