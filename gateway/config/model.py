@@ -148,10 +148,16 @@ class Config(StrictModel):
         return [] if self.output.uds is None else self.output.uds.levels
 
     @property
+    def roles(self) -> list[str]:
+        """Roles of testers that there are."""
+        return [] if self.output.uds is None else self.output.uds.roles
+
+    @property
     def needs(self) -> Needs:
         """What each intervention needs."""
         j1939 = self.output.j1939
-        return needs_of(self.access_rules, self.security_levels, None if j1939 is None else j1939.allow_clear)
+        clears = None if j1939 is None else j1939.allow_clear
+        return needs_of(self.access_rules, self.security_levels, clears, self.roles)
 
     def diagnostic_address_is_shared(self) -> bool:
         """Tell whether the UDS and the OBD server have one address.

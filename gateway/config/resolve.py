@@ -26,6 +26,7 @@ from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.servers.access import FREE, GUARDED, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
@@ -52,6 +53,7 @@ class Resolved:
         shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
         signals: each name outside of the engine that stands for a signal -> that signal.
         security: of the UDS server; its key functions have been found.
+        authentication: of the UDS server; its roots have been read.
         notes: what was taken where the configuration leaves it to the databases, one line each.
     """
 
@@ -67,6 +69,7 @@ class Resolved:
     shown: tuple[str, ...]
     signals: Mapping[str, SignalRef]
     security: Security
+    authentication: Authentication
     notes: tuple[str, ...]
 
 
@@ -105,6 +108,7 @@ def resolve(config: Config) -> Resolved:
         },
         signals=names.found,
         security=Security(() if uds is None else uds.security),
+        authentication=Authentication(None if uds is None else uds.authentication),
     )
 
 

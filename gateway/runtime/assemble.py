@@ -30,6 +30,7 @@ from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.tester_control import TesterControl
+from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.context import Context
 from gateway.servers.uds.intervention_memory import NUMBERS
 from gateway.servers.uds.params import UdsParams
@@ -50,6 +51,7 @@ class Parts:
         slots: mailbox slots of all signals that a name outside the engine stands for.
         cycles: names of the operation cycles, in the engine's order.
         security: of the UDS server; its key functions have been found.
+        authentication: of the UDS server; its roots have been read.
         checks: of messages, in the engine's order.
         notes: what was taken where the configuration leaves it to the databases.
     """
@@ -61,6 +63,7 @@ class Parts:
     slots: dict[str, int]
     cycles: tuple[str, ...]
     security: Security
+    authentication: Authentication
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
 
@@ -111,6 +114,7 @@ def assemble(resolved: Resolved) -> Parts:
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
         tuple(resolved.cycles),
         resolved.security,
+        resolved.authentication,
         resolved.checks,
         resolved.notes,
     )
@@ -194,7 +198,8 @@ def _uds_servers(
     for params in config.output.uds.each_address:
         bus = _bus_name(config, params.bus)
         security = parts.security.beside() if testers else parts.security
-        testers.append(Context(params, memory, identifiers, control, security, config.needs, bus, trace, testers))
+        who = parts.authentication.beside()
+        testers.append(Context(params, memory, identifiers, control, security, who, config.needs, bus, trace, testers))
     return [(context.params, UdsServer(context)) for context in testers]
 
 

@@ -61,6 +61,10 @@ class Controls:
         index = self._index.get(fault)
         return 0 if index is None else self._engine.fault_detection_counter(index)
 
+    def wall_ns(self) -> int:
+        """Return now, by the wall clock [ns]."""
+        return self._engine.wall_ns(self._engine.now_ns)
+
     def test_result(self, fault: str) -> LatestResult | None:
         """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""
         index = self._index.get(fault)

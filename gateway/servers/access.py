@@ -15,7 +15,7 @@ from typing import Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 from gateway.faults.settings import ConditionSettings
 
 #: Diagnostic sessions by name (ISO 14229-1, 0x10).
@@ -37,6 +37,7 @@ FREE = {
     "read_dtcs": 0x19,
     "read_data": 0x22,
     "unlock": 0x27,
+    "authenticate": 0x29,
     "events": 0x86,
 }
 #: Clearing by protocols that know no sessions.
@@ -65,12 +66,13 @@ class Access(Conditions):
         ("default", "extended"), min_length=1, description="sessions in which it is allowed"
     )
     security: int = Field(0, ge=0, le=33, description="security level that it needs, 0: none")
+    roles: tuple[str, ...] = Field((), description="roles (0x29) of which it needs one; none: anybody")
 
 
 class SessionlessAccess(Conditions):
     """Whether something is allowed by a protocol that knows no sessions, and when."""
 
-    allowed: bool | None = Field(None, description="default: if clear needs no security")
+    allowed: bool | None = Field(None, description="default: if clear needs neither security nor a role")
 
 
 class AccessParams(StrictModel):
@@ -91,6 +93,7 @@ class AccessParams(StrictModel):
     read_dtcs: Access | None = Field(None, description="reading DTCs (0x19)")
     read_data: Access | None = Field(None, description="reading data (0x22)")
     unlock: Access | None = Field(None, description="security access (0x27)")
+    authenticate: Access | None = Field(None, description="authentication (0x29)")
     communication: Access | None = Field(None, description="switching communication off (0x28)")
     write: Access | None = Field(None, description="writing (0x2E)")
     routine: Access | None = Field(None, description="routines (0x31)")
@@ -113,6 +116,7 @@ class Need:
     Attributes:
         sessions: numbers of the sessions in which it is allowed.
         security: security level, 0: none.
+        roles: of which the tester must have one; none: anybody.
         when: conditions on signals, all of which must be met.
         allowed: False: it is refused in any case.
     """
@@ -121,19 +125,28 @@ class Need:
     security: int = 0
     when: tuple[ConditionSettings, ...] = ()
     allowed: bool = True
+    roles: frozenset[str] = frozenset()
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether it needs a key or a role."""
+        return bool(self.security or self.roles)
 
 
 #: What each intervention needs, by its name.
 Needs = Mapping[str, Need]
 
 
-def needs_of(params: AccessParams, levels: Sequence[int], j1939_clears: bool | None = None) -> Needs:
+def needs_of(
+    params: AccessParams, levels: Sequence[int], j1939_clears: bool | None = None, roles: Sequence[str] = ()
+) -> Needs:
     """Return what each intervention needs.
 
     Args:
         params: the rules that the configuration gives.
         levels: security levels that there are.
         j1939_clears: ``allow_clear`` of J1939, if it is given.
+        roles: that there are; without security levels what is guarded needs any of them.
     """
     found: dict[str, Need] = {}
     least = min(levels, default=0)
@@ -142,10 +155,12 @@ def needs_of(params: AccessParams, levels: Sequence[int], j1939_clears: bool | N
         rule: Access | None = getattr(params, name)
         when = params.when if guarded else ()
         if rule is None:
-            found[name] = Need(_EXTENDED, least, when) if guarded else Need()
+            any_role = frozenset(() if least else roles)
+            found[name] = Need(_EXTENDED, least, when, roles=any_role) if guarded else Need()
             continue
         sessions = frozenset(SESSIONS[session] for session in rule.sessions)
-        found[name] = Need(sessions, rule.security, when if rule.when is None else rule.when)
+        conditions = when if rule.when is None else rule.when
+        found[name] = Need(sessions, rule.security, conditions, roles=frozenset(rule.roles))
     clear = found["clear"]
     for name in SESSIONLESS:
         other: SessionlessAccess = getattr(params, name) or SessionlessAccess()
@@ -154,7 +169,7 @@ def needs_of(params: AccessParams, levels: Sequence[int], j1939_clears: bool | N
             allowed = j1939_clears
         found[name] = Need(
             when=clear.when if other.when is None else other.when,
-            allowed=not clear.security if allowed is None else allowed,
+            allowed=not clear.is_locked if allowed is None else allowed,
         )
     return found
 
@@ -164,11 +179,21 @@ def signals_of(needs: Needs) -> set[str]:
     return {condition.signal for need in needs.values() for condition in need.when}
 
 
-def wrong_rules(params: AccessParams, levels: Sequence[int]) -> Iterator[InputError]:
+def wrong_rules(params: AccessParams, levels: Sequence[int], roles: Sequence[str] = ()) -> Iterator[InputError]:
     """Yield the rules that nobody can meet."""
     for name in (*GUARDED, *FREE):
         rule: Access | None = getattr(params, name)
-        if rule is None or not rule.security:
+        if rule is None:
+            continue
+        for k, role in enumerate(rule.roles):
+            if role not in roles:
+                there = ", ".join(roles) or "none"
+                text = f"there is no such role (output.uds.authentication.roles: {there}){nearest(role, roles)}"
+                yield InputError(text, key=f"access.{name}.roles[{k}]", value=role)
+        if rule.roles and name in ("session", "authenticate"):
+            text = "nobody has a role in the default session, so that this could never be met"
+            yield InputError(text, key=f"access.{name}.roles", value=", ".join(rule.roles))
+        if not rule.security:
             continue
         key = f"access.{name}.security"
         if rule.security not in levels:
@@ -197,17 +222,18 @@ def ways_around(needs: Needs, levels: Sequence[int], *, uds: bool, obd: bool, j1
         need, what = needs[name], SESSIONLESS[name]
         if not there or not need.allowed:
             continue
-        if uds and clear.security:
-            yield f"access.{name}: {what} clears without the security level {clear.security} that 0x14 needs"
+        if uds and clear.is_locked:
+            lock = f"security level {clear.security}" if clear.security else "role"
+            yield f"access.{name}: {what} clears without the {lock} that 0x14 needs"
         if uds and set(clear.when) - set(need.when):
             yield f"access.{name}: {what} clears without the conditions that 0x14 needs"
-        if not clear.security and not need.when:
+        if not clear.is_locked and not need.when:
             yield f"access.{name}: {what} clears for anybody on the bus at any time: no condition, no security"
 
 
 def _open_doors(needs: Needs, levels: Sequence[int]) -> Iterator[str]:
     """Yield what is guarded and is not, and services that do what another one guards better."""
-    bare = [name for name in GUARDED if not needs[name].security and not needs[name].when]
+    bare = [name for name in GUARDED if not needs[name].is_locked and not needs[name].when]
     for name in bare:
         if levels or SESSIONS["default"] in needs[name].sessions:
             where = "any" if SESSIONS["default"] in needs[name].sessions else "the extended"
@@ -218,5 +244,5 @@ def _open_doors(needs: Needs, levels: Sequence[int]) -> Iterator[str]:
             " ([access] when), no security level ([output.uds] security)"
         )
     reset, routine = needs["reset"], needs["routine"]
-    if routine.security < reset.security or set(reset.when) - set(routine.when):
+    if (reset.is_locked and not routine.is_locked) or set(reset.when) - set(routine.when):
         yield "access.routine: routine 0x0201 begins a new operation cycle with less than 0x11 needs"

@@ -54,5 +54,8 @@ class TesterControl(Protocol):
     def test_result(self, fault: str) -> LatestResult | None:
         """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""
 
+    def wall_ns(self) -> int:
+        """Return now, by the wall clock [ns]."""
+
     def value(self, name: str) -> float:
         """Return a signal's value now in its unit, NaN before the first."""

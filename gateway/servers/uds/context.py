@@ -10,6 +10,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.servers.access import SESSIONS, Need, Needs
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.tester_control import TesterControl
+from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.nrc import Nrc, refuse_unless
 from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
@@ -39,6 +40,7 @@ class Context:
     identifiers: Identifiers
     control: TesterControl
     security: Security
+    authentication: Authentication
     needs: Needs
     bus: str = ""
     trace_did: int | None = None  # data identifier of what testers did
@@ -48,7 +50,7 @@ class Context:
     events: EventLogic = field(default_factory=EventLogic)
     routines_done: dict[int, bytes] = field(default_factory=dict)
     asked_by: int = 0  # identifier of the latest request
-    asked_in: tuple[int, int] = (DEFAULT, 0)  # session and unlocked security level when it came
+    asked_in: tuple[int, int, str] = (DEFAULT, 0, "")  # session, unlocked security level and role when it came
     need: Need = field(default_factory=Need)  # of the request that is served now
     _lasting: set[str] = field(default_factory=set)
 
@@ -58,11 +60,12 @@ class Context:
         return f"{self.bus}:{self.params.request:X}"
 
     def check_security(self) -> None:
-        """Refuse the request that is served now, if it needs a security level that is locked.
+        """Refuse the request that is served now, if it needs a role or a security level that the tester has not.
 
         Raises:
             NegativeError: it does.
         """
+        refuse_unless(not self.need.roles or self.authentication.role in self.need.roles, Nrc.AUTHENTICATION_REQUIRED)
         refuse_unless(self.need.security in (0, self.security.unlocked), Nrc.SECURITY_ACCESS_DENIED)
 
     def check_conditions(self) -> None:
@@ -75,8 +78,8 @@ class Context:
 
     def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
         """Keep and tell what the tester did, or was refused."""
-        session, level = self.asked_in
-        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level)
+        session, level, role = self.asked_in
+        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level, role)
         self.control.note(by)
 
     def set_lasting(self, name: str, on: bool) -> None:
@@ -106,6 +109,7 @@ class Context:
     def enter(self, session: int) -> None:
         """Change the session: security locks, and the default session undoes what others had set."""
         self.security.lock()
+        self.authentication.end()
         self.session = session
         if session == DEFAULT:
             for name in ("dtc_setting", "communication"):

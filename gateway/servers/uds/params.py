@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from gateway.common.tomlfile import StrictModel
 from gateway.servers.access import Access
 from gateway.servers.isotp.params import IsoTpParams
+from gateway.servers.uds.authentication import AuthenticationParams
 
 #: Shorter seeds come again while somebody listens.
 LEAST_SEED = 8
@@ -59,6 +60,7 @@ class UdsParams(IsoTpParams):
     write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")
     routine: Access | None = Field(None, description="what routines (0x31) need; the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
+    authentication: AuthenticationParams | None = Field(None, description="authentication by certificate (0x29)")
     further: tuple[FurtherAddress, ...] = Field(
         (), description="further addresses, for testers beside the first; each has its own session"
     )
@@ -91,6 +93,11 @@ class UdsParams(IsoTpParams):
             for k, entry in enumerate(self.security)
             if entry.seed_length < LEAST_SEED
         ]
+
+    @property
+    def roles(self) -> list[str]:
+        """Roles that there are."""
+        return [] if self.authentication is None else list(self.authentication.roles)
 
     @property
     def levels(self) -> list[int]:

@@ -23,6 +23,8 @@ TRACED = frozenset(
     {
         Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
         Nrc.SECURITY_ACCESS_DENIED,
+        Nrc.AUTHENTICATION_REQUIRED,
+        *(Nrc(number) for number in Nrc if 0x50 <= number <= 0x58),
         Nrc.INVALID_KEY,
         Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS,
         Nrc.REQUIRED_TIME_DELAY_NOT_EXPIRED,
@@ -65,7 +67,7 @@ class UdsServer(Application):
         c = self._context
         c.now_ns = self._last_request_ns = t_ns
         c.security.start(t_ns)
-        c.asked_in = c.session, c.security.unlocked
+        c.asked_in = c.session, c.security.unlocked, c.authentication.role
         c.asked_by = (c.params.functional or 0) if functional else c.params.request
         sid = request[0]
         service = SERVICES.get(sid)
