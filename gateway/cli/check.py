@@ -54,6 +54,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in monitor.warnings(params)
     ]
     warnings += _ways_around(config)
+    warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
         print_json({"ok": True, "faults": faults, "taken": notes, "warnings": warnings})
@@ -66,6 +67,14 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def secrets_shown(config: Config, path: Path) -> list[str]:
+    """Return whether anybody can read the secrets of security levels."""
+    uds = config.output.uds
+    if uds is None or not uds.security or not path.stat().st_mode & 0o044:
+        return []
+    return [f"output.uds.security: others on this machine can read these secrets: chmod 600 {path}"]
 
 
 def _ways_around(config: Config) -> list[str]:

@@ -7,7 +7,7 @@ from uds_tester import EXTRA, Asked, hexed
 
 from gateway.bus.conditions import LOST
 from gateway.bus.frames import ERROR
-from gateway.cli.check import _ways_around
+from gateway.cli.check import _ways_around, secrets_shown
 from gateway.config.load import load_config
 from gateway.errors import InputErrors
 from gateway.servers.uds.security import hmac_sha256
@@ -294,6 +294,17 @@ def test_ways_around_are_told(tmp_path, extra, said):
     assert len(warnings) == len(said), warnings
     for text, warning in zip(said, warnings, strict=True):
         assert text in warning
+
+
+def test_secrets_that_anybody_can_read_are_told(tmp_path):
+    path = write_config(tmp_path, extra=f"[output.uds]\n{LEVEL}")
+    path.chmod(0o644)
+    assert "chmod 600" in secrets_shown(load_config(path), path)[0]
+    path.chmod(0o600)
+    assert secrets_shown(load_config(path), path) == []
+    bare = write_config(tmp_path, extra="[output.uds]\n")
+    bare.chmod(0o644)
+    assert secrets_shown(load_config(bare), bare) == []
 
 
 def test_keys_of_before_mean_what_they_meant(uds):
