@@ -224,11 +224,11 @@ def ways_around(needs: Needs, levels: Sequence[int], *, uds: bool, obd: bool, j1
             continue
         if uds and clear.is_locked:
             lock = f"security level {clear.security}" if clear.security else "role"
-            yield f"access.{name}: {what} clears without the {lock} that 0x14 needs"
+            yield f"access.{name}: {what} can clear without the {lock} that 0x14 needs"
         if uds and set(clear.when) - set(need.when):
-            yield f"access.{name}: {what} clears without the conditions that 0x14 needs"
+            yield f"access.{name}: {what} can clear without the conditions that 0x14 needs"
         if not clear.is_locked and not need.when:
-            yield f"access.{name}: {what} clears for anybody on the bus at any time: no condition, no security"
+            yield f"access.{name}: anybody on the bus can clear by {what} at any time: no condition, no security"
 
 
 def _open_doors(needs: Needs, levels: Sequence[int]) -> Iterator[str]:

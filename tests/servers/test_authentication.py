@@ -3,6 +3,7 @@
 import datetime as dt
 
 import pytest
+import udsoncan
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
@@ -10,6 +11,7 @@ from cryptography.x509.oid import NameOID
 from rig import Rig, write_config
 from test_access import SERVERS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
+from udsoncan.services import Authentication
 
 NOW = dt.datetime.fromtimestamp(0, dt.UTC)  # the rig's clock begins there
 DAY = dt.timedelta(days=1)
@@ -113,6 +115,33 @@ def test_who_proves_his_role_may(make, key):
     assert ask("8502") == "c502"
     assert ask("2900") == "690010"
     assert ask("14ffffff") == "7f1434", "logged out"
+
+
+def test_udsoncan_asks_and_reads_the_same(make):
+    """Requests made, and answers read, by a library that nobody here wrote."""
+    _, ask = make()
+    assert ask("1003")
+    task = Authentication.AuthenticationTask
+
+    def by_udsoncan(number, **fields):
+        request = Authentication.make_request(number, **fields).get_payload()
+        answer = bytes.fromhex(ask(request.hex(), patience=200))
+        response = udsoncan.Response.from_payload(answer)
+        assert response.positive
+        return Authentication.interpret_response(response).service_data
+
+    assert by_udsoncan(task.authenticationConfiguration).return_value == 0x02
+    key, certificate = a_tester()
+    shown = by_udsoncan(
+        task.verifyCertificateUnidirectional, communication_configuration=0, certificate_client=certificate,
+        challenge_client=b"mine",
+    )  # fmt: skip
+    assert shown.return_value == 0x11
+    proof = signed(key, shown.challenge_server + b"mine")
+    proven = by_udsoncan(task.proofOfOwnership, proof_of_ownership_client=proof, ephemeral_public_key_client=b"")
+    assert proven.return_value == 0x12
+    assert ask("14ffffff") == "54"
+    assert by_udsoncan(task.deAuthenticate).return_value == 0x10
 
 
 def test_the_testers_challenge_is_signed_too(make):
