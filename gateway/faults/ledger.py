@@ -44,7 +44,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
         buses=first.buses if then.buses is None else then.buses,
         described={**first.described, **then.described},
         interventions={**first.interventions, **then.interventions},
-        gone_interventions=[*first.gone_interventions, *then.gone_interventions],
+        kept_interventions=then.kept_interventions or first.kept_interventions,
     )
 
 
@@ -180,8 +180,12 @@ class Ledger:
         Such are counted, and written with what else is: nobody wears the disk out by asking for what is refused.
         """
         made, gone = self.interventions.note(new)
-        self._pending.interventions = {**self._pending.interventions, made.number: made}
-        self._pending.gone_interventions = [*self._pending.gone_interventions, *gone]
+        waiting = {**self._pending.interventions, made.number: made}
+        if gone:  # bounded, also while nothing can be written
+            kept = [each.number for each in self.interventions.all()]
+            waiting = {number: waiting[number] for number in kept if number in waiting}
+            self._pending.kept_interventions = kept
+        self._pending.interventions = waiting
         told = made.outcome == DONE or made.count & (made.count - 1) == 0
         self._more = self._more or told
         return made if told else None

@@ -109,7 +109,8 @@ class Changes:
         identifiers: values that testers wrote; None: there is none.
         facts: numbers by name.
         buses: how the buses do, all of them: name, URI, state, time, and counters; None: not said.
-        interventions: new or changed ones, by their numbers; gone_interventions: numbers of those that had to go.
+        interventions: new or changed ones, by their numbers.
+        kept_interventions: numbers of those that are kept, where others had to go; later ones are not meant.
         described: what faults are called, for readers without the configuration.
     """
 
@@ -124,4 +125,4 @@ class Changes:
     buses: Sequence[Mapping[str, Any]] | None = None
     described: Mapping[str, Description] = field(default_factory=dict)
     interventions: Mapping[int, Intervention] = field(default_factory=dict)
-    gone_interventions: Sequence[int] = ()
+    kept_interventions: Sequence[int] = ()

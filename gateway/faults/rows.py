@@ -94,7 +94,11 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
         f"INSERT OR REPLACE INTO intervention ({', '.join(INTERVENTION)}) VALUES ({marks})",  # noqa: S608 - our own names
         [[getattr(each, name) for name in INTERVENTION] for each in changes.interventions.values()],
     )
-    db.executemany("DELETE FROM intervention WHERE number = ?", [(number,) for number in changes.gone_interventions])
+    if changes.kept_interventions:
+        db.execute(
+            "DELETE FROM intervention WHERE number <= ? AND number NOT IN (SELECT value FROM json_each(?))",
+            (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
+        )
     if changes.buses is not None:
         _write_buses(db, changes.buses)
 

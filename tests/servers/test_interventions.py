@@ -12,6 +12,7 @@ from gateway.cli.faults import interventions as shown
 from gateway.faults import service
 from gateway.faults.interventions import DONE, MOST, Intervention, Interventions
 from gateway.faults.kept import KeptStore
+from gateway.faults.store import StoreError
 
 
 def told(rig):
@@ -159,6 +160,39 @@ def test_what_is_refused_cannot_have_what_was_done_forgotten():
     for each in done:
         trace.note(each)
     assert len(trace.all()) == MOST
+
+
+def test_the_trace_is_bounded_in_the_file_and_in_an_outage(uds, tmp_path, monkeypatch):
+    path = tmp_path / "m.sqlite"
+    rig, _ = uds(memory=path)
+    memory = rig.gateway.memory
+
+    def note(first, last):
+        for k in range(first, last):
+            memory.note_intervention(Intervention(k, "uds", "b", k, "clear"))
+
+    def stored():
+        return [each["address"] for each in service.interventions(path)]
+
+    note(0, 150)
+    assert memory.commit(rig.now, final=True)
+    note(150, 350)
+    assert memory.commit(rig.now, final=True)
+    assert stored() == list(range(350 - MOST, 350))
+
+    write = KeptStore.save
+
+    def broken(*_):
+        raise StoreError(path, "no")
+
+    monkeypatch.setattr(KeptStore, "save", broken)
+    note(350, 2000)
+    assert not memory.commit(rig.now, final=True)
+    note(2000, 3000)
+    assert len(memory._held._pending.interventions) <= MOST
+    monkeypatch.setattr(KeptStore, "save", write)
+    assert memory.commit(rig.now, final=True)
+    assert stored() == list(range(3000 - MOST, 3000))
 
 
 def test_the_identifier_reads_the_latest(uds):
