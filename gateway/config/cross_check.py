@@ -119,7 +119,8 @@ def _access(config: Config) -> Iterator[InputError]:
         if did.id == config.access.trace_did:
             text = "this identifier reads what testers did; give access.trace_did another number"
             yield InputError(text, key=f"did[{k}].id", value=f"0x{did.id:04X}")
-    yield from wrong_rules(config.access_rules, config.security_levels, config.roles)
+    own = () if uds is None else uds.rules
+    yield from wrong_rules(config.access_rules, config.security_levels, config.roles, own)
 
 
 def _cycles(config: Config) -> Iterator[InputError]:

@@ -8,7 +8,7 @@ security; those conditions hold for them as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -179,23 +179,33 @@ def signals_of(needs: Needs) -> set[str]:
     return {condition.signal for need in needs.values() for condition in need.when}
 
 
-def wrong_rules(params: AccessParams, levels: Sequence[int], roles: Sequence[str] = ()) -> Iterator[InputError]:
-    """Yield the rules that nobody can meet."""
+def wrong_rules(
+    params: AccessParams, levels: Sequence[int], roles: Sequence[str] = (), uds: Collection[str] = ()
+) -> Iterator[InputError]:
+    """Yield the rules that nobody can meet.
+
+    Args:
+        params: all rules that the configuration gives.
+        levels: security levels that there are.
+        roles: that there are.
+        uds: names of the rules that the UDS server's own table gives.
+    """
     for name in (*GUARDED, *FREE):
         rule: Access | None = getattr(params, name)
         if rule is None:
             continue
+        table = "output.uds" if name in uds else "access"
         for k, role in enumerate(rule.roles):
             if role not in roles:
                 there = ", ".join(roles) or "none"
                 text = f"there is no such role (output.uds.authentication.roles: {there}){nearest(role, roles)}"
-                yield InputError(text, key=f"access.{name}.roles[{k}]", value=role)
+                yield InputError(text, key=f"{table}.{name}.roles[{k}]", value=role)
         if rule.roles and name in ("session", "authenticate"):
             text = "nobody has a role in the default session, so that this could never be met"
-            yield InputError(text, key=f"access.{name}.roles", value=", ".join(rule.roles))
+            yield InputError(text, key=f"{table}.{name}.roles", value=", ".join(rule.roles))
         if not rule.security:
             continue
-        key = f"access.{name}.security"
+        key = f"{table}.{name}.security"
         if rule.security not in levels:
             there = ", ".join(str(level) for level in levels) or "none"
             yield InputError(f"no such security level is set up (output.uds.security: {there})", key=key,

@@ -284,5 +284,7 @@ def test_what_is_wrong_in_the_configuration(make, tmp_path):
         make(AUTH.replace("root.pem", "text.pem"))
     with pytest.raises(Exception, match="workshop"):
         make(more='[access]\nclear = { roles = ["workshp"] }\n')
+    with pytest.raises(Exception, match=r"output.uds.write.roles\[0\]"):
+        make(AUTH + 'write = { roles = ["nobody"] }\n')
     with pytest.raises(Exception, match="never be met"):
         make(more='[access]\nsession = { roles = ["workshop"] }\n')
