@@ -391,5 +391,6 @@ def test_what_is_exported_is_json_and_whole(make):
     told = json.loads(json.dumps(rig.gateway.describe()))
     assert {"id", "dtc", "spn", "fmi", "severity", "debounce", "cycle"} <= told["faults"][0].keys()
     assert (told["faults"][0]["dtc"], told["faults"][0]["spn"]) == ("P1000-11", 91)
-    (did,) = told["identifiers"]
+    did, trace = told["identifiers"]
+    assert (trace["id"], trace["name"]) == ("0xFD10", "interventions")
     assert (did["id"], did["signal"], did["length"]) == ("0x4000", "M0.Value", 4)

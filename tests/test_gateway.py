@@ -116,7 +116,7 @@ def test_the_json_contract_of_events():
     _, events, _, summary = live("crank_missed_tooth")
     dtcs = [event for event in events if event["event"] == "dtc"]
     first = dtcs[0]
-    assert (first["fault"], first["dtc"], first["status"]) == ("crank.missed_pulse", "P0336-29", 47)
+    assert (first["fault"], first["dtc"], first["status"]) == ("crank.missed_pulse", "P0336-39", 47)
     assert (first["fdc"], first["bus"], first["occurrence"]) == (127, "powertrain", 1)
     assert {"value", "threshold", "count", "tooth", "residual 5 [pitch]"} <= set(first["evidence"])
     assert [event["status"] for event in dtcs] == [0x2F, 0x2E]
@@ -135,7 +135,7 @@ def test_the_freeze_frame_is_of_the_very_frame_that_failed(tmp_path):
         gateway = Gateway(config, path)
         replay(gateway, np.array_split(player.frames, parts))
         gateway.close()
-        records.append(service.show(path, "P0336-29"))
+        records.append(service.show(path, "P0336-39"))
     assert records[0] == records[1]
     (record,) = records[0]["freeze_frames"]
     at = player.frames[player.frames["t_ns"] == record["t_ns"]][0]
@@ -243,7 +243,7 @@ def config_error(tmp_path, *changes):
         ("freeze_frame = [", 'dtc = "P033"\nfreeze_frame = [', 'fault."crank.missed_pulse".dtc'),
         (
             "freeze_frame = [",
-            'dtc = "P0336-2F"\nfreeze_frame = [',
+            'dtc = "P0336-3A"\nfreeze_frame = [',
             "crank.missed_pulse has this DTC",
         ),
         ('"CTW_PT4.FrameCnt"]', '"powertrain.CTW_PT4.Pt9"]', "no signal 'Pt9'"),

@@ -107,7 +107,7 @@ def test_help_of_a_group_imports_no_work(group):
 
 def test_check_imports_what_the_configuration_names():
     said, modules = command("check", "gateway.toml")
-    assert "P0336-29" in said
+    assert "P0336-39" in said
     assert "gateway.monitors.crank.monitor" in modules
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *QUIET, *STUDIES, *OTHERS))
 

@@ -65,6 +65,11 @@ def are_steps(frames: Frames) -> NDArray[np.bool_]:
     return np.asarray(mask, np.bool_)
 
 
+def are_conditions(frames: Frames) -> NDArray[np.bool_]:
+    """Return which frames tell the condition of a bus or of the clock, shape (n,): the gateway's own, nobody else's."""
+    return np.asarray(frames["can_id"] == ERROR, np.bool_)
+
+
 def step_ns_of(frame: np.void) -> int:
     """Return the step that a frame tells [ns]."""
     return int.from_bytes(bytes(frame["data"][1:8]), "little", signed=True) * 1000

@@ -404,7 +404,7 @@ def faults_list(memory: MemoryOption = None, config: ConfigArgument = None, json
 
 @faults_app.command("show")
 def faults_show(
-    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     json: Json = False,
@@ -436,9 +436,17 @@ def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = Non
     raise typer.Exit(work(config, memory=memory, json=json))
 
 
+@faults_app.command("interventions")
+def faults_interventions(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
+    """List what testers did, or were refused."""
+    from gateway.cli.faults import interventions as work
+
+    raise typer.Exit(work(config, memory=memory, json=json))
+
+
 @faults_app.command("recordings")
 def faults_recordings(
-    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-29.")],
+    dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the logs.")] = Path(),

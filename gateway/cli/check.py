@@ -12,6 +12,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
+from gateway.servers.access import ways_around
 
 #: Columns that are left for a name after the codes given out for it, of 80.
 _MOST_OF_NAME = 65
@@ -55,6 +56,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for monitor, params in [monitor_of(entry)]
         for text in monitor.warnings(params)
     ]
+    warnings += _ways_around(config)
+    warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
         print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "warnings": warnings})
@@ -77,6 +80,22 @@ def _shortened(name: str) -> str:
     """Return a name that fits into a line of 80 columns, its middle left out where it does not."""
     kept = (_MOST_OF_NAME - 3) // 2
     return name if len(name) <= _MOST_OF_NAME else f"{name[:kept]}...{name[-kept:]}"
+
+
+def secrets_shown(config: Config, path: Path) -> list[str]:
+    """Return whether anybody can read the secrets of security levels."""
+    uds = config.output.uds
+    if uds is None or not uds.security or not path.stat().st_mode & 0o044:
+        return []
+    return [f"output.uds.security: others on this machine can read these secrets: chmod 600 {path}"]
+
+
+def _ways_around(config: Config) -> list[str]:
+    """Return how an intervention is easier than it looks."""
+    output = config.output
+    there = {name: getattr(output, name) is not None for name in ("uds", "obd", "j1939")}
+    said = list(ways_around(config.needs, config.security_levels, **there))
+    return said + ([] if output.uds is None else output.uds.weak_levels())
 
 
 def _of_this_machine(config: Config) -> list[str]:

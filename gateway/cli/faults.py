@@ -122,6 +122,25 @@ def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
     return 0
 
 
+def interventions(config: Path | None, *, memory: Path | None, json: bool) -> int:
+    """List what testers did; returns the exit code."""
+    found = service.interventions(_path(config, memory))
+    if json:
+        print_json(found)
+        return 0
+    table = table_of("latest", "count", "by", "session, level", "what", "request", "outcome")
+    for each in found:
+        by = each["protocol"] + (f" {each['address']:X} on {each['bus']}" if each["bus"] else "")
+        refused = "done" if each["outcome"] == "done" else f"refused 0x{each['nrc']:02X}"
+        table.add_row(
+            _time(each["t_ns"]), str(each["count"]), by, f"{each['session']}, {each['security']}", each["action"],
+            each["request"], refused,
+        )  # fmt: skip
+    table.columns[0].no_wrap = True
+    wide_console().print(table if found else "nobody intervened")
+    return 0
+
+
 def recordings(dtc: str, config: Path | None, *, memory: Path | None, folder: Path, json: bool) -> int:
     """Write the frames recorded around a DTC's failures as logs; returns the exit code."""
     found = service.recordings(_path(config, memory), dtc)

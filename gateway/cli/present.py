@@ -102,6 +102,10 @@ class EventPrinter:
         elif event["event"] == "clear":
             gone = ", ".join(event["faults"]) or "no entry was there"
             self._console.print(f"{self._time(event)}  cleared: {gone}", markup=False)
+        elif event["event"] == "intervention":
+            how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
+            by = f"{event['protocol']} {event['address']:X}"
+            self._console.print(f"{self._time(event)}  tester: {event['action']} by {by}{how}", markup=False)
         elif event["event"] == "config":
             self._console.print(f"configuration {event['state']} {event['reason']}".rstrip())
         elif event["event"] == "log":

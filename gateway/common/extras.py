@@ -9,6 +9,7 @@ from gateway.errors import InputError
 
 #: Extra -> the package that its features import.
 EXTRAS = {
+    "auth": "cryptography",
     "mf4": "asammdf",
     "plot": "matplotlib",
     "structure": "sympy",
@@ -16,6 +17,7 @@ EXTRAS = {
 }
 #: Extra -> what people get with it.
 PURPOSES = {
+    "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
     "plot": "pictures (--plot)",
     "structure": "gateway structure --residual",

@@ -9,6 +9,7 @@ from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import POWER
+from gateway.servers.access import wrong_rules
 from gateway.servers.identifiers import check_unique
 
 
@@ -21,6 +22,8 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _outputs(config),
         check_unique(config.did),
         _cycles(config),
+        _access(config),
+        _addresses(config),
     )
 
 
@@ -101,6 +104,50 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _addresses(config: Config) -> Iterator[InputError]:
+    """Each address of a diagnostic server has identifiers of its own, on its bus."""
+    uds, obd = config.output.uds, config.output.obd
+    if uds is None or not uds.further:
+        return
+    taken: dict[tuple[str | None, int], str] = {}
+    first = config.bus[0].name if len(config.bus) == 1 else None
+    for entry in [uds] + ([] if obd is None else [obd]):
+        for number in (entry.request, entry.response, entry.functional):
+            if number is not None:
+                taken[entry.bus or first, number] = "the first address"
+    named = {bus.name for bus in config.bus}
+    for k, further in enumerate(uds.further):
+        key = f"output.uds.further[{k}]"
+        if further.bus not in named and not (further.bus is None and len(named) == 1):
+            text = f"the buses are {', '.join(sorted(named))}"
+            yield InputError(text, key=f"{key}.bus", value=further.bus or "(no bus named)")
+            continue
+        for name in ("request", "response", "functional"):
+            number = getattr(further, name)
+            if number is None:
+                continue
+            owner = taken.setdefault((further.bus or first, number), key)
+            if owner != key:
+                yield InputError(f"{owner} has this identifier", key=f"{key}.{name}", value=f"0x{number:X}")
+
+
+def _access(config: Config) -> Iterator[InputError]:
+    uds, j1939 = config.output.uds, config.output.j1939
+    for name in () if uds is None else uds.rules:
+        if getattr(config.access, name) is not None:
+            yield InputError(f"output.uds.{name} says this already; take one of them out", key=f"access.{name}")
+    rule = config.access.j1939_clear
+    if j1939 is not None and j1939.allow_clear is not None and rule is not None and rule.allowed is not None:
+        text = "output.j1939.allow_clear says this already; take one of them out"
+        yield InputError(text, key="access.j1939_clear.allowed")
+    for k, did in enumerate(config.did):
+        if did.id == config.access.trace_did:
+            text = "this identifier reads what testers did; give access.trace_did another number"
+            yield InputError(text, key=f"did[{k}].id", value=f"0x{did.id:04X}")
+    own = () if uds is None else uds.rules
+    yield from wrong_rules(config.access_rules, config.security_levels, config.roles, own)
 
 
 def _cycles(config: Config) -> Iterator[InputError]:

@@ -129,4 +129,15 @@ def load_config(path: Path) -> Config:
     buses = tuple(
         bus.model_copy(update={"database": tuple(folder / file for file in bus.database)}) for bus in config.bus
     )
-    return config.model_copy(update={"bus": buses})
+    return _with_roots(config.model_copy(update={"bus": buses}), folder)
+
+
+def _with_roots(config: Config, folder: Path) -> Config:
+    """Return the configuration with its certificates relative to its folder, too."""
+    uds = config.output.uds
+    if uds is None or uds.authentication is None:
+        return config
+    roots = tuple(folder / file for file in uds.authentication.roots)
+    authentication = uds.authentication.model_copy(update={"roots": roots})
+    output = config.output.model_copy(update={"uds": uds.model_copy(update={"authentication": authentication})})
+    return config.model_copy(update={"output": output})

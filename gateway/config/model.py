@@ -15,6 +15,7 @@ from gateway.engine.checks.clock_health import ClockParams
 from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import CycleSettings, FaultOverride
+from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
 from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
@@ -122,6 +123,7 @@ class Config(StrictModel):
     clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
+    access: AccessParams = Field(AccessParams(), description="who may intervene, and when")
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"
     )
@@ -139,6 +141,29 @@ class Config(StrictModel):
             text = f"the buses are {', '.join(names)}{nearest(name or '', names)}"
             raise InputError(text, value=name or "(no bus named)")
         return names.index(name)
+
+    @property
+    def access_rules(self) -> AccessParams:
+        """The rules of access, with those that the UDS server's own table gives."""
+        uds = self.output.uds
+        return self.access if uds is None else self.access.model_copy(update=uds.rules)
+
+    @property
+    def security_levels(self) -> list[int]:
+        """Security levels that there are."""
+        return [] if self.output.uds is None else self.output.uds.levels
+
+    @property
+    def roles(self) -> list[str]:
+        """Roles of testers that there are."""
+        return [] if self.output.uds is None else self.output.uds.roles
+
+    @property
+    def needs(self) -> Needs:
+        """What each intervention needs."""
+        j1939 = self.output.j1939
+        clears = None if j1939 is None else j1939.allow_clear
+        return needs_of(self.access_rules, self.security_levels, clears, self.roles)
 
     def diagnostic_address_is_shared(self) -> bool:
         """Tell whether the UDS and the OBD server have one address.

@@ -25,6 +25,8 @@ from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.monitors.network_codes import NetworkCodes, Pair
+from gateway.servers.access import FREE, GUARDED, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
@@ -55,6 +57,7 @@ class Resolved:
         shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
         signals: each name outside of the engine that stands for a signal -> that signal.
         security: of the UDS server; its key functions have been found.
+        authentication: of the UDS server; its roots have been read.
         notes: what was taken where the configuration leaves it to the databases, one line each.
         codes: full name of a message, signal or relation -> the base codes of DTCs given out for it.
     """
@@ -71,6 +74,7 @@ class Resolved:
     shown: tuple[str, ...]
     signals: Mapping[str, SignalRef]
     security: Security
+    authentication: Authentication
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
 
@@ -84,6 +88,7 @@ def resolve(config: Config) -> Resolved:
     databases = load_databases(config)
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
+    _find_access(config, names)
     notes: list[str] = []
     types = [monitor_of(entry) for entry in config.monitor]
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
@@ -112,6 +117,7 @@ def resolve(config: Config) -> Resolved:
         },
         signals=names.found,
         security=Security(() if uds is None else uds.security),
+        authentication=Authentication(None if uds is None else uds.authentication),
     )
 
 
@@ -255,6 +261,17 @@ def _shown(config: Config, names: Names) -> tuple[str, ...]:
     for signal, key in shown.items():
         names.find(signal, key)
     return tuple(shown)
+
+
+def _find_access(config: Config, names: Names) -> None:
+    """Find the signals that rules of access ask for."""
+    own = {} if config.output.uds is None else config.output.uds.rules
+    rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
+    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, *SESSIONLESS)}
+    rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
+    for key, rule in rules.items():
+        for k, condition in enumerate(rule.when or () if rule is not None else ()):
+            names.find(condition.signal, f"{key}.when[{k}].signal")
 
 
 def _gates(config: Config, names: Names) -> dict[str, Gate]:

@@ -16,6 +16,7 @@ from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
 from gateway.jit import bound
+from gateway.monitors.contract import FAILED, NOT_TESTED
 from gateway.signals.tables import DecodePlan, SignalRef
 
 _CELL, _CELLS = np.dtype("<u8"), FRAME.itemsize // 8
@@ -170,6 +171,11 @@ class Engine:
         """Return the last value of a mailbox slot, NaN before the first."""
         return float(self.tables.mailbox[slot])
 
+    def age_ns(self, slot: int) -> int | None:
+        """Return how long ago the message of a mailbox slot was last accepted; None: never, or not any more."""
+        arrived_ns = int(self.tables.vectors[self.plan.slot_message[slot]]["arrived_ns"])
+        return None if arrived_ns < 0 else self.now_ns - arrived_ns
+
     def signal(self, reference: SignalRef) -> float:
         """Return the last value of a signal in its unit, NaN before the first."""
         return self.value(self.plan.slot(*reference))
@@ -177,6 +183,12 @@ class Engine:
     def fault_detection_counter(self, fault: int) -> int:
         """Return the debounce counter of a fault, -128..127."""
         return int(fault_detection_counter(self.tables.debounces[fault], self.now_ns))
+
+    def last_result(self, fault: int) -> tuple[float, float, bool] | None:
+        """Return value, limit and whether it failed of a fault's latest test result; None: not since the last reset."""
+        row = self.tables.debounces[fault]
+        result = int(row["last"]) or int(row["verdict"])
+        return None if result == NOT_TESTED else (float(row["value"]), float(row["limit"]), result == FAILED)
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""

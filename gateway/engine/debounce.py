@@ -55,7 +55,7 @@ class DebounceState(Record):
     """Counter, last result, last verdict; of a time debounce where it runs to and since when.
 
     ``active``: whether the fault is there, like testFailed; ``peak``, ``near``: greatest counter and near misses since
-    :func:`fold`; ``value`` to ``evidence``: of the last result, for a verdict that time brings.
+    :func:`fold`; ``value`` and ``limit``: of the last result; ``evidence``: likewise, for a verdict that time brings.
     """
 
     last: u1
@@ -251,6 +251,8 @@ def reset(d: Any) -> None:
     d.episode = 0
     d.triggered = 0
     d.missed = 1
+    d.value = 0.0
+    d.limit = 0.0
 
 
 def fold(d: np.void) -> tuple[int, int]:

@@ -72,8 +72,8 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
         not_tested(T, t_ns, fault)
         return -1
     result = FAILED if failed else PASSED
+    d.value, d.limit = value, limit
     if d.timed == 1:
-        d.value, d.limit = value, limit
         kind = report_time_based(d, t_ns, result)
         clock = T.clock[0]
         clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)

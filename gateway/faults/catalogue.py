@@ -78,9 +78,12 @@ class FaultDefinition:
         return Rules(self.confirm_cycles, self.healing_cycles, self.aging_cycles, self.indicator)
 
 
+#: The lamp of OBD; the others are none that legislation knows.
+MIL = "malfunction"
+
 #: Settings that a definition has as they are.
 _TAKEN = {field.name for field in fields(FaultDefinition)} & FaultOverride.model_fields.keys() - {
-    "dtc", "description", "remedy", "debounce", "severity", "permanent", "aging_cycle",
+    "dtc", "description", "remedy", "debounce", "severity", "permanent", "aging_cycle", "emission_related",
 }  # fmt: skip
 
 
@@ -104,7 +107,8 @@ def define(
     taken = {name: getattr(settings, name) for name in _TAKEN}
     if caused_by is not None:
         taken["caused_by"] = caused_by
-    lit = settings.indicator and settings.emission_related
+    related = dtc.is_powertrain if settings.emission_related is None else settings.emission_related
+    mil = settings.indicator and settings.lamp == MIL
     return FaultDefinition(
         id=fault_id,
         dtc=dtc,
@@ -113,7 +117,8 @@ def define(
         evidence=fault.evidence,
         debounce=fault.debounce.changed(settings.debounce.asked),
         severity=SEVERITIES[settings.severity] | CLASSES[settings.dtc_class],
-        permanent=lit if settings.permanent is None else settings.permanent,
+        emission_related=related,
+        permanent=mil and related if settings.permanent is None else settings.permanent,
         aging_cycle=settings.aging_cycle or settings.cycle,
         **taken,
     )

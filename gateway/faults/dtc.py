@@ -53,7 +53,7 @@ class Dtc:
 
     @classmethod
     def parse(cls, text: str) -> Dtc:
-        """Read ``P0336-29``; without a failure type byte it is 00.
+        """Read ``P0336-39``; without a failure type byte it is 00.
 
         Raises:
             InputError: it is not a DTC.
@@ -62,12 +62,17 @@ class Dtc:
         if found is None:
             raise InputError(
                 "a DTC is a letter P, C, B or U, a digit 0 to 3, three hex digits, "
-                'and "-" with a failure type byte of two: "P0336-29"',
+                'and "-" with a failure type byte of two: "P0336-39"',
                 value=text,
             )
         letter, first, rest, failure = found.groups()
         base = (_LETTERS.index(letter) << 14) | (int(first) << 12) | int(rest, 16)
         return cls((base << 8) | int(failure or "00", 16))
+
+    @property
+    def is_powertrain(self) -> bool:
+        """Whether its letter is P."""
+        return self.value >> 22 == 0
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Dtc:

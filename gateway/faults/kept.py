@@ -18,6 +18,7 @@ from typing import TypeVar
 
 from gateway.errors import InputError
 from gateway.faults import rows
+from gateway.faults.interventions import Intervention
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
@@ -96,6 +97,10 @@ class KeptStore(Store):
     def identifiers(self) -> dict[int, bytes]:
         """Return the values that testers wrote, by data identifier."""
         return self._or_nothing(super().identifiers, {})
+
+    def interventions(self) -> list[Intervention]:
+        """Return what testers did, the oldest first."""
+        return self._or_nothing(super().interventions, [])
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""
@@ -263,7 +268,7 @@ class KeptStore(Store):
         Raises:
             DamagedError: something is.
         """
-        for read in (super().load, super().cycles, super().permanent, super().identifiers):
+        for read in (super().load, super().cycles, super().permanent, super().identifiers, super().interventions):
             read()
         super().facts()
 

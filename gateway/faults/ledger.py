@@ -13,6 +13,7 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.faults.interventions import DONE, Intervention, Interventions
 from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
@@ -42,6 +43,8 @@ def _joined(first: Changes, then: Changes) -> Changes:
         facts={**first.facts, **then.facts},
         buses=first.buses if then.buses is None else then.buses,
         described={**first.described, **then.described},
+        interventions={**first.interventions, **then.interventions},
+        kept_interventions=then.kept_interventions or first.kept_interventions,
     )
 
 
@@ -68,6 +71,7 @@ class Ledger:
         records: by fault id.
         cycles: the last operation cycle of each name.
         identifiers: values that testers wrote, by data identifier.
+        interventions: what testers did.
         outage: of the store.
         commits: how many transactions were written.
     """
@@ -79,6 +83,7 @@ class Ledger:
         self.identifiers: dict[int, bytes] = store.identifiers()
         self.outage = Outage()
         self.commits = 0
+        self.interventions = Interventions(store.interventions())
         self._facts = store.facts()
         self._permanent = PermanentDtcs(store.permanent())
         self._pending = Changes(kept_recordings=recordings)
@@ -99,6 +104,7 @@ class Ledger:
         self.cycles.update(old.cycles)
         self.identifiers.update(old.identifiers)
         self._facts, self._permanent = old._facts, old._permanent
+        self.interventions = old.interventions
         self._dirty |= old._dirty
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
@@ -167,6 +173,22 @@ class Ledger:
         self.identifiers[did] = data
         self._pending.identifiers = {**self._pending.identifiers, did: data}
         self._more = True
+
+    def note_intervention(self, new: Intervention) -> Intervention | None:
+        """Note what a tester did; returns the record that has it, None if it is one of many refusals alike.
+
+        Such are counted, and written with what else is: nobody wears the disk out by asking for what is refused.
+        """
+        made, gone = self.interventions.note(new)
+        waiting = {**self._pending.interventions, made.number: made}
+        if gone:  # bounded, also while nothing can be written
+            kept = [each.number for each in self.interventions.all()]
+            waiting = {number: waiting[number] for number in kept if number in waiting}
+            self._pending.kept_interventions = kept
+        self._pending.interventions = waiting
+        told = made.outcome == DONE or made.count & (made.count - 1) == 0
+        self._more = self._more or told
+        return made if told else None
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Note how the buses do."""
@@ -324,6 +346,7 @@ class Ledger:
             **self.identifiers,
         }  # with those that are to go
         whole.facts = self._facts
+        whole.interventions = {each.number: each for each in self.interventions.all()}
         whole.buses, whole.described = self._buses, self._described
         return whole
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +32,7 @@ from gateway.faults.failures import (
     known,
     latest_signals,
 )
+from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.outage import Outage
 from gateway.faults.reading import Readable
@@ -386,6 +388,14 @@ class FaultMemory(Readable):
         """Keep how the buses do, with the next commit."""
         self._held.note_buses(states)
 
+    def note_intervention(self, intervention: Intervention) -> Intervention | None:
+        """Keep what a tester did, with the next commit; returns what to tell of it, None: nothing."""
+        return self._held.note_intervention(intervention)
+
+    def interventions(self) -> list[Intervention]:
+        """Return what testers did, the oldest first."""
+        return self._held.interventions.all()
+
     def note_descriptions(self) -> None:
         """Keep what the faults are called, with the next commit, for readers without the configuration."""
         self._held.describe({d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue})
@@ -398,6 +408,16 @@ class FaultMemory(Readable):
         """
         with self._held.undoing():
             self._held.set_identifier(did, data)
+            self._held.write(self._now_ns)
+
+    def attempts(self, level: int) -> int:
+        """Return how many wrong keys a security level has had since the last right one."""
+        return self._held.fact(f"attempts.{level}")
+
+    def keep_attempts(self, level: int, wrong: int) -> None:
+        """Keep how many wrong keys a security level has had; durable on return, if anything can be written."""
+        self._held.set_fact(f"attempts.{level}", wrong)
+        with suppress(StoreError):  # it is tried again, and counts in this process in any case
             self._held.write(self._now_ns)
 
     def fold_statistics(self) -> None:

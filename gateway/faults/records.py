@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from gateway.faults.interventions import Intervention
+
 
 @dataclass
 class FreezeFrame:
@@ -107,6 +109,8 @@ class Changes:
         identifiers: values that testers wrote; None: there is none.
         facts: numbers by name.
         buses: how the buses do, all of them: name, URI, state, time, and counters; None: not said.
+        interventions: new or changed ones, by their numbers.
+        kept_interventions: numbers of those that are kept, where others had to go; later ones are not meant.
         described: what faults are called, for readers without the configuration.
     """
 
@@ -120,3 +124,5 @@ class Changes:
     facts: Mapping[str, int] = field(default_factory=dict)
     buses: Sequence[Mapping[str, Any]] | None = None
     described: Mapping[str, Description] = field(default_factory=dict)
+    interventions: Mapping[int, Intervention] = field(default_factory=dict)
+    kept_interventions: Sequence[int] = ()

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
 
 #: Columns of the table of faults, named as in :class:`Record`; these two hold JSON.
@@ -21,6 +22,9 @@ _SAVE_RECORD = (
     f" ON CONFLICT (id) DO UPDATE SET {_UPDATE}"
 )
 SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our own names
+#: Columns of the table of interventions, named as in :class:`Intervention`.
+INTERVENTION = tuple(f.name for f in fields(Intervention))
+SELECT_INTERVENTIONS = f"SELECT {', '.join(INTERVENTION)} FROM intervention"  # noqa: S608 - our own names
 SELECT_RECORDINGS = "SELECT fault, t_ns, frames, dropped, log FROM recording"
 
 
@@ -85,6 +89,16 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
     )
     for request, done in changes.answered.items():
         db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
+    marks = ", ".join("?" * len(INTERVENTION))
+    db.executemany(
+        f"INSERT OR REPLACE INTO intervention ({', '.join(INTERVENTION)}) VALUES ({marks})",  # noqa: S608 - our own names
+        [[getattr(each, name) for name in INTERVENTION] for each in changes.interventions.values()],
+    )
+    if changes.kept_interventions:
+        db.execute(
+            "DELETE FROM intervention WHERE number <= ? AND number NOT IN (SELECT value FROM json_each(?))",
+            (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
+        )
     if changes.buses is not None:
         _write_buses(db, changes.buses)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gateway.faults import rows
+from gateway.faults.interventions import PROTOCOLS, Intervention
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 
 T = TypeVar("T")
@@ -46,7 +47,7 @@ class Salvage:
     """What was read.
 
     Attributes:
-        records, cycles, permanent, recordings, identifiers, facts: as a :class:`Store` gives them.
+        records, cycles, permanent, recordings, identifiers, facts, interventions: as a :class:`Store` gives them.
         recovered: rows read.
         lost: rows, or tables, of which it is known that they could not be read.
     """
@@ -57,6 +58,7 @@ class Salvage:
     recordings: list[Recording] = field(default_factory=list)
     identifiers: dict[int, bytes] = field(default_factory=dict)
     facts: dict[str, int] = field(default_factory=dict)
+    interventions: list[Intervention] = field(default_factory=list)
     recovered: int = 0
     lost: int = 0
 
@@ -70,6 +72,7 @@ class Salvage:
             kept_recordings=max(len(self.recordings), 1),
             identifiers=self.identifiers,
             facts=self.facts,
+            interventions={each.number: each for each in self.interventions},
         )
 
 
@@ -136,6 +139,7 @@ def _read(db: sqlite3.Connection) -> Salvage:
     identifiers = "SELECT did, data FROM identifier"
     found.identifiers = dict(_rows(db, found, identifiers, "identifier", _identifier))
     found.facts = dict(_rows(db, found, "SELECT name, value FROM fact", "fact", _fact))
+    found.interventions = list(_rows(db, found, rows.SELECT_INTERVENTIONS, "intervention", _intervention))
     return found
 
 
@@ -253,6 +257,23 @@ def _identifier(did: Any, data: Any) -> tuple[int, bytes]:
     if not isinstance(data, bytes):
         raise TypeError(data)
     return _whole(did, 0, 0xFFFF), data
+
+
+def _intervention(*row: Any) -> Intervention:
+    each = Intervention(*row)
+    for value in (each.t_ns, each.first_ns):
+        _whole(value, -(2**63), 2**63 - 1)
+    for value, most in (
+        (each.address, 0xFFFFFFFF), (each.session, 0xFF), (each.security, 0xFF), (each.outcome, 0xFF),
+        (each.count, 2**62), (each.number, 2**62),
+    ):  # fmt: skip
+        _whole(value, 0, most)
+    _name(each.action)
+    if each.protocol not in PROTOCOLS or not isinstance(each.request, bytes):
+        raise ValueError(row)
+    if not isinstance(each.bus, str) or not isinstance(each.role, str):
+        raise TypeError(row)
+    return each
 
 
 def _fact(name: Any, value: Any) -> tuple[str, int]:

@@ -76,5 +76,24 @@ CREATE TABLE catalogue (
 );
 """
 
+# What testers did: who, what, when, and what came of it.
+_FIFTH = """
+CREATE TABLE intervention (
+    number INTEGER PRIMARY KEY,
+    first_ns INTEGER NOT NULL,
+    t_ns INTEGER NOT NULL,
+    count INTEGER NOT NULL,
+    protocol TEXT NOT NULL,
+    bus TEXT NOT NULL,
+    address INTEGER NOT NULL,
+    session INTEGER NOT NULL,
+    security INTEGER NOT NULL,
+    role TEXT NOT NULL,
+    action TEXT NOT NULL,
+    request BLOB NOT NULL,
+    outcome INTEGER NOT NULL
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH)

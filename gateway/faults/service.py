@@ -10,6 +10,7 @@ from gateway.errors import GatewayError, InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.ledger import OVERFLOW
 from gateway.faults.lock import InUseError, is_kept, is_unsaved
 from gateway.faults.memory import FaultMemory
@@ -118,6 +119,38 @@ def overflowed(path: Path) -> bool:
         store.close()
 
 
+def intervention_as_dict(each: Intervention) -> dict[str, Any]:
+    """Return an intervention in the form of the JSON contract."""
+    return {
+        "t_ns": each.t_ns,
+        "first_ns": each.first_ns,
+        "count": each.count,
+        "protocol": each.protocol,
+        "bus": each.bus,
+        "address": each.address,
+        "session": each.session,
+        "security": each.security,
+        "role": each.role,
+        "action": each.action,
+        "request": each.request.hex(),
+        "outcome": "done" if each.outcome == DONE else "refused",
+        "nrc": each.outcome,
+    }
+
+
+def interventions(path: Path) -> list[dict[str, Any]]:
+    """Return what testers did to the gateway that keeps this memory, the oldest first.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    store = _reader(path)
+    try:
+        return [intervention_as_dict(each) for each in store.interventions()]
+    finally:
+        store.close()
+
+
 def near_misses(path: Path) -> list[dict[str, Any]]:
     """Return the faults that came near a failure, or had one: how often, and how near.
 
@@ -195,6 +228,9 @@ def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int
         memory = FaultMemory(Catalogue(()), store)
         count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
         memory.clear(group)
+        request = group.to_bytes(3, "big")
+        memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request))
+        memory.commit(final=True)
         return count
     finally:
         store.close()

@@ -104,7 +104,7 @@ class CycleSettings(StrictModel):
 class FaultOverride(StrictModel):
     """Settings of one fault that differ from its monitor's."""
 
-    dtc: DtcText | None = Field(None, description='e.g. "P0336-29"')
+    dtc: DtcText | None = Field(None, description='e.g. "P0336-39"')
     description: str | None = Field(None, description="one line for people")
     remedy: str | None = Field(None, description="what to do about it, for people; default: by its failure type")
     spn: int | None = Field(None, ge=0, le=0x7FFFF, description="J1939 suspect parameter number")
@@ -115,7 +115,9 @@ class FaultOverride(StrictModel):
     dtc_class: Literal["unclassified", "a", "b1", "b2", "c"] = Field("unclassified", description="class of WWH-OBD")
     functional_unit: int = Field(0, ge=0, le=255, description="DTC functional unit")
     priority: int = Field(100, ge=1, le=255, description="1 most important: what a full memory keeps")
-    emission_related: bool = Field(True, description="shown by OBD; legislation knows it")
+    emission_related: bool | None = Field(
+        None, description="shown by OBD; legislation knows it; default: if its DTC is of the powertrain (P)"
+    )
     readiness: Readiness = Field("components", description="monitor whose readiness it belongs to (J1979, J1939 DM5)")
     debounce: DebounceOverride = DebounceOverride()
     enable: tuple[ConditionSettings, ...] = Field((), description="its test results count while all of these are met")
@@ -136,7 +138,7 @@ class FaultOverride(StrictModel):
     )
     permanent: bool | None = Field(
         None, description="survives a clear until its test has passed; default: if it is"
-        " emission related and asks for the indicator"
+        " emission related and asks for the lamp malfunction"
     )  # fmt: skip
     freeze_frame: tuple[str, ...] = Field(
         (),

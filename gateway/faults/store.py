@@ -16,6 +16,7 @@ from typing import Any, cast
 
 from gateway.errors import GatewayError, InputError
 from gateway.faults import rows
+from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
@@ -158,10 +159,10 @@ class Store:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute("PRAGMA foreign_keys = ON")
-        for k in range(version, len(MIGRATIONS)):
+        if version < len(MIGRATIONS):  # in one transaction: a new file is there at once
             self._db.executescript(
                 f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
-                f"{MIGRATIONS[k]} PRAGMA user_version = {k + 1}; COMMIT;"
+                f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)}; COMMIT;"
             )
         # Whoever asked a writer that is gone has been told that nothing was done.
         self._db.execute("DELETE FROM request")
@@ -284,6 +285,11 @@ class Store:
         """Return the values that testers wrote, by data identifier."""
         with self._reading():
             return dict(self._db.execute("SELECT did, data FROM identifier"))
+
+    def interventions(self) -> list[Intervention]:
+        """Return what testers did, the oldest first."""
+        with self._reading():
+            return [Intervention(*row) for row in self._db.execute(f"{rows.SELECT_INTERVENTIONS} ORDER BY number")]
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""

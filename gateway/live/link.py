@@ -14,7 +14,7 @@ from dataclasses import fields
 import numpy as np
 
 from gateway.bus.base import Bus, Statistics
-from gateway.bus.conditions import LOSS, LOST, RUNNING, are_steps, condition_frame
+from gateway.bus.conditions import LOSS, LOST, RUNNING, are_conditions, condition_frame
 from gateway.bus.frames import Frames, empty
 from gateway.common.log import get_logger, load
 from gateway.errors import BusError, UnsupportedError
@@ -143,12 +143,14 @@ class Link:
             return self._joined(told), False
         frames = self._batch[:count]
         self.stamps.apply(frames, more=count == BATCH)
-        if self._bus.losses:
-            frames = self._with_losses(frames, self._bus.losses)
-        forged = are_steps(frames)
-        if forged.any():  # what our clock does is not for others to say
+        losses = list(self._bus.losses)
+        forged = are_conditions(frames)
+        if forged.any():  # what our clock and our links do is not for others to say
             self._bus.statistics.rejected += int(forged.sum())
+            losses = [(place - int(forged[:place].sum()), lost) for place, lost in losses]
             frames = frames[~forged]
+        if losses:
+            frames = self._with_losses(frames, losses)
         if self._ending and count < BATCH:
             self._lose(self._ending)
             frames = self._joined([*told, frames, *self._told])

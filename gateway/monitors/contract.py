@@ -201,7 +201,7 @@ class Fault:
 
     Attributes:
         name: within the monitor; the fault's id is ``<monitor>.<name>``.
-        dtc: default DTC, SAE J2012 base code and failure type byte, e.g. ``"P0336-29"``.
+        dtc: default DTC, SAE J2012 base code and failure type byte, e.g. ``"P0336-39"``.
         description: one line for people.
         evidence: names (with units) of the values in ``result.evidence``; of a record: ``labels(Evidence)``.
         debounce: default debounce.

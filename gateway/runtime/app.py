@@ -31,6 +31,7 @@ from gateway.engine.events import (
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
+from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
@@ -43,10 +44,12 @@ from gateway.runtime.told import (
     clock_event,
     cycle_event,
     dtc_event,
+    intervention_event,
     monitor_event,
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.servers.access import signals_of
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.servers.uds.extended_data import EXTENDED_DATA
@@ -90,6 +93,7 @@ class Gateway:
         self.store = KeptStore(memory_path) if store is None else store
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
+        self._judged = [self._parts.slots[name] for name in signals_of(config.needs)]
         self._recorder = None if recording is None else Recorder(recording, names)
         self.memory = FaultMemory(
             self.catalogue,
@@ -104,8 +108,10 @@ class Gateway:
             self.store,
             self._recorder,
             self._parts.slots,
+            round(config.access.stale_ms * 1e6),
             self._before_clear,
             self._after_clear,
+            self._note_intervention,
         )
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
@@ -248,7 +254,9 @@ class Gateway:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
-        sent = self.engine.process(frames[are_steps(frames)], self._on_events)
+        # And what conditions of access need: what is blinded because the vehicle stands must see that it moves.
+        needed = are_steps(frames) | self.engine.plan.among(frames, self._judged)
+        sent = self.engine.process(frames[needed], self._on_events)
         more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
         return np.concatenate([sent, more])
 
@@ -284,6 +292,7 @@ class Gateway:
         self._upkeep.look(self.engine.now_ns)
         cleared = self.memory.serve_requests(self._before_clear)
         if cleared:
+            self.controls.note(Intervention(0, "local", "", 0, "clear"))
             self.controls.forget(cleared)
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
@@ -367,6 +376,12 @@ class Gateway:
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self.engine.wall_ns(self.engine.now_ns)
         self._tell(clear_event(t_ns, gone))
+
+    def _note_intervention(self, intervention: Intervention) -> None:
+        """Keep what a tester did; it is told when it is stored."""
+        told = self.memory.note_intervention(intervention)
+        if told is not None:
+            self._untold.append(intervention_event(told))
 
     def _take_early(self) -> list[Frames]:
         early, self._early = self._early, []

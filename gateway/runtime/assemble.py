@@ -17,6 +17,7 @@ from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot
 from gateway.errors import InputError, InputErrors, named
 from gateway.faults.catalogue import Catalogue, define
+from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
 from gateway.servers.bus_server import BusServer
@@ -29,7 +30,10 @@ from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.tester_control import TesterControl
+from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.context import Context
+from gateway.servers.uds.intervention_memory import NUMBERS
+from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.signals.database import Database
@@ -47,6 +51,7 @@ class Parts:
         slots: mailbox slots of all signals that a name outside the engine stands for.
         cycles: names of the operation cycles, in the engine's order.
         security: of the UDS server; its key functions have been found.
+        authentication: of the UDS server; its roots have been read.
         checks: of messages, in the engine's order.
         notes: what was taken where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
@@ -59,6 +64,7 @@ class Parts:
     slots: dict[str, int]
     cycles: tuple[str, ...]
     security: Security
+    authentication: Authentication
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
@@ -110,6 +116,7 @@ def assemble(resolved: Resolved) -> Parts:
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
         tuple(resolved.cycles),
         resolved.security,
+        resolved.authentication,
         resolved.checks,
         resolved.notes,
         resolved.codes,
@@ -172,7 +179,53 @@ def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: T
     """Return the table of data identifiers, with those of the freeze frames' signals."""
     named = {did.name for did in config.did}
     frozen = {name for names in parts.frozen.values() for name in names} - named
-    return Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
+    made = Identifiers(config.did, frozen, control.value, memory.identifiers, memory.write_identifier)
+    if config.access.trace_did is not None:
+        made.serve(config.access.trace_did, "interventions", lambda: encode(memory.interventions(), NUMBERS))
+    return made
+
+
+def _bus_name(config: Config, name: str | None) -> str:
+    return config.bus[config.bus_index(name)].name
+
+
+def _uds_servers(
+    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+) -> list[tuple[UdsParams, UdsServer]]:
+    """Build a UDS server for each of its addresses: a tester each, with a session of his own."""
+    if config.output.uds is None:
+        return []
+    parts.security.keep_in(memory.attempts, memory.keep_attempts)
+    testers: list[Context] = []
+    trace = config.access.trace_did
+    for params in config.output.uds.each_address:
+        bus = _bus_name(config, params.bus)
+        security = parts.security.beside() if testers else parts.security
+        who = parts.authentication.beside()
+        testers.append(Context(params, memory, identifiers, control, security, who, config.needs, bus, trace, testers))
+    return [(context.params, UdsServer(context)) for context in testers]
+
+
+def _diagnostic_servers(
+    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+) -> list[BusServer]:
+    """Build what is on ISO-TP: UDS with OBD on its first address if they share it, each further address, OBD alone."""
+    asked = config.output.obd
+    obd = None
+    if asked is not None:
+        obd = ObdServer(asked, memory, control, config.needs["obd_clear"], _bus_name(config, asked.bus))
+        identifiers.fall_back(obd.identifier)
+    made: list[BusServer] = []
+
+    def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
+        made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, obd))
+
+    shared = config.diagnostic_address_is_shared()
+    for k, (params, uds) in enumerate(_uds_servers(config, parts, memory, control, identifiers)):
+        server(params, uds, obd if shared and not k else None)
+    if asked is not None and not shared:
+        server(asked, None, obd)
+    return made
 
 
 def servers_of(
@@ -184,7 +237,7 @@ def servers_of(
 ) -> list[BusServer]:
     """Build what is on the buses on the gateway's behalf."""
     made: list[BusServer] = []
-    asked = config.output
+    asked, needs = config.output, config.needs
     if asked.dtc_frame is not None:
         made.append(
             DtcFrameSender(
@@ -195,25 +248,11 @@ def servers_of(
                 control.fault_detection_counter,
             )
         )
-    uds = None
-    if asked.uds is not None:
-        context = Context(asked.uds, memory, identifiers, control, parts.security)
-        uds = UdsServer(context)
-    obd = None if asked.obd is None else ObdServer(asked.obd, memory, control)
-
-    def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
-        transport = IsoTpEndpoint(params, config.bus_index(params.bus))
-        made.append(DiagnosticServer(transport, uds, obd))
-
-    if asked.uds is not None and config.diagnostic_address_is_shared():
-        server(asked.uds, uds, obd)
-    else:
-        if asked.uds is not None:
-            server(asked.uds, uds, None)
-        if asked.obd is not None:
-            server(asked.obd, None, obd)
+    made += _diagnostic_servers(config, parts, memory, control, identifiers)
     if asked.j1939 is not None:
-        bus = config.bus_index(asked.j1939.bus)
-        endpoint = J1939Endpoint(asked.j1939.name, asked.j1939.address, bus)
-        made.append(J1939Server(asked.j1939, endpoint, memory, control))
+        index = config.bus_index(asked.j1939.bus)
+        endpoint = J1939Endpoint(
+            asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
+        )
+        made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"], config.bus[index].name))
     return made

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from gateway.engine.core import Engine
+from gateway.faults.interventions import Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
+from gateway.faults.settings import ConditionSettings
 from gateway.faults.status import Status
 from gateway.faults.store import Store
+from gateway.servers.tester_control import LatestResult
 
 
 class Controls:
@@ -21,7 +25,9 @@ class Controls:
         store: its file.
         recorder: of frames around failures, if there is one.
         slots: mailbox slots of signals by name.
+        stale_ns: a signal that is older meets no condition.
         before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
+        noted: takes what a tester did, to be kept and told.
     """
 
     def __init__(
@@ -31,29 +37,66 @@ class Controls:
         store: Store,
         recorder: Recorder | None,
         slots: Mapping[str, int],
+        stale_ns: int,
         before_clear: Callable[[], None] = lambda: None,
         after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
+        noted: Callable[[Intervention], None] = lambda intervention: None,
     ) -> None:
         self._engine = engine
         self._memory = memory
         self._store = store
         self._recorder = recorder
         self._slots = slots
+        self._stale_ns = stale_ns
+        self._noted = noted
         self._before_clear, self._after_clear = before_clear, after_clear
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
-        self._dtcs_on = True
-        self.receive = True
-        self.send = True
+        # Which testers have it off; a tester's address stands for him.
+        self._dtcs_off: set[str] = set()
+        self._deaf: set[str] = set()
+        self._mute: set[str] = set()
 
     def fault_detection_counter(self, fault: str) -> int:
         """Return a fault's detection counter now, -128..127; 0 for one that is not monitored any more."""
         index = self._index.get(fault)
         return 0 if index is None else self._engine.fault_detection_counter(index)
 
+    def wall_ns(self) -> int:
+        """Return now, by the wall clock [ns]."""
+        return self._engine.wall_ns(self._engine.now_ns)
+
+    def test_result(self, fault: str) -> LatestResult | None:
+        """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""
+        index = self._index.get(fault)
+        found = None if index is None else self._engine.last_result(index)
+        return None if found is None else LatestResult(*found)
+
     def value(self, name: str) -> float:
         """Return a signal's value now in its unit, NaN before the first."""
         slot = self._slots.get(name)
         return math.nan if slot is None else self._engine.value(slot)
+
+    def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
+        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        return all(self._is_met(condition) for condition in conditions)
+
+    def _is_met(self, condition: ConditionSettings) -> bool:
+        slot = self._slots[condition.signal]
+        age_ns = self._engine.age_ns(slot)
+        if age_ns is None or age_ns > self._stale_ns:
+            return False
+        value = self._engine.value(slot)
+        low = -math.inf if condition.min is None else condition.min
+        high = math.inf if condition.max is None else condition.max
+        return low <= value <= high
+
+    def note(self, intervention: Intervention) -> None:
+        """Keep and tell what a tester did, or was refused; its time is now."""
+        self._noted(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
+
+    def knows(self, group: int) -> bool:
+        """Tell whether there is such a DTC or group."""
+        return self._memory.knows(group)
 
     def clear(self, group: int) -> bool:
         """Clear one DTC or a group, durable on return; False if there is no such DTC or group.
@@ -77,18 +120,29 @@ class Controls:
             self._recorder.forget(names)
         self._after_clear(names)
 
-    def set_dtcs(self, on: bool) -> None:
-        """Let test results count, or not."""
-        self._dtcs_on = on
+    @property
+    def receive(self) -> bool:
+        """Whether normal messages are received."""
+        return not self._deaf
+
+    @property
+    def send(self) -> bool:
+        """Whether normal messages are sent."""
+        return not self._mute
+
+    def set_dtcs(self, on: bool, by: str = "") -> None:
+        """Let test results count, or not; they do when no tester has it off."""
+        _switch(self._dtcs_off, on, by)
         self._hold()
 
-    def set_communication(self, *, receive: bool, send: bool) -> None:
-        """Switch normal communication; without reception no result counts."""
-        self.receive, self.send = receive, send
+    def set_communication(self, *, receive: bool, send: bool, by: str = "") -> None:
+        """Switch normal communication; it is on when no tester has it off. Without reception no result counts."""
+        _switch(self._deaf, receive, by)
+        _switch(self._mute, send, by)
         self._hold()
 
     def _hold(self) -> None:
-        self._engine.hold_results(not (self._dtcs_on and self.receive))
+        self._engine.hold_results(bool(self._dtcs_off or self._deaf))
 
     def start_cycle(self, t_ns: int) -> None:
         """Start the operation cycle of the gateway itself, at a time of the engine."""
@@ -127,3 +181,10 @@ class Controls:
         """
         self._memory.join()
         self._store.compact()
+
+
+def _switch(off: set[str], on: bool, by: str) -> None:
+    if on:
+        off.discard(by)
+    else:
+        off.add(by)

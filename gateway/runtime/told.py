@@ -10,6 +10,8 @@ import numpy as np
 from gateway.common.log import get_logger
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
+from gateway.faults.interventions import Intervention
+from gateway.faults.service import intervention_as_dict
 from gateway.monitors.contract import FAILED, PASSED
 
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
@@ -66,6 +68,13 @@ def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> 
 def clear_event(t_ns: int, faults: Sequence[str]) -> dict[str, Any]:
     """Tell which entries were cleared."""
     return {"event": "clear", "t_ns": t_ns, "faults": list(faults)}
+
+
+def intervention_event(intervention: Intervention) -> dict[str, Any]:
+    """Log what a tester did, or was refused, and return the event of the JSON contract that tells it."""
+    told = intervention_as_dict(intervention)
+    _log.warning("a tester intervened", **{name: told[name] for name in ("protocol", "address", "action", "outcome")})
+    return {"event": "intervention", **told}
 
 
 def clock_event(t_ns: int, step_s: float) -> dict[str, Any]:

@@ -22,6 +22,10 @@ class Application(ABC):
             t_ns: now.
         """
 
+    def hold(self, busy: bool, t_ns: int) -> None:
+        """Take whether a request or a response is under way: a session does not end meanwhile (ISO 14229-2, S3)."""
+        return
+
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
         """Take changes that are durable; returns the responses that were asked for on them."""
         return []

@@ -51,7 +51,13 @@ class DiagnosticServer(BusServer):
         request = self._transport.receive(frame, t_ns)
         if request is not None:
             self._transport.send(self._answer(*request))
+        self._hold(t_ns)
         return self._transport.take_frames()
+
+    def _hold(self, t_ns: int) -> None:
+        busy = self._transport.busy
+        for each in self._applications:
+            each.hold(busy, t_ns)
 
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         application = self._application_for(request)
@@ -66,12 +72,15 @@ class DiagnosticServer(BusServer):
         """Send the responses that were asked for on changes (0x86)."""
         made = [r for each in self._applications for r in each.on_changes(changes, t_ns)]
         self._transport.push(made, t_ns)
+        if made:
+            self._hold(t_ns)
         return self._transport.take_frames()
 
     def on_time(self, t_ns: int) -> Frames:
         """Run separation times and timeouts, and send responses that come later."""
         now = self._transport.advance(t_ns)
         self._transport.send([r for each in self._applications for r in each.pass_time(now)])
+        self._hold(now)
         return self._transport.take_frames()
 
     @property

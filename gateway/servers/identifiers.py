@@ -115,6 +115,8 @@ class Identifiers:
         self._read = read
         self._written = written
         self._write = write
+        self._others: Callable[[int], bytes | None] = lambda _: None
+        self._served: dict[int, tuple[str, Callable[[], bytes]]] = {}
         self.table = {did.id: did for did in params}
         self._by_source = {did.signal: did for did in params if did.signal is not None}
         self._by_source |= {did.name: did for did in params}
@@ -124,11 +126,21 @@ class Identifiers:
             did = DidParams(id=number, name=name, signal=signal)
             self.table[number] = self._by_source[signal] = did
 
+    def serve(self, number: int, name: str, read: Callable[[], bytes]) -> None:
+        """Add an identifier that the gateway itself has something to say by."""
+        self._served[number] = name, read
+
+    def fall_back(self, read: Callable[[int], bytes | None]) -> None:
+        """Have identifiers that are not in the table read elsewhere; None: not there either."""
+        self._others = read
+
     def read(self, number: int) -> bytes | None:
         """Return the bytes of an identifier now, None if there is none."""
+        if number in self._served:
+            return self._served[number][1]()
         did = self.table.get(number)
         if did is None:
-            return None
+            return self._others(number)
         if did.signal is not None:
             return did.encode(self._read(did.signal))
         written = self._written.get(number)
@@ -168,7 +180,13 @@ class Identifiers:
                 "writable": did.writable,
             }
             for number, did in sorted(self.table.items())
-        ]
+        ] + [
+            {
+                "id": f"0x{number:04X}", "name": name, "signal": None, "type": "bytes", "length": None, "scale": None,
+                "offset": None, "writable": False,
+            }
+            for number, (name, _) in self._served.items()
+        ]  # fmt: skip
 
 
 def check_unique(params: Sequence[DidParams]) -> list[InputError]:

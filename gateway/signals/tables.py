@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import EXTENDED
+from gateway.bus.frames import EXTENDED, Frames
 from gateway.errors import InputError
 from gateway.jit import COMPILED
 from gateway.signals.bits import place
@@ -104,6 +104,24 @@ class DecodePlan:
         if any(self.by_pgn[row] for row in mine):
             return None
         return [int(self.messages["can_id"][row]) for row in mine]
+
+    def among(self, frames: Frames, slots: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which frames are of the messages of some mailbox slots, shape (n,)."""
+        ids = frames["can_id"]
+        mask = np.zeros(len(frames), np.bool_)
+        for row in {int(self.slot_message[slot]) for slot in slots}:
+            wanted = self.messages["can_id"][row]
+            same = ids == wanted
+            if self.by_pgn[row]:
+                same |= (ids & EXTENDED != 0) & (_groups(ids) == _groups(wanted))
+            mask |= same & (frames["bus"] == self.message_names[row][0])
+        return mask
+
+
+def _groups(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Return the parameter group numbers of extended identifiers (SAE J1939-21), without destinations."""
+    groups = (ids >> 8) & 0x3FFFF
+    return np.where((ids >> 16) & 0xFF < 240, groups & 0x3FF00, groups)
 
 
 def _needed(message: Message, wanted: set[str]) -> list[Signal]:

@@ -18,7 +18,7 @@ def test_text_and_bytes_round_trip(value):
 @pytest.mark.parametrize(
     ("text", "data"),
     [
-        ("P0336-29", "033629"),
+        ("P0336-39", "033639"),
         ("P0336", "033600"),
         ("C0035-1F", "40351f"),
         ("B3FFF-FF", "bfffff"),
@@ -39,7 +39,7 @@ def test_wrong_text_says_the_rule(text):
 @pytest.mark.parametrize(
     ("text", "groups"),
     [
-        ("P0336-29", {0xFFFFFF, 0xFFFF33}),
+        ("P0336-39", {0xFFFFFF, 0xFFFF33}),
         ("C0001-00", {0xFFFFFF, 0xFFFF33, 0x400000}),
         ("C3FFF-FF", {0xFFFFFF, 0xFFFF33, 0x400000}),
         ("B3000-11", {0xFFFFFF, 0xFFFF33, 0x800000}),

@@ -46,6 +46,7 @@ noise = 0.02
 """
 OUTPUTS = """
 [output.uds]
+clear = {}
 bus = "chassis"
 [output.dtc_frame]
 bus = "chassis"

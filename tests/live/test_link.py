@@ -119,6 +119,18 @@ def test_what_was_received_before_the_loss_still_comes_then_the_loss():
     assert (world.opened, world.closed) == (2, 1)
 
 
+def test_what_links_and_clocks_do_is_not_for_others_to_say():
+    """A client of the hub could say that the bus is lost: nothing would be overdue any more."""
+    world = World()
+    link = world.link()
+    link.start()
+    link.receive()
+    world.waiting, world.losses = [1, ERROR, 2, ERROR, 3], [(4, 7)]
+    frames = link.receive()[0]
+    assert conditions(frames) == ["0x1", "0x2", LOSS, "0x3"]
+    assert link.statistics.rejected == 2
+
+
 def test_a_link_may_get_another_index():
     world = World()
     link = world.link()

@@ -41,7 +41,14 @@ REQUESTS = [
         "1903",
         "1904100011ff",
         "190410001101",
+        "190501",
         "1906100011ff",
+        "191601",
+        "1917ff01",
+        "1918df1168ff01",
+        "1919df1168ff01",
+        "191a01",
+        "19563303",
         "1907e0ff",
         "1908e0ff",
         "1909100011",
@@ -80,6 +87,9 @@ REQUESTS = [
         "03",
         "04",
         "07",
+        "06e0",
+        "06e1",
+        "22f40cf6e1f802",
         "0900",
         "0902",
         "0a",
@@ -110,6 +120,7 @@ def mutated(rng, seeds):
 @pytest.fixture
 def rig(tmp_path):
     rig = Rig(write_config(tmp_path, 6, extra=EXTRA))
+    rig.gateway._listeners.clear()
     for k in range(4):
         rig.fail(k)
     yield rig
@@ -144,6 +155,8 @@ def test_mutated_requests(rig):
         nonlocal now, negative
         for n in range(rounds):
             now += 100_000
+            if n % 50 == 0:
+                rig.gateway.advance(now)  # what was done is told
             request = mutated(rng, slow if n % 50 == 0 else seeds)
             functional = bool(n & 1)
             answers = server._answer(request, functional, now)
@@ -208,6 +221,8 @@ def test_mutated_frames(rig):
                     j1939.on_time(now)
                 if done % 7 == 0:
                     isotp.on_time(now)
+                if done % 70 == 0:
+                    rig.gateway.advance(now)
                 done += 1
 
     assert grown(work, TOTAL // 2) < 100_000

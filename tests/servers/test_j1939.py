@@ -221,7 +221,10 @@ def test_dm2_dm6_dm12_and_dm28(make):
 
 
 def test_dm5_counts_and_readiness(make):
-    rig = make(faults={0: coded(100, 1), 1: coded(101, 1, 'readiness = "egr"\n')})
+    related = "emission_related = true\n"
+    faults = dict.fromkeys(range(4), related)
+    faults |= {0: coded(100, 1), 1: coded(101, 1, 'readiness = "egr"\n' + related)}
+    rig = make(faults=faults)
     rig.fail(0)
     rig.heal(2)
     rig.heal(3)
@@ -396,9 +399,142 @@ def test_a_stronger_name_takes_the_address_and_a_weaker_one_does_not(make):
     rig = make()
     weak, strong = b"\xff" * 8, bytes(8)
     assert rig.of(0xEE00, rig.feed((pgn_id(0xEE00, ME), weak))), "defended"
-    ((can_id, _),) = rig.feed((pgn_id(0xEE00, ME), strong))
+    assert rig.feed((pgn_id(0xEE00, ME), strong)) == []
+    ((can_id, _),) = rig.wait(160, step=1)
     assert can_id & 0xFF == 0xFE, "cannot claim: says so from the null address"
     assert rig.wait(3000) == [], "and is silent"
+
+
+def test_who_has_no_address_says_so_when_asked(make):
+    """D13: to all and to the null address; after a delay that differs from device to device."""
+    delays = set()
+    for identity in range(4):
+        rig = make(more=f"name = {{ identity = {identity + 1}, manufacturer = 1 }}\n")
+        rig.feed((pgn_id(0xEE00, ME), bytes(8)))
+        rig.wait(200)
+        for destination in (ALL, 0xFE):
+            begun = rig.now
+            assert rig.of(0xEE00, rig.request(0xEE00, destination=destination)) == []
+            said = []
+            while not said and rig.now - begun < 200 * MS:
+                said = rig.wait(1, step=1)
+            ((can_id, data),) = said
+            assert can_id == pgn_id(0xEE00, 0xFE, ALL)
+            assert data[0] == identity + 1
+            assert rig.now - begun <= 155 * MS
+            delays.add(rig.now - begun)
+        assert rig.request(0xFECA, destination=ALL) == [], "nothing else"
+    assert len(delays) > 4
+
+
+def test_a_claim_is_told_while_it_is_contended(make):
+    rig = make(claimed=False)
+    rig.wait(10)
+    assert rig.of(0xEE00, rig.request(0xEE00, destination=ALL)), "in the 250 ms, too"
+    assert rig.request(0xFECE) == []
+
+
+def test_the_contention_at_the_start_is_real_time(make):
+    """D13: the first claim was stamped with the engine's start, the next look at the clock was decades later."""
+    rig = make(claimed=False)
+    server = rig.gateway.servers.all[-1]
+    rig.gateway.advance(0)
+    now = 1_700_000_000_000 * MS
+    sent = []
+    for k in range(240):
+        sent += list(server.on_time(now + k * MS))
+    assert sent == []
+    for k in range(240, 300):
+        sent += list(server.on_time(now + k * MS))
+    assert [int(frame["can_id"]) >> 8 & 0xFFFF for frame in sent] == [0xFECA]
+
+
+NAME = NameParams(identity=5, manufacturer=0x123)
+
+
+def command(rig, address, name=NAME):
+    """Command an address, as a tool does: nine bytes, by broadcast."""
+    body = name.value.to_bytes(8, "little") + bytes([address])
+    bam = bytes([32, 9, 0, 2, 0xFF]) + (0xFED8).to_bytes(3, "little")
+    packets = [bytes([1]) + body[:7], bytes([2]) + body[7:] + bytes([0xFF] * 5)]
+    made = rig.feed((pgn_id(0xEC00, TOOL, ALL, 7), bam))
+    for data in packets:
+        made += rig.feed((pgn_id(0xEB00, TOOL, ALL, 7), data))
+    return made
+
+
+def commandable(make, more="commanded_address = true\n"):
+    return make(more=more + "name = { identity = 5, manufacturer = 0x123 }\n")
+
+
+def test_a_commanded_address_is_taken(make):
+    rig = commandable(make)
+    assert command(rig, 0x42, NameParams(identity=6)) == [], "it is another's NAME"
+    ((can_id, data),) = command(rig, 0x42)
+    assert can_id == pgn_id(0xEE00, 0x42, ALL)
+    assert data == NAME.value.to_bytes(8, "little")
+    assert rig.wait(240) == []
+    assert {can_id & 0xFF for can_id, _ in rig.wait(1100)} == {0x42}
+    (noted,) = rig.gateway.memory.interventions()
+    assert (noted.action, noted.address) == ("address", TOOL)
+
+
+def test_a_commanded_address_brings_back_who_had_none(make):
+    rig = commandable(make)
+    rig.feed((pgn_id(0xEE00, ME), bytes(8)))
+    rig.wait(200)
+    assert command(rig, 0x42)
+    assert {can_id & 0xFF for can_id, _ in rig.wait(1500)} == {0x42}
+
+
+def test_nobody_commands_an_address_unless_it_is_allowed(make):
+    rig = commandable(make, "")
+    assert command(rig, 0x42) == []
+    assert {can_id & 0xFF for can_id, _ in rig.wait(1100)} == {ME}
+
+
+def test_identifications(make):
+    more = (
+        'vin = "1HGCM82633A004352"\ncalibration = "GW-1"\ncalibration_check = 0x12345678\n'
+        'component = { make = "ACME", model = "GW", serial = "42" }\nsoftware = ["gw 3", "cal 7"]\n'
+    )
+    rig = make(more=more)
+    wanted = {
+        0xFEEC: b"1HGCM82633A004352*",
+        0xFEEB: b"ACME*GW*42**",
+        0xFEDA: b"\x02gw 3*cal 7*",
+        0xD300: bytes.fromhex("78563412") + b"GW-1".ljust(16, b"\0"),
+    }
+    for pgn, data in wanted.items():
+        frames = rig.request(pgn, destination=ALL, milliseconds=400)
+        assert rig.of(pgn, frames) == [data], hex(pgn)
+
+
+def test_identifications_that_there_are_not(make):
+    rig = make()
+    for pgn in (0xFEEC, 0xFEEB, 0xD300):
+        ((_, _, data),) = rig.messages(rig.request(pgn))
+        assert data[0] == 1, "not acknowledged"
+    frames = rig.request(0xFEDA, destination=ALL, milliseconds=400)
+    ((data,)) = rig.of(0xFEDA, frames)
+    assert data.startswith(b"\x01gateway ")
+
+
+def test_dm26_and_dm29(make):
+    mil = "indicator = true\nemission_related = true\n"
+    faults = {0: coded(100, 1, mil), 1: coded(101, 2, "confirm_cycles = 2\n"), 2: coded(102, 3, mil)}
+    rig = make(faults=faults)
+    assert rig.of(0xFDB8, rig.request(0xFDB8)) == [bytes.fromhex("FFFFFF4400000000")]
+    assert rig.of(0x9E00, rig.request(0x9E00)) == [bytes.fromhex("0000000000FFFFFF")]
+    for k in range(3):
+        rig.fail(k)
+    assert rig.of(0x9E00, rig.request(0x9E00)) == [bytes.fromhex("0203020002FFFFFF")]
+    rig.heal(0)
+    rig.heal(2)
+    assert rig.of(0xFDB8, rig.request(0xFDB8)) == [bytes.fromhex("FFFFFF0400000000")]
+    for _ in range(4):
+        rig.cycle(passing=(0,))
+    assert rig.of(0x9E00, rig.request(0x9E00))[0][2:4] == bytes([1, 1]), "one lamp is out, its DTC is there still"
 
 
 def test_a_claim_of_another_address_is_not_ours_to_answer(make):

@@ -1,7 +1,12 @@
 """OBD on CAN, asked functionally and physically; expected bytes written by hand from SAE J1979."""
 
+import struct
+
 import pytest
 from rig import FUNCTIONAL, Rig, Tester, write_config
+
+from gateway.servers.obd.test_results import encode
+from gateway.servers.tester_control import LatestResult
 
 EXTRA = """
 [output.obd]
@@ -20,8 +25,8 @@ pid = [
 
 FAULTS = {
     0: "indicator = true\n",
-    1: "confirm_cycles = 2\n",
-    2: "emission_related = false\n",
+    1: "confirm_cycles = 2\nemission_related = true\n",
+    3: "emission_related = true\n",
 }
 
 
@@ -87,6 +92,33 @@ def test_mode_01_mil_count_and_readiness(rig, ask):
     assert ask("0141") == "414100440000", "in this cycle none has run"
 
 
+def test_the_mil_is_that_of_mil_lamps_only(tmp_path):
+    """D9: another lamp, on a dashboard's other side, is no MIL; and its DTC is no permanent one."""
+    faults = {0: 'indicator = true\nlamp = "warning"\n', 3: "indicator = true\nemission_related = true\n"}
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA, faults=faults))
+    tester = Tester(rig)
+    rig.fail(0)
+    assert rig.status(0) == 0xAF
+    assert tester.ask("0101").hex()[4:6] == "01", "one DTC, and the MIL is off"
+    assert tester.ask("0a").hex() == "4a00"
+    rig.fail(3)
+    assert tester.ask("0101").hex()[4:6] == "82"
+    assert tester.ask("0a").hex() == "4a01d003"
+    rig.close()
+
+
+def test_only_powertrain_codes_are_emission_related_by_themselves(tmp_path):
+    """D5: mode 03 showed, and mode 04 cleared, brake, steering and network DTCs."""
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA))
+    tester = Tester(rig)
+    for k in range(4):
+        rig.fail(k)
+    assert tester.ask("03").hex() == "43011000"
+    assert tester.ask("04").hex() == "44"
+    assert [rig.status(k) for k in range(4)] == [0x50, 0x2F, 0x2F, 0x2F]
+    rig.close()
+
+
 def test_modes_03_07_0a_and_04(rig, ask):
     assert (ask("03"), ask("07"), ask("0a")) == ("4300", "4700", "4a00")
     for k in range(4):
@@ -102,7 +134,8 @@ def test_modes_03_07_0a_and_04(rig, ask):
 
 
 def test_many_dtcs_come_in_several_frames(tmp_path):
-    rig = Rig(write_config(tmp_path, 60, extra=EXTRA))
+    related = dict.fromkeys(range(60), "emission_related = true\n")
+    rig = Rig(write_config(tmp_path, 60, extra=EXTRA, faults=related))
     tester = Tester(rig)
     for k in range(60):
         rig.fail(k)
@@ -137,6 +170,99 @@ def test_mode_09(ask):
     assert ask("0906") == "4906011234abcd"
     assert ask("090a") == "490a01" + b"GATEWAY".ljust(20, b"\0").hex()
     assert ask("0908") == ""
+
+
+def test_mode_09_takes_several_infotypes(ask):
+    vin, name = b"1HGCM82633A004352".hex(), b"GATEWAY".ljust(20, b"\0").hex()
+    assert ask("09020a08") == f"490201{vin}0a01{name}"
+    assert ask("090020") == "490054400000"
+    assert ask("0920") == ""
+    assert ask("09" + "02" * 7) == "", "more than six"
+
+
+# Mode 06: test results with their limits
+
+
+def results(answer):
+    """Return (monitor, test, scaling, value, minimum, maximum) of each result, as J1979 has them."""
+    data = bytes.fromhex(answer)[1:]
+    return [struct.unpack(">BBBhhh", data[k : k + 9]) for k in range(0, len(data), 9)]
+
+
+def test_mode_06_supported_monitors(ask):
+    number = int(ask("06e0")[4:], 16)
+    assert [0xE1 + k for k in range(32) if number >> (31 - k) & 1] == [0xE1, 0xE2, 0xE3], "the emission related ones"
+    assert ask("0600") == "460000000001"
+    assert ask("0600e0") == "460000000001" + ask("06e0")[2:]
+    assert ask("0601") == "", "an oxygen sensor's"
+    assert ask("0601", functional=False) == "7f0612"
+    assert ask("06e1e2") == "", "results come one monitor at a time"
+
+
+def test_mode_06_gives_the_residual_and_its_threshold(rig, ask):
+    assert results(ask("06e1")) == [(0xE1, 0x80, 0x81, 0, 0, 0)], "not tested yet"
+    rig.fail(0)
+    ((monitor, test, scaling, value, low, high),) = results(ask("06e1"))
+    assert (monitor, test) == (0xE1, 0x80)
+    step = {0x81: 1, 0x82: 0.1, 0x83: 0.01, 0x84: 0.001, 0x85: 0.0000305, 0x86: 0.000305}[scaling]
+    entry = rig.gateway.memory.entry("b.M0.length")
+    assert value * step == pytest.approx(entry.evidence["value"], abs=step)
+    assert low * step == pytest.approx(entry.evidence["threshold"], abs=step), "bytes: at least so many"
+    assert high == 0x7FFF
+    assert value < low, "failed: outside"
+    rig.heal(0)
+    ((*_, value, low, high),) = results(ask("06e1"))
+    assert low <= value <= high, "passed: within"
+    assert ask("04") == "44"
+    assert results(ask("06e1"))[0][3:] == (0, 0, 0), "cleared"
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "failed", "wanted"),
+    [
+        (0.5, 0.25, True, (0x85, 16393, -0x8000, 8197)),
+        (0.1, 0.25, False, (0x85, 3279, -0x8000, 8197)),
+        (10.5, 11.0, True, (0x84, 10500, 11000, 0x7FFF)),
+        (12.5, 11.0, False, (0x84, 12500, 11000, 0x7FFF)),
+        (5.0, 3.0, True, (0x86, 16393, -0x8000, 9836)),
+        (250.0, 3.0, True, (0x83, 25000, -0x8000, 300)),
+        (-2000.0, 3000.0, False, (0x82, -20000, -0x8000, 30000)),
+        (1e9, 30000.0, True, (0x81, 0x7FFF, -0x8000, 30000)),
+        (float("nan"), 1.0, True, (0x81, 0, 0, 0)),
+    ],
+)
+def test_results_are_scaled_so_that_they_fit(value, limit, failed, wanted):
+    assert struct.unpack(">Bhhh", encode(LatestResult(value, limit, failed))) == wanted
+
+
+# OBD on UDS (SAE J1979-2)
+
+
+def test_obd_on_uds(tmp_path):
+    rig = Rig(write_config(tmp_path, 4, extra=EXTRA + "[output.uds]\n", faults=FAULTS))
+    tester = Tester(rig)
+    rig.value(0, 812.5)
+    rig.fail(0)
+
+    def ask(request):
+        return tester.ask(request).hex()
+
+    def other(mode, number):
+        return tester.ask(bytes([mode, number])).hex()
+
+    assert ask("22f40c") == "62f40c" + other(1, 0x0C)[4:]
+    assert ask("22f401") == "62f401" + other(1, 0x01)[4:]
+    assert ask("22f400") == "62f400" + other(1, 0x00)[4:]
+    assert ask("22f6e0") == "62f6e0" + other(6, 0xE0)[4:]
+    assert ask("22f6e1") == "62f6e1" + other(6, 0xE1)[4:], "the number of the monitor is in the identifier"
+    assert ask("22f802") == "62f802" + b"1HGCM82633A004352".hex()
+    assert ask("22f800") == "62f800" + other(9, 0x00)[4:]
+    assert ask("22f40cf802beef").startswith("62f40c0cb2f802")
+    for missing in ("22f40b", "22f601", "22f808", "22f501"):
+        assert ask(missing) == "7f2231"
+    assert ask("195533").startswith("595533ff04")
+    assert ask("194233ff00") == "594233ffff04", "an empty mask finds none"
+    rig.close()
 
 
 def test_modes_that_there_are_not(ask):

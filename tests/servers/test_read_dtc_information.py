@@ -7,7 +7,7 @@ from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rig import Rig, dtc_text, write_config
-from uds_tester import EXTRA, Asked, hexed
+from uds_tester import ANYBODY, EXTRA, Asked, hexed
 
 from gateway.faults.dtc import Dtc
 
@@ -16,13 +16,13 @@ from gateway.faults.dtc import Dtc
 
 FAULTS = {
     0: 'severity = "immediately"\nfunctional_unit = 7\nfreeze_frame = ["M1.Value", "volts", "M0.Value"]\n',
-    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\n',
+    1: 'severity = "maintenance"\nindicator = true\nconfirm_cycles = 2\nemission_related = true\n',
     2: "emission_related = false\n",
 }
 
 
 def test_every_sub_function(uds):
-    rig, ask = uds(faults=FAULTS)
+    rig, ask = uds(faults=FAULTS, more=ANYBODY)
     rig.value(0, 5.0)
     rig.value(1, 4.0)
     rig.fail(1)
@@ -33,7 +33,7 @@ def test_every_sub_function(uds):
     assert ask("190108") == "5901ff000001"
     assert ask("1902ff") == f"5902ff{a}2f{b}27{c}50"
     assert ask("190204") == f"5902ff{a}2f{b}27"
-    assert ask("1903") == f"5903{a}01{b}01"
+    assert ask("1903") == f"5903{a}01", "fault 1 has a freeze frame with nothing in it"
     assert ask(f"1904{a}01") == f"5904{a}2f" + "0102" + "4000" + struct.pack(">f", 4.0).hex() + "01230014"
     assert ask(f"1904{a}ff") == ask(f"1904{a}01")
     assert ask(f"1904{a}02") == f"5904{a}2f", "a record that is not there"
@@ -69,6 +69,74 @@ def test_every_sub_function(uds):
     assert ask("190e") == f"590eff{b}af"
     assert ask("14ffffff") == "54"
     assert ask("1915") == f"5915ff{b}50", "permanent, though cleared"
+
+
+def test_a_record_without_content_is_not_listed(uds):
+    """D15: 19 03 listed record 01 of a fault without freeze frame signals, 19 04 then had none."""
+    rig, ask = uds(faults={0: 'freeze_frame = ["M1.Value"]\n'})
+    rig.fail(0)
+    rig.fail(1)
+    assert ask("1903") == f"5903{hexed(0)}01"
+    for k in (0, 1):
+        listed = hexed(k) in ask("1903")
+        assert listed == (len(ask(f"1904{hexed(k)}ff")) > len(f"5904{hexed(k)}2f"))
+
+
+def test_stored_data_by_record_number(uds):
+    rig, ask = uds(faults=dict.fromkeys((0, 2), 'freeze_frame = ["volts"]\n'))
+    assert ask("190501") == "590501", "none"
+    rig.value(0, 5.0)
+    for k in (2, 1, 0):
+        rig.fail(k)
+    first, second = (f"{n:02x}{hexed(k)}2f0101230014" for n, k in ((1, 2), (2, 0)))
+    assert ask("190501") == f"5905{first}", "in the order of the failures"
+    assert ask("190502") == f"5905{second}"
+    assert ask("190503") == "590503"
+    assert ask("1905ff") == f"5905{first}{second}"
+    assert ask("190500") == "7f1931", "reserved for OBD"
+    assert ask("1905") == "7f1913"
+
+
+def test_one_extended_data_record_of_every_dtc(uds):
+    rig, ask = uds()
+    for k in (1, 2):
+        rig.fail(k)
+    rig.heal(2)
+    rig.fail(2)
+    entries = "".join(sorted(f"{hexed(k)}2f{count:02x}" for k, count in ((1, 1), (2, 2))))
+    assert ask("191601") == "591601" + entries
+    assert ask("191a01") == "591aff01" + "".join(sorted(f"{hexed(k)}2f" for k in (1, 2)))
+    assert ask("191677") == ask("191a77") == "7f1931"
+
+
+def test_what_testers_did_is_the_user_defined_memory(uds):
+    rig, ask = uds()
+    assert ask("1917ff01") == "591701ff"
+    assert ask("1003")
+    assert ask("1101")
+    assert ask("1101") == "7f117f"
+    assert ask("8502") == "7f857f"
+    rig.wait(1)
+    reset, setting = "df1168", "df8568"
+    assert ask("1917ff01") == f"591701ff{reset}08{setting}04", "done, or only refused"
+    assert ask("19170801") == f"591701ff{reset}08"
+    assert ask("1917ff02") == "7f1931", "there is one such memory"
+    answer = ask(f"1918{reset}0101")
+    assert answer.startswith(f"591801{reset}0801" + "01fd10")
+    assert answer.endswith("11010000000000" + "7f"), "the latest: refused"
+    assert ask(f"1918{reset}ff01").count("fd10") == 2
+    assert ask(f"1919{reset}0101") == f"591901{reset}080102"
+    assert ask(f"1919{setting}ff01").startswith(f"591901{setting}040101" + "10")
+    assert ask("1918abcdefff01") == ask(f"1919{reset}9901") == ask(f"1918{reset}0001") == "7f1931"
+
+
+def test_dtcs_by_readiness_group(uds):
+    rig, ask = uds(faults={0: 'readiness = "egr"\n', 1: 'readiness = "egr"\n'})
+    rig.fail(0)
+    egr = 11
+    assert ask(f"195633{egr:02x}") == f"595633ff04{egr:02x}{hexed(0)}2f", "only what is emission related"
+    assert ask(f"1956ff{egr:02x}") == f"5956ffff04{egr:02x}" + "".join(sorted((hexed(0) + "2f", hexed(1) + "50")))
+    assert ask("19563399") == ask("19561203") == "7f1931"
 
 
 def test_extended_data_is_what_the_memory_knows(uds):
@@ -117,7 +185,7 @@ def test_status_masks_find_what_a_model_finds(shared, steps, masks):
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory):
-    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="")))
+    rig = Rig(write_config(tmp_path_factory.mktemp("rig"), 5, extra=EXTRA.format(uds="") + ANYBODY))
     yield rig, Asked(rig)
     rig.close()
 

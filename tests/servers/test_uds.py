@@ -2,9 +2,10 @@
 
 import pytest
 from rig import FUNCTIONAL, MS, Rig, write_config
-from uds_tester import EXTRA, Asked, hexed
+from uds_tester import ANYBODY, EXTRA, Asked, hexed
 
 from gateway.bus.frames import empty
+from gateway.runtime.app import Gateway
 from gateway.servers.uds.params import SecurityLevel
 from gateway.servers.uds.security import Security, hmac_sha256
 from gateway.servers.uds.services import SERVICES
@@ -34,8 +35,8 @@ security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
         ("100100", "7f1013", "too long"),
         ("1041", "7f1012", "sub-functions have 7 bits"),
         ("19", "7f1913", "too short"),
-        ("1905", "7f1912", "not offered"),
-        ("1999ff", "7f1912", "the sub-function comes before the length"),
+        ("190f", "7f1912", "not offered"),
+        ("198fff", "7f1912", "the sub-function comes before the length"),
         ("1902", "7f1913", "its mask is missing"),
         ("1902ffff", "7f1913", "one byte too many"),
         ("190200", "5902ff", "an empty mask finds nothing"),
@@ -48,10 +49,8 @@ security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
         ("3e01", "7f3e12", "only zero"),
         ("3e", "7f3e13", "too short"),
         ("3e00", "7e00", "good"),
-        ("14ffff", "7f1413", "too short"),
-        ("14123456", "7f1431", "no such DTC"),
-        ("14000000", "7f1431", "reserved: clears nothing"),
-        ("14fffffe", "7f1431", "a group that we do not have"),
+        ("1101", "7f117f", "a reset is of the extended session"),
+        ("14ffffff", "7f147f", "clearing is of the extended session"),
     ],
 )
 def test_refusals(uds, request_, expected, why):
@@ -59,9 +58,24 @@ def test_refusals(uds, request_, expected, why):
     assert ask(request_) == expected, why
 
 
+@pytest.mark.parametrize(
+    ("request_", "expected", "why"),
+    [
+        ("14ffff", "7f1413", "too short"),
+        ("14123456", "7f1431", "no such DTC"),
+        ("14000000", "7f1431", "reserved: clears nothing"),
+        ("14fffffe", "7f1431", "a group that we do not have"),
+    ],
+)
+def test_refusals_of_the_extended_session(uds, request_, expected, why):
+    _, ask = uds()
+    assert ask("1003")
+    assert ask(request_) == expected, why
+
+
 def test_what_concerns_others_is_not_answered_to_a_functional_request(uds):
     rig, ask = uds()
-    for request in ("ba00", "1905", "22beef", "2801", "14123456", "1002"):
+    for request in ("ba00", "190f", "22beef", "2801", "14123456", "1002"):
         assert ask(request, functional=FUNCTIONAL) == "", request
     assert ask("3e00", functional=FUNCTIONAL) == "7e00"
     assert ask("10", functional=FUNCTIONAL) == "7f1013", "a wrong length is told to everybody"
@@ -167,6 +181,7 @@ def test_ecu_reset_starts_the_next_operation_cycle(uds):
     assert rig.gateway.memory.cycle_number() == number + 1
     assert ask("22f186") == "62f18601"
     assert rig.status(0) == 0x6D
+    assert ask("1003")
     assert ask("1104") == "7f1112"
 
 
@@ -193,7 +208,7 @@ def test_security_access(uds):
     rig.wait(200)
     seed = bytes.fromhex(ask("2701")[4:])
     assert ask("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == "6702"
-    assert ask("2701") == "670100000000", "unlocked already"
+    assert ask("2701") == "6701" + "00" * 8, "unlocked already"
     assert ask("14ffffff") == "54"
     assert ask("2e01240a0b") == "6e0124"
     assert ask("1003")
@@ -204,9 +219,88 @@ def test_security_access(uds):
 
 def test_a_seed_is_never_all_zero():
     """Zeros would say that the level is unlocked already."""
-    drawn = iter([bytes(4), bytes(4), b"\x00\x00\x00\x01"])
+    drawn = iter([bytes(8), bytes(8), bytes(7) + b"\x01"])
     security = Security([SecurityLevel(level=1, secret="00")], random=lambda n: next(drawn))
-    assert security.seed(1, 0) == b"\x00\x00\x00\x01"
+    assert security.seed(1, 0) == bytes(7) + b"\x01"
+
+
+def wrong_key(ask):
+    assert ask("1003")
+    asked = ask("2701")
+    return asked if asked.startswith("7f") else ask("2702" + "00" * 8)
+
+
+def test_attempts_and_delay_survive_restarts(uds, tmp_path):
+    """D12: kill -9, or SIGHUP, and the attempts began anew."""
+    memory = tmp_path / "m.sqlite"
+    level = f'security = [{{ level = 1, secret = "{SECRET}", attempts = 3, delay_s = 4.0 }}]'
+
+    def restarted(rig=None):
+        if rig is not None:
+            rig.gateway.store.close()  # as kill -9: nothing is ended, nothing written any more
+        return uds(uds=level, memory=memory)
+
+    rig, ask = restarted()
+    assert wrong_key(ask) == "7f2735"
+    rig, ask = restarted(rig)
+    assert wrong_key(ask) == "7f2735"
+    rig, ask = restarted(rig)
+    assert wrong_key(ask) == "7f2736", "the third, over two restarts"
+    rig, ask = restarted(rig)
+    assert wrong_key(ask) == "7f2737", "the whole delay again"
+    rig.wait(3500)
+    assert wrong_key(ask) == "7f2737"
+    rig.wait(500)
+    assert wrong_key(ask) == "7f2736", "one attempt after each delay"
+    rig.wait(4100)
+    assert ask("1003")
+    seed = bytes.fromhex(ask("2701")[4:])
+    assert ask("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == "6702"
+    rig, ask = restarted(rig)
+    assert wrong_key(ask) == "7f2735", "a right key forgives"
+
+
+def test_a_key_is_counted_before_it_is_looked_at(uds, tmp_path):
+    """Who cuts the power at the answer has used an attempt up all the same."""
+    rig, ask = uds(uds=SECURE, memory=tmp_path / "m.sqlite")
+    seen = []
+    level = rig.gateway.servers.all[0]._uds._context.security._levels[1]
+
+    def key(seed, secret, number):
+        seen.append(rig.gateway.store.facts().get("attempts.1"))
+        return b"no"
+
+    level.key = key
+    assert wrong_key(ask) == "7f2735"
+    assert seen == [1]
+
+
+def test_a_reload_forgives_nothing(uds, tmp_path):
+    memory = tmp_path / "m.sqlite"
+    rig, ask = uds(uds=SECURE, memory=memory)
+    for expected in ("7f2735", "7f2736"):
+        assert wrong_key(ask) == expected
+    old = rig.gateway
+    old.finish(rig.now)
+    rig.gateway = Gateway(old.config, None, file=tmp_path / "rig.toml", store=old.store)
+    rig.gateway.succeed(old)
+    assert wrong_key(ask) == "7f2737"
+
+
+def test_a_delay_after_each_start(uds):
+    rig, ask = uds(uds=f'security = [{{ level = 1, secret = "{SECRET}", start_delay_s = 2.0 }}]')
+    assert ask("1003")
+    assert ask("2701") == "7f2737"
+    rig.wait(2000)
+    assert ask("2701").startswith("6701")
+
+
+def test_seeds_may_be_long(uds):
+    _, ask = uds(uds=f'security = [{{ level = 1, secret = "{SECRET}", seed_length = 32 }}]')
+    assert ask("1003")
+    seed = bytes.fromhex(ask("2701")[4:])
+    assert len(seed) == 32
+    assert ask("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == "6702"
 
 
 def test_a_key_function_of_the_user(tmp_path, monkeypatch):
@@ -288,8 +382,8 @@ def test_the_session_is_counted_from_the_late_answer(uds):
     assert ask("22f186") == "62f18601"
 
 
-def test_the_shipped_default_lets_anyone_clear(uds):
-    rig, ask = uds()
+def test_a_clear_of_one_and_of_all(uds):
+    rig, ask = uds(more=ANYBODY)
     for k in range(3):
         rig.fail(k)
     assert ask("14" + hexed(1)) == "54"
@@ -299,7 +393,7 @@ def test_the_shipped_default_lets_anyone_clear(uds):
 
 
 def test_a_clear_by_letter(uds):
-    rig, ask = uds(messages=5)
+    rig, ask = uds(messages=5, more=ANYBODY)
     for k in range(5):
         rig.fail(k)
     assert ask("14400000") == "54"

@@ -6,19 +6,19 @@ import cantools.database.can as can_database
 import numpy as np
 import pytest
 
-from gateway.bus.frames import EXTENDED
+from gateway.bus.frames import EXTENDED, empty, put
 from gateway.errors import InputError
 from gateway.signals.database import Database, load_database
 from gateway.signals.decode import hashed, lookup
 from gateway.signals.tables import compile_plan
 
 
-def message(name, can_id, extended=False, protocol=None):
+def message(name, can_id, extended=False, protocol=None, signals=()):
     return can_database.Message(
         frame_id=can_id,
         name=name,
         length=8,
-        signals=[],
+        signals=list(signals),
         is_extended_frame=extended,
         protocol=protocol,
     )
@@ -136,3 +136,22 @@ def test_missing_and_foreign_files(tmp_path):
     (tmp_path / "x.txt").write_text("")
     with pytest.raises(InputError, match="one of .dbc"):
         load_database([tmp_path / "x.txt"])
+
+
+def test_frames_of_some_messages_are_found_as_the_lookup_finds_them():
+    """Beside the kernel: by identifier, and by PGN whatever priority and addresses are; on their own bus only."""
+    ids = {"EEC1": 0x0CF00400, "TSC1": 0x0C000003, "own": 0x18FEF100}
+    messages = [message(name, can_id, True, signals=[can_database.Signal("S", 0, 8)]) for name, can_id in ids.items()]
+    rng = random.Random(4)
+    for pgn in ((), (0,)):
+        plan = plan_of(*messages, pgn=pgn)
+        frames = empty(400)
+        for k in range(len(frames)):
+            changed = rng.choice(list(ids.values())) ^ rng.choice([0, 0, 0x21, 0xFF00, 0x04000000, 0x10000])
+            put(frames, k, k, changed | rng.choice([EXTENDED, EXTENDED, 0]), bytes(8), bus=rng.choice([0, 0, 1]))
+        slots = [plan.slot(0, "EEC1", "S"), plan.slot(0, "TSC1", "S")]
+        rows = {plan.message(0, "EEC1"), plan.message(0, "TSC1")}
+        wanted = [lookup(plan.keys, plan.rows, int(f["bus"]), int(f["can_id"])) in rows for f in frames]
+        assert plan.among(frames, slots).tolist() == wanted
+        assert 20 < sum(wanted) < 380
+        assert not plan.among(frames, []).any()

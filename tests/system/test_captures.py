@@ -81,7 +81,7 @@ def test_a_synthetic_capture(tmp_path, frame):
     assert facts["edges"] == len(times) - 1 == len(edges(path, 0))
     assert crank["revolutions"] == 99, "all but the one that synchronises"
     assert crank["speed_rpm"] == pytest.approx(1500, rel=0.005)
-    assert [e["dtc"] for e in crank_faults(events)] == ["P0336-29"]
+    assert [e["dtc"] for e in crank_faults(events)] == ["P0336-39"]
 
 
 @needs_data
@@ -109,7 +109,7 @@ def test_4b11_with_a_doubled_edge(tmp_path):
     facts, events, crank = replayed(capture, tmp_path, "36-2-1")
     assert facts["edges"] == len(times)
     (event,) = crank_faults(events)
-    assert (event["dtc"], event["evidence"]["count"]) == ("P0336-2F", 1)
+    assert (event["dtc"], event["evidence"]["count"]) == ("P0336-3A", 1)
     starts = turns(times, 2.7)
     counts = [int(((times >= a) & (times < b)).sum()) for a, b in pairwise(starts)]
     assert sorted(set(counts)) == [33, 34]

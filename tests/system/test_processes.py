@@ -27,18 +27,18 @@ def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):
         scenario = unhurried(shipped("scenarios/crank_missed_tooth.toml"), tmp_path)
         good = gateway("simulate", scenario, "--check", "--bus", uri, cwd=tmp_path)
         assert good.returncode == 0, good.stdout + good.stderr
-        assert "P0336-29 set at" in good.stdout
+        assert "P0336-39 set at" in good.stdout
         assert "healed" in good.stdout
         text = shipped("scenarios/crank_missed_tooth.toml").read_text()
         text = text.replace("../gateway.toml", str(shipped("gateway.toml")))
         wrong = tmp_path / "wrong.toml"
-        wrong.write_text(text.replace('dtc = "P0336-29"', 'dtc = "P0336-2F"'))
+        wrong.write_text(text.replace('dtc = "P0336-39"', 'dtc = "P0336-3A"'))
         bad = gateway("simulate", wrong, "--check", "--bus", uri, cwd=tmp_path)
         assert bad.returncode == 1, bad.stdout
-        assert "P0336-29" in bad.stdout
+        assert "P0336-39" in bad.stdout
         listed = gateway("faults", "list", "--memory", "f.sqlite", "--json", cwd=tmp_path)
-        assert {e["dtc"]: e["occurrence"] for e in json.loads(listed.stdout)}["P0336-29"] == 2
-        cleared = gateway("faults", "clear", "P0336-29", "--memory", "f.sqlite", cwd=tmp_path)
+        assert {e["dtc"]: e["occurrence"] for e in json.loads(listed.stdout)}["P0336-39"] == 2
+        cleared = gateway("faults", "clear", "P0336-39", "--memory", "f.sqlite", cwd=tmp_path)
         assert cleared.stdout == "1 cleared\n"
     assert daemon.code == 0
     events = [json.loads(line) for line in (tmp_path / "run.out").read_text().splitlines()]
@@ -116,10 +116,10 @@ def test_the_demo_shows_the_whole_chain(tmp_path):
         for part in (
             "teeth",
             "injected: missed pulses, 1 at tooth 20",
-            "DTC P0336-29 SET",
-            "CAN GW_DTC (change): P0336-29  status 0x2F",
-            "DTC P0336-29 healed",
-            "as expected: P0336-29 healed",
+            "DTC P0336-39 SET",
+            "CAN GW_DTC (change): P0336-39  status 0x2F",
+            "DTC P0336-39 healed",
+            "as expected: P0336-39 healed",
         )
     ]
     assert places == sorted(places)
@@ -136,15 +136,15 @@ def test_commands_for_scripts(tmp_path):
     for flag, code in (((), 0), (("--fail-on-dtc",), 1)):
         ended = gateway("replay", "d.log", "--memory", "f.sqlite", *flag, cwd=tmp_path)
         assert ended.returncode == code, ended.stderr
-        assert "DTCs: P0336-29" in ended.stdout
-    shown = gateway("faults", "show", "P0336-29", "--memory", "f.sqlite", cwd=tmp_path)
+        assert "DTCs: P0336-39" in ended.stdout
+    shown = gateway("faults", "show", "P0336-39", "--memory", "f.sqlite", cwd=tmp_path)
     assert "freeze frame 1 (first failure)" in shown.stdout
     healthy = gateway("simulate", "crank_healthy", "--bus", "inside", "--record", "h.log", cwd=tmp_path)
     assert healthy.returncode == 0
     assert gateway("replay", "h.log", "--fail-on-dtc", cwd=tmp_path).returncode == 0
     good = json.loads(gateway("check", "--json", cwd=tmp_path).stdout)
     assert good["ok"]
-    assert {"fault": "crank.missed_pulse", "dtc": "P0336-29"}.items() <= good["faults"][0].items()
+    assert {"fault": "crank.missed_pulse", "dtc": "P0336-39"}.items() <= good["faults"][0].items()
     assert "properties" in json.loads(gateway("check", "--schema", cwd=tmp_path).stdout)
     facts = json.loads(gateway("doctor", "--json", cwd=tmp_path).stdout)
     assert facts["kernels"]["compiled"] is True

@@ -42,6 +42,7 @@ cycle_ms = 300.0
 [output.uds]
 security = [{ level = 1, secret = "00112233" }]
 write = { sessions = ["extended"], security = 1 }
+clear = {}
 
 [output.obd]
 vin = "1HGCM82633A004352"
@@ -51,7 +52,8 @@ pid = [{ id = 0x0C, signal = "M0.Value" }]
 address = 0x10
 """
 FAULTS = {
-    k: f'spn = {100 + k}\nfmi = 3\nseverity = "immediately"\nfreeze_frame = ["volts", "M1.Value"]\nindicator = true\n'
+    k: f'spn = {100 + k}\nfmi = 3\nseverity = "immediately"\nfreeze_frame = ["volts", "M1.Value"]\n'
+    "indicator = true\nemission_related = true\n"
     for k in range(COUNT)
 }
 SETTINGS = {
@@ -254,9 +256,9 @@ def test_gallia_finds_exactly_our_services_and_sessions(scanner):
             session = int(match[1], 16)
         elif match := re.search(r"\[0x(\w\w)\]", line):
             found.setdefault(session, []).append(int(match[1], 16))
-    obd = [0x01, 0x02, 0x03, 0x04, 0x07, 0x09, 0x0A]
-    default = [*obd, 0x10, 0x11, 0x14, 0x19, 0x22, 0x3E, 0x86]
-    assert found == {1: default, 3: sorted([*default, 0x27, 0x28, 0x2E, 0x31, 0x85])}
+    obd = [0x01, 0x02, 0x03, 0x04, 0x06, 0x07, 0x09, 0x0A]
+    default = [*obd, 0x10, 0x14, 0x19, 0x22, 0x3E, 0x86]
+    assert found == {1: default, 3: sorted([*default, 0x11, 0x27, 0x28, 0x2E, 0x31, 0x85])}
     results, complaints = scanner("sessions", "--depth", "1")
     assert complaints == []
     assert re.findall(r"\* Session 0x(\w\w)", "\n".join(results)) == ["01", "03"]
@@ -265,7 +267,7 @@ def test_gallia_finds_exactly_our_services_and_sessions(scanner):
 def test_gallia_finds_exactly_our_identifiers(scanner, bench):
     """The ranges that ours lie in; a scan of all 65536 in both sessions takes three minutes."""
     found = set()
-    for first, last in ((0x0000, 0x01FF), (0x3F80, 0x407F), (0xF100, 0xF1FF)):
+    for first, last in ((0x0000, 0x01FF), (0x3F80, 0x407F), (0xF100, 0xF1FF), (0xFD00, 0xFD1F)):
         results, complaints = scanner("identifiers", "--sessions", "1", "--start", str(first), "--end", str(last))
         assert complaints == []
         text = "\n".join(results)

@@ -260,18 +260,18 @@ def judged(expect, reports, **changes):
 
 
 def test_expectations():
-    want = [{"dtc": "P0336-29", "after_s": 0.5, "by_s": 1.0, "healed_by_s": 1.5}]
+    want = [{"dtc": "P0336-39", "after_s": 0.5, "by_s": 1.0, "healed_by_s": 1.5}]
     assert judged(want, []) == [False]
-    assert judged(want, [(0.7, "P0336-29", 0x2F, 1), (1.2, "P0336-29", 0x2E, 1)]) == [True, True]
-    assert judged(want, [(0.7, "P0336-29", 0x2F, 1)]) == [True, False]
-    assert judged(want, [(1.2, "P0336-29", 0x2F, 1)]) == [False]
-    assert judged(want, [(0.2, "P0336-29", 0x2F, 1), (0.3, "P0336-29", 0x2E, 1)])[0] is False
+    assert judged(want, [(0.7, "P0336-39", 0x2F, 1), (1.2, "P0336-39", 0x2E, 1)]) == [True, True]
+    assert judged(want, [(0.7, "P0336-39", 0x2F, 1)]) == [True, False]
+    assert judged(want, [(1.2, "P0336-39", 0x2F, 1)]) == [False]
+    assert judged(want, [(0.2, "P0336-39", 0x2F, 1), (0.3, "P0336-39", 0x2E, 1)])[0] is False
     # stored from an earlier drive, and not set anew
-    old = [(-1, "P0336-29", 0x2E, 3), (0.7, "P0336-29", 0x2E, 3)]
+    old = [(-1, "P0336-39", 0x2E, 3), (0.7, "P0336-39", 0x2E, 3)]
     assert judged(want, old) == [False]
-    assert judged(want, [*old, (0.8, "P0336-29", 0x2E, 4)]) == [True, True]
+    assert judged(want, [*old, (0.8, "P0336-39", 0x2E, 4)]) == [True, True]
     # set again after healing, to the end
-    again = [(0.7, "P0336-29", 0x2F, 1), (1.0, "P0336-29", 0x2E, 1), (1.1, "P0336-29", 0x2F, 2)]
+    again = [(0.7, "P0336-39", 0x2F, 1), (1.0, "P0336-39", 0x2E, 1), (1.1, "P0336-39", 0x2F, 2)]
     assert judged(want, again) == [True, False]
     assert judged([], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
     assert judged([], [(0.7, "U0100-87", 0x2F, 1)], unexpected="allow") == []

@@ -112,17 +112,17 @@ Reports: TypeAlias = Out[Evidence, Any]
 _ONCE = Debounce(failed_after=1, passed_after=10)
 
 FAULTS = (
-    Fault("missed_pulse", "P0336-29", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE),
+    Fault("missed_pulse", "P0336-39", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE),
     Fault(
         "added_pulse",
-        "P0336-2F",
+        "P0336-3A",
         "pulses of the crankshaft sensor that no tooth made",
         labels(Shape),
         _ONCE,
     ),
     Fault(
         "sync_lost",
-        "P0335-31",
+        "P0336-61",
         "teeth arrive, but their place on the wheel was lost",
         labels(SyncLost),
         Debounce(failed_after=1, passed_after=3),

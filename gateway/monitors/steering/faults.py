@@ -44,9 +44,9 @@ _SEEN = Debounce(failed_after=5, passed_after=200)
 #: Name, DTC, description, debounce. Chassis codes from C1A00 on are the manufacturer's; failure types of SAE J2012-DA.
 _ROWS = (
     ("motor_angle_offset", "C1A01-28", "motor angle sensor: jumped, and stays off", _FOUND),
-    ("motor_angle_drift", "C1A01-26", "motor angle sensor: moves away slowly", _FOUND),
+    ("motor_angle_drift", "C1A01-02", "motor angle sensor: moves away slowly", _FOUND),
     ("motor_angle_stuck", "C1A01-2A", "motor angle sensor: repeats its reading", _FOUND),
-    ("motor_angle_scale", "C1A01-25", "motor angle sensor: its error grows with the angle", _FOUND),
+    ("motor_angle_scale", "C1A01-91", "motor angle sensor: its error grows with the angle", _FOUND),
     ("motor_angle_noise", "C1A01-2F", "motor angle sensor: noisy", _FOUND),
     ("motor_angle_intermittent", "C1A01-1F", "motor angle sensor: jumps to and fro", _FOUND),
     (

@@ -14,6 +14,8 @@ from gateway.servers.isotp.params import IsoTpParams
 
 #: Responses on events that wait for the one under way.
 MOST_PUSHED = 32
+#: Tester present, its answer suppressed.
+TESTER_PRESENT = b"\x3e\x80"
 
 
 class Request(NamedTuple):
@@ -28,7 +30,7 @@ class IsoTpEndpoint:
     """A physical and a functional identifier in, one identifier out.
 
     While an answer is under way, further requests are not taken, as a tester has to wait for it
-    (ISO 15765-3, half-duplex).
+    (ISO 15765-3, half-duplex); but for what keeps sessions, functional and without an answer (ISO 14229-2).
 
     Args:
         params: addresses and transport.
@@ -87,7 +89,8 @@ class IsoTpEndpoint:
         data = self._layer.single(message) if functional else self._layer.take(message)
         if data is None:
             return None
-        if not data or self._layer.transmitting:
+        keeps = functional and data == TESTER_PRESENT
+        if not data or (self._layer.transmitting and not keeps):
             self._layer.process()
             return None
         return Request(data, functional, now)
@@ -122,6 +125,11 @@ class IsoTpEndpoint:
                 flags=FD | BRS if message.is_fd else 0,
             )
         return frames
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request or a response is under way."""
+        return self._layer.busy
 
     @property
     def next_ns(self) -> int:

@@ -10,6 +10,7 @@ import isotp
 from isotp.protocol import PDU
 
 from gateway.common.times import NEVER
+from gateway.servers.isotp.edges import judge
 from gateway.servers.isotp.params import IsoTpParams
 
 #: Wait frames in a row that a tester may send.
@@ -138,6 +139,14 @@ class IsoTpLayer:
 
     def take(self, message: isotp.CanMessage) -> bytes | None:
         """Take a frame and do what is due; returns the message that it completes, None: none."""
+        data, aborts = judge(bytes(message.data))
+        if aborts and self._logic.tx_state == self._logic.TxState.WAIT_FC:
+            self._logic.stop_sending()
+        if data is None:
+            self.errors += 1
+            self._logic.process()
+            return None
+        message.data = data
         self._received.append(message)
         self._logic.process()
         whole = self._logic.recv()
@@ -165,6 +174,11 @@ class IsoTpLayer:
     def transmitting(self) -> bool:
         """Whether a message is being sent, or waits to be."""
         return bool(self._logic.transmitting())
+
+    @property
+    def busy(self) -> bool:
+        """Whether a message is under way, in either direction."""
+        return self.transmitting or bool(self._logic.is_rx_active())
 
     @property
     def waiting(self) -> int:

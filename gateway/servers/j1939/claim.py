@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 from pydantic import Field
 
 from gateway.common.times import NEVER
@@ -10,6 +12,11 @@ from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
 
 #: Time for others to contend after a claim.
 CONTEND_NS = 250_000_000
+#: Time between two looks at the clock beyond which it was not running when the claim left: the engine's clock begins
+#: with the first frame, or the first look.
+MOST_NS = 2 * CONTEND_NS
+#: The longest random delay before "cannot claim" (J1939-81, 4.4.4.3): 255 times 0.6 ms.
+DELAYS, DELAY_NS = 255, 600_000
 #: Addresses that a device which can take any may take (J1939-81).
 FREE = range(128, 248)
 
@@ -44,10 +51,10 @@ class NameParams(StrictModel):
 
 
 class Claim:
-    """Claims an address and defends it; without one we may not speak.
+    """Claims an address and defends it; without one we may not speak, but for saying so.
 
     Args:
-        name: our NAME.
+        name: our NAME; the random delays are drawn from it.
         address: the one we would like.
     """
 
@@ -59,6 +66,10 @@ class Claim:
         self._due_ns: int | None = None
         self.claimed = False
         self.lost = False
+        self._random = random.Random(name.value)
+        self._cannot_ns: int | None = None  # when to say "cannot claim"
+        self._last_ns = 0
+        self._begun_anew = False
 
     def _claimed_message(self) -> Pdu:
         return Pdu(ADDRESS_CLAIMED, self.address, GLOBAL, self._data)
@@ -66,20 +77,42 @@ class Claim:
     def start(self, t_ns: int) -> list[Pdu]:
         """Claim the address."""
         self._due_ns = t_ns + CONTEND_NS
-        self.claimed = False
+        self._last_ns, self._begun_anew = t_ns, False
+        self.claimed = self.lost = False
+        self._cannot_ns = None
         return [self._claimed_message()]
+
+    def command(self, name: bytes, address: int, t_ns: int) -> list[Pdu]:
+        """Take a commanded address (J1939-81, 4.2.3), if it is our NAME that is meant."""
+        if name != self._data or address == self.address or address >= NULL:
+            return []
+        self.address = address
+        return self.start(t_ns)
 
     def on_time(self, t_ns: int) -> list[Pdu]:
         """Claim at first; have the address once nobody has contended in time."""
         if self._due_ns is None:
             return [] if self.lost else self.start(t_ns)
-        if not self.claimed and not self.lost and t_ns >= self._due_ns:
-            self.claimed = True
+        if self._cannot_ns is not None and t_ns >= self._cannot_ns:
+            self._cannot_ns = None
+            return [self._claimed_message()]
+        if not self.claimed and not self.lost:
+            if t_ns - self._last_ns > MOST_NS and not self._begun_anew:
+                self._begun_anew, self._due_ns = True, t_ns + CONTEND_NS
+            self.claimed = t_ns >= self._due_ns
+        self._last_ns = t_ns
         return []
+
+    def _say_cannot(self, t_ns: int) -> None:
+        """Say "cannot claim" after a random delay: others that lost may say it at once, too."""
+        if self._cannot_ns is None:
+            self._cannot_ns = t_ns + self._random.randint(0, DELAYS) * DELAY_NS
 
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`on_time` has something to do."""
+        if self._cannot_ns is not None:
+            return self._cannot_ns
         if self.claimed or self.lost:
             return NEVER
         return 0 if self._due_ns is None else self._due_ns
@@ -98,8 +131,14 @@ class Claim:
             self.address = free[0]
             return self.start(t_ns)
         self.address, self.lost, self.claimed = NULL, True, False
-        return [self._claimed_message()]  # "cannot claim address"
+        self._say_cannot(t_ns)
+        return []
 
-    def on_request(self) -> list[Pdu]:
-        """Answer a request for the address claimed."""
-        return [] if self._due_ns is None else [self._claimed_message()]
+    def on_request(self, t_ns: int) -> list[Pdu]:
+        """Answer a request for the address claimed: with the claim, or that there is none (J1939-81, 4.2.1)."""
+        if self._due_ns is None:
+            return []
+        if self.lost:
+            self._say_cannot(t_ns)
+            return []
+        return [self._claimed_message()]

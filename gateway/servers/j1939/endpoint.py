@@ -12,6 +12,7 @@ from gateway.servers.j1939.claim import Claim, NameParams
 from gateway.servers.j1939.frame import (
     ACKNOWLEDGMENT,
     ADDRESS_CLAIMED,
+    COMMANDED_ADDRESS,
     GLOBAL,
     REQUEST,
     TP_CM,
@@ -21,7 +22,7 @@ from gateway.servers.j1939.frame import (
     read_pdu,
     to_frames,
 )
-from gateway.servers.j1939.transport import Transport
+from gateway.servers.j1939.transport import Message, Transport
 
 #: Kinds of acknowledgment (J1939-21, 5.4.4).
 POSITIVE, NEGATIVE, DENIED = 0, 1, 2
@@ -44,10 +45,16 @@ class J1939Endpoint:
         name: our NAME.
         address: the one we would like.
         bus: index of the bus.
+        commandable: whether others may command another address.
+
+    Attributes:
+        commanded: addresses that others have commanded: by whom, NAME and address; whoever tells of them clears it.
     """
 
-    def __init__(self, name: NameParams, address: int, bus: int) -> None:
+    def __init__(self, name: NameParams, address: int, bus: int, *, commandable: bool = False) -> None:
         self._asked = name, address
+        self._commandable = commandable
+        self.commanded: list[tuple[int, bytes]] = []
         self._bus = bus
         self._claim = Claim(name, address)
         self.transport = Transport(address)
@@ -97,19 +104,36 @@ class J1939Endpoint:
         pdu = read_pdu(frame)
         if pdu.pgn == ADDRESS_CLAIMED:
             self._made += self._claim.on_claim(pdu, self._now_ns)
-            if self.transport.address != self._claim.address:
-                self.transport.reset()
-                self.transport.address = self._claim.address
-            return None
-        if not self._claim.claimed:
+            self._move()
             return None
         if pdu.pgn == REQUEST:
-            return self._requested(pdu.data, pdu.source, pdu.destination)
+            request = self._requested(pdu.data, pdu.source, pdu.destination)
+            return request if self._claim.claimed else None
+        if not self._claim.claimed and pdu.destination != GLOBAL:
+            return None
         made, message = self.transport.on_pdu(pdu, self._now_ns)
         self._made += made
-        if message is None or message.pgn != REQUEST:
+        if message is None:
+            return None
+        if message.pgn == COMMANDED_ADDRESS and len(message.data) >= 9:
+            self._command(message)
+        if message.pgn != REQUEST or not self._claim.claimed:
             return None
         return self._requested(message.data, message.source, message.destination)
+
+    def _move(self) -> None:
+        """Have the transport protocol follow the address."""
+        if self.transport.address != self._claim.address:
+            self.transport.reset()
+            self.transport.address = self._claim.address
+
+    def _command(self, message: Message) -> None:
+        if self._commandable:
+            made = self._claim.command(message.data[:8], message.data[8], self._now_ns)
+            self._made += made
+            self._move()
+            if made:
+                self.commanded.append((message.source, message.data[:9]))
 
     def _requested(self, data: bytes, source: int, destination: int) -> PgnRequest | None:
         """Return a request, unless it is for the address claimed: that is answered here."""
@@ -117,7 +141,7 @@ class J1939Endpoint:
             return None
         pgn = int.from_bytes(data[:3], "little")
         if pgn == ADDRESS_CLAIMED:
-            self._made += self._claim.on_request()
+            self._made += self._claim.on_request(self._now_ns)
             return None
         return PgnRequest(pgn, source, destination)
 
@@ -151,7 +175,8 @@ class J1939Endpoint:
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`pass_time` has something to do next."""
-        return self.transport.next_ns if self._claim.claimed else self._claim.next_ns
+        own = self._claim.next_ns
+        return min(own, self.transport.next_ns) if self._claim.claimed else own
 
     def counters(self) -> dict[str, int]:
         """Return transport sessions that came to nothing, and those there was no room for."""

@@ -1,4 +1,4 @@
-"""Diagnostic messages (SAE J1939-73): bytes of DM1, DM2, DM5, DM6, DM12, DM24, DM25 and DM28."""
+"""Diagnostic messages (SAE J1939-73) and identifications (SAE J1939-71), as bytes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from gateway.servers.j1939.params import FreezeFrameSpn
 
 DM1, DM2, DM3, DM5, DM6 = 0xFECA, 0xFECB, 0xFECC, 0xFECE, 0xFECF
 DM11, DM12 = 0xFED3, 0xFED4
+DM19, DM26, DM29 = 0xD300, 0xFDB8, 0x9E00
+COMPONENT, SOFTWARE, VIN = 0xFEEB, 0xFEDA, 0xFEEC
 DM24, DM25, DM28 = 0xFDB6, 0xFDB7, 0xFD80
 
 #: Lamps, from the lowest bits of the first byte up.
@@ -62,6 +64,28 @@ def readiness_message(active: int, previous: int, compliance: int, ready: Readin
     continuous, others, incomplete = ready.obd_bytes
     numbers = bytes([min(active, 250), min(previous, 250), compliance, continuous])
     return numbers + others.to_bytes(2, "little") + incomplete.to_bytes(2, "little")
+
+
+def calibration(check: int, identification: str) -> bytes:
+    """Return DM19: verification number, low byte first, and identification of 16 characters."""
+    return check.to_bytes(4, "little") + identification.encode().ljust(16, b"\0")
+
+
+def readiness_of_cycle(ready: Readiness) -> bytes:
+    """Return DM26: monitors of this cycle that there are, and that have not completed; time and warm-ups unknown."""
+    continuous, others, incomplete = ready.obd_bytes
+    return b"\xff\xff\xff" + bytes([continuous]) + others.to_bytes(2, "little") + incomplete.to_bytes(2, "little")
+
+
+def counts(pending: int, all_pending: int, lit: int, previously_lit: int, permanent: int) -> bytes:
+    """Return DM29: numbers of DTCs - emission related pending, pending, MIL on, previously MIL on, permanent."""
+    numbers = (pending, all_pending, lit, previously_lit, permanent)
+    return bytes(min(number, 250) for number in numbers).ljust(8, b"\xff")
+
+
+def identification(*texts: str) -> bytes:
+    """Return texts, each ended by "*"."""
+    return b"".join(text.encode() + b"*" for text in texts)
 
 
 def spn_support(parameters: Iterable[FreezeFrameSpn]) -> bytes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.servers.j1939.claim import NameParams
@@ -31,6 +31,20 @@ class FreezeFrameSpn(StrictModel):
         return coded.to_bytes(self.length, "little")
 
 
+#: A text of an identification; "*" ends each.
+IdText = Annotated[str, StringConstraints(pattern=r"^[\x20-\x29\x2B-\x7E]{1,200}$")]
+_Field = Annotated[str, StringConstraints(pattern=r"^[\x20-\x29\x2B-\x7E]{0,200}$")]
+
+
+class ComponentParams(StrictModel):
+    """Component identification (SAE J1939-71, PGN 65259)."""
+
+    make: _Field = Field("", description="make, of up to five letters by the standard")
+    model: _Field = Field("", description="model")
+    serial: _Field = Field("", description="serial number")
+    unit: _Field = Field("", description="unit number")
+
+
 class J1939Params(StrictModel):
     """The J1939 server."""
 
@@ -43,7 +57,17 @@ class J1939Params(StrictModel):
         ("malfunction", "stop", "warning", "protect"),
         description="lamps that there are; the others are shown as not available",
     )
-    allow_clear: bool = Field(True, description="do DM3 and DM11, rather than refuse them")
+    allow_clear: bool | None = Field(
+        None, description="do DM3 and DM11, rather than refuse them; default: as access.j1939_clear says"
+    )
+    commanded_address: bool = Field(False, description="take another address when it is commanded (J1939-81)")
+    vin: str | None = Field(None, pattern=r"^[A-HJ-NPR-Z0-9]{17}$", description="vehicle identification number")
+    component: ComponentParams | None = Field(None, description="component identification")
+    software: tuple[IdText, ...] = Field((), description="software identification; default: the gateway's version")
+    calibration: str | None = Field(
+        None, pattern=r"^[\x20-\x7E]{1,16}$", description="calibration identification, DM19"
+    )
+    calibration_check: int = Field(0, ge=0, le=0xFFFFFFFF, description="calibration verification number, DM19")
     obd_compliance: int = Field(5, ge=1, le=250, description="OBD compliance in DM5; 5: none")
     freeze_frame: tuple[FreezeFrameSpn, ...] = Field(
         (), description="parameters of the expanded freeze frames (DM24, DM25)"

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames, empty
 from gateway.faults.dtc import ALL_DTCS
 from gateway.faults.entries import DtcChange
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import StoreError
+from gateway.servers.access import Need
 from gateway.servers.bus_server import BusServer
 from gateway.servers.j1939 import messages as dm
 from gateway.servers.j1939.answers import Answers
@@ -22,6 +24,9 @@ from gateway.servers.j1939.frame import GLOBAL
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
 
+#: Outcomes of what is refused, as UDS calls them.
+SECURITY_ACCESS_DENIED, CONDITIONS_NOT_CORRECT = 0x33, 0x22
+
 
 class J1939Server(BusServer):
     """Sends DM1 and answers requests at an address of its own.
@@ -31,6 +36,8 @@ class J1939Server(BusServer):
         endpoint: the address, with the sessions of its transport protocol.
         memory: the fault memory.
         control: the gateway.
+        clearing: what DM3 and DM11 need.
+        bus: name of its bus.
     """
 
     prompt = True
@@ -41,8 +48,11 @@ class J1939Server(BusServer):
         endpoint: J1939Endpoint,
         memory: FaultMemory,
         control: TesterControl,
+        clearing: Need | None = None,
+        bus: str = "",
     ) -> None:
-        self._allow_clear = params.allow_clear
+        self._bus = bus
+        self._clearing = clearing or Need()
         self.endpoint = endpoint
         self._control = control
         self._dtcs = CodedDtcs(memory)
@@ -65,13 +75,18 @@ class J1939Server(BusServer):
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame; answers the request that it completes."""
         request = self.endpoint.receive(frame, t_ns)
+        while self.endpoint.commanded:
+            source, command = self.endpoint.commanded.pop()
+            self._control.note(Intervention(0, "j1939", self._bus, source, "address", command))
         if request is not None:
             self._answer(request)
         return self.endpoint.take_frames()
 
     def _answer(self, request: PgnRequest) -> None:
         if request.pgn in (dm.DM3, dm.DM11):
-            self.endpoint.acknowledge(self._clear(request.pgn), request)
+            kind = self._clear(request.pgn)
+            self._note(request, kind)
+            self.endpoint.acknowledge(kind, request)
             return
         data = self._answers.of(request.pgn)
         if data is None:
@@ -79,10 +94,18 @@ class J1939Server(BusServer):
         else:
             self.endpoint.answer(request, data)
 
+    def _note(self, request: PgnRequest, kind: int) -> None:
+        refused = {POSITIVE: DONE, DENIED: SECURITY_ACCESS_DENIED, NEGATIVE: CONDITIONS_NOT_CORRECT}
+        pgn = request.pgn.to_bytes(3, "big")
+        by = Intervention(0, "j1939", self._bus, request.source, "j1939_clear", pgn, refused[kind])
+        self._control.note(by)
+
     def _clear(self, pgn: int) -> int:
         """Clear all DTCs (DM11), or those that were active (DM3); returns how to acknowledge it."""
-        if not self._allow_clear:
+        if not self._clearing.allowed:
             return DENIED
+        if not self._control.meets(self._clearing.when):
+            return NEGATIVE
         try:
             if pgn == dm.DM11:
                 self._control.clear(ALL_DTCS)

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from gateway.faults.catalogue import MIL
 from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
 from gateway.faults.store import StoreError
+from gateway.servers.access import Need
 from gateway.servers.application import Application
 from gateway.servers.obd.params import ObdParams
+from gateway.servers.obd.test_results import MonitorTests
 from gateway.servers.tester_control import TesterControl
 
 #: Modes of J1979: identifiers below those of UDS.
@@ -38,6 +42,10 @@ def _bitmap(base: int, numbers: Iterable[int]) -> bytes:
     return bits.to_bytes(4, "big")
 
 
+class _RefusedError(Exception):
+    """Clearing is not allowed, or not now."""
+
+
 class ObdServer(Application):
     """Answers the modes of J1979.
 
@@ -45,18 +53,31 @@ class ObdServer(Application):
         params: settings.
         memory: the fault memory.
         control: the gateway.
+        clearing: what mode 04 needs.
+        bus: name of its bus.
     """
 
-    def __init__(self, params: ObdParams, memory: FaultMemory, control: TesterControl) -> None:
+    def __init__(
+        self,
+        params: ObdParams,
+        memory: FaultMemory,
+        control: TesterControl,
+        clearing: Need | None = None,
+        bus: str = "",
+    ) -> None:
         self._params = params
         self._memory = memory
         self._control = control
+        self._clearing = clearing or Need()
+        self._bus = bus
+        self._tests = MonitorTests(memory.catalogue, control)
         self._pids = {pid.id: pid for pid in params.pid}
         self._modes: dict[int, Callable[[bytes], bytes]] = {
             0x01: self._x01_current_data,
             0x02: self._x02_freeze_frame,
             0x03: lambda rest: self._dtcs(rest, Status.CONFIRMED_DTC),
             0x04: self._x04_clear,
+            0x06: self._x06_test_results,
             0x07: lambda rest: self._dtcs(rest, Status.PENDING_DTC),
             0x09: self._x09_vehicle_information,
             0x0A: self._x0a_permanent,
@@ -67,15 +88,21 @@ class ObdServer(Application):
         mode = self._modes.get(request[0])
         try:
             found = b"" if mode is None else mode(request[1:])
-        except StoreError:  # nothing was cleared, or it would come back at the next start
+        except (StoreError, _RefusedError):  # nothing was cleared, or it would come back at the next start
+            self._note_clear(_CONDITIONS_NOT_CORRECT, functional)
             return [bytes([0x7F, request[0], _CONDITIONS_NOT_CORRECT])]
         if found:
             return [bytes([request[0] + 0x40]) + found]
         if mode is not None and request[0] == 0x04 and len(request) == 1:
+            self._note_clear(DONE, functional)
             return [b"\x44"]
         if functional:
             return []
         return [bytes([0x7F, request[0], _NOT_SUPPORTED if mode is None else _NO_SUCH_PARAMETER])]
+
+    def _note_clear(self, outcome: int, functional: bool) -> None:
+        by = (self._params.functional or 0) if functional else self._params.request
+        self._control.note(Intervention(0, "obd", self._bus, by, "obd_clear", b"\x04", outcome))
 
     def _related(self) -> list[Entry]:
         return [entry for entry in self._memory.entries() if self._memory.definition(entry.fault).emission_related]
@@ -96,7 +123,10 @@ class ObdServer(Application):
             return bitmap if pid == 0 or any(bitmap) else b""
         if pid == 0x01:
             related = self._related()
-            lit = any(entry.status & Status.WARNING_INDICATOR for entry in related)
+            lit = any(
+                entry.status & Status.WARNING_INDICATOR and self._memory.definition(entry.fault).lamp == MIL
+                for entry in related
+            )
             count = len(_codes(e for e in related if e.status & Status.CONFIRMED_DTC))
             return bytes([lit << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
         if pid == 0x1C:
@@ -147,6 +177,8 @@ class ObdServer(Application):
 
     def _x04_clear(self, rest: bytes) -> bytes:
         if not rest:
+            if not (self._clearing.allowed and self._control.meets(self._clearing.when)):
+                raise _RefusedError
             self._control.clear(EMISSION_DTCS)
         return b""
 
@@ -158,8 +190,25 @@ class ObdServer(Application):
         return bytes([len(codes)]) + b"".join(codes)
 
     def _x09_vehicle_information(self, rest: bytes) -> bytes:
-        if len(rest) != 1:
+        """Several infotypes in one request, as for PIDs; of several, those that are there are answered."""
+        if not 1 <= len(rest) <= MOST_PIDS:
             return b""
+        made = b""
+        for number in rest:
+            data = self._information(number)
+            if data:
+                made += bytes([number]) + data
+        return made
+
+    def _information(self, number: int) -> bytes:
+        """Return an infotype: how many items it has, and its data; or which of 32 there are."""
+        there = self._infotypes()
+        if number % 0x20 == 0:
+            bitmap = _bitmap(number, there)
+            return bitmap if number == 0 or any(bitmap) else b""
+        return b"\x01" + there[number] if number in there else b""
+
+    def _infotypes(self) -> dict[int, bytes]:
         p = self._params
         known = {
             0x02: None if p.vin is None else p.vin.encode(),
@@ -167,12 +216,34 @@ class ObdServer(Application):
             0x06: None if p.calibration_check is None else p.calibration_check.to_bytes(4, "big"),
             0x0A: None if p.ecu_name is None else p.ecu_name.encode().ljust(20, b"\0"),
         }
-        there = {number: data for number, data in known.items() if data is not None}
-        if rest[0] == 0x00:
-            return b"\x00" + _bitmap(0x00, there)
-        if rest[0] in there:
-            return rest + b"\x01" + there[rest[0]]
-        return b""
+        return {number: data for number, data in known.items() if data is not None}
+
+    def identifier(self, number: int) -> bytes | None:
+        """Return a data identifier of OBD on UDS (SAE J1979-2): F4xx PIDs, F6xx test results, F8xx infotypes."""
+        page, number = number >> 8, number & 0xFF
+        if page == 0xF4:
+            return self._current(number) or None
+        if page == 0xF6:
+            return self._results(number, with_monitor=False) or None
+        if page == 0xF8:
+            data = self._information(number)
+            return (data if number % 0x20 == 0 else data[1:]) or None
+        return None
+
+    def _results(self, number: int, *, with_monitor: bool) -> bytes:
+        """Return the test results of a monitor, or which of 32 monitors there are."""
+        if number % 0x20:
+            return self._tests.of(number, with_monitor=with_monitor)
+        bitmap = _bitmap(number, self._tests.numbers)
+        head = bytes([number]) if with_monitor else b""
+        return head + bitmap if number == 0 or any(bitmap) else b""
+
+    def _x06_test_results(self, rest: bytes) -> bytes:
+        """One monitor, or up to six questions for which monitors there are."""
+        several = len(rest) <= MOST_PIDS and not any(number % 0x20 for number in rest)
+        if not (len(rest) == 1 or (rest and several)):
+            return b""
+        return b"".join(self._results(number, with_monitor=True) for number in rest)
 
 
 def _codes(entries: Iterable[Entry]) -> list[bytes]:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
+from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
+from gateway.servers.access import SESSIONS, Need, Needs
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.tester_control import TesterControl
-from gateway.servers.uds.params import SESSIONS, Access, UdsParams
+from gateway.servers.uds.authentication import Authentication
+from gateway.servers.uds.nrc import Nrc, refuse_unless
+from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 
 DEFAULT = SESSIONS["default"]
@@ -36,18 +40,80 @@ class Context:
     identifiers: Identifiers
     control: TesterControl
     security: Security
+    authentication: Authentication
+    needs: Needs
+    bus: str = ""
+    trace_did: int | None = None  # data identifier of what testers did
+    testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
     routines_done: dict[int, bytes] = field(default_factory=dict)
+    asked_by: int = 0  # identifier of the latest request
+    asked_in: tuple[int, int, str] = (DEFAULT, 0, "")  # session, unlocked security level and role when it came
+    need: Need = field(default_factory=Need)  # of the request that is served now
+    _lasting: set[str] = field(default_factory=set)
+
+    @property
+    def name(self) -> str:
+        """What the tester at this address is called inside."""
+        return f"{self.bus}:{self.params.request:X}"
+
+    def check_security(self) -> None:
+        """Refuse the request that is served now, if it needs a role or a security level that the tester has not.
+
+        Raises:
+            NegativeError: it does.
+        """
+        refuse_unless(not self.need.roles or self.authentication.role in self.need.roles, Nrc.AUTHENTICATION_REQUIRED)
+        refuse_unless(self.need.security in (0, self.security.unlocked), Nrc.SECURITY_ACCESS_DENIED)
+
+    def check_conditions(self) -> None:
+        """Refuse the request that is served now, if its conditions are not met; the last check of all.
+
+        Raises:
+            NegativeError: they are not.
+        """
+        refuse_unless(self.control.meets(self.need.when), Nrc.CONDITIONS_NOT_CORRECT)
+
+    def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
+        """Keep and tell what the tester did, or was refused."""
+        session, level, role = self.asked_in
+        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level, role)
+        self.control.note(by)
+
+    def set_lasting(self, name: str, on: bool) -> None:
+        """Note that an intervention lasts from now on, or no longer: its conditions are watched."""
+        (self._lasting.add if on else self._lasting.discard)(name)
+
+    @property
+    def watches(self) -> bool:
+        """Whether an intervention lasts that has conditions."""
+        return any(self.needs[name].when for name in self._lasting)
+
+    def end_unmet(self) -> None:
+        """End what lasts though its conditions are met no longer."""
+        for name in sorted(self._lasting):
+            if not self.control.meets(self.needs[name].when):
+                self._undo(name)
+
+    def _undo(self, name: str) -> None:
+        if name in self._lasting:
+            self._lasting.discard(name)
+            self.note(f"{name}_ended", protocol="gateway")
+        if name == "dtc_setting":
+            self.control.set_dtcs(True, self.name)
+        else:
+            self.control.set_communication(receive=True, send=True, by=self.name)
 
     def enter(self, session: int) -> None:
         """Change the session: security locks, and the default session undoes what others had set."""
         self.security.lock()
+        self.authentication.end()
         self.session = session
         if session == DEFAULT:
-            self.control.set_dtcs(True)
-            self.control.set_communication(receive=True, send=True)
+            for name in ("dtc_setting", "communication"):
+                self._undo(name)
             self.events.started = False
             self.routines_done.clear()
 
@@ -80,7 +146,10 @@ class Service:
         shortest: bytes of the shortest request.
         longest: bytes of the longest one, None: no limit.
         sessions: in which it is allowed.
-        access: settings of the session and security that it needs, if they are configured.
+        action: whose rule of access it goes by, "": anybody may.
+        undoes: whether a request only undoes such an intervention; it needs the session, and nothing else.
+        traced: whether a request is an intervention, which is kept and told.
+        late: whether its handler checks the security, after what the standard checks before.
         offered: whether there is anything to it in this configuration; else it is not supported.
     """
 
@@ -91,5 +160,8 @@ class Service:
     shortest: int = 1
     longest: int | None = None
     sessions: Collection[int] = ANY_SESSION
-    access: Callable[[UdsParams], Access] | None = None
+    action: str = ""
+    undoes: Callable[[bytes], bool] = lambda _: False
+    late: bool = False
+    traced: Callable[[bytes], bool] = lambda _: False
     offered: Callable[[Context], bool] = lambda _: True

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.servers.access import Access
 from gateway.servers.isotp.params import IsoTpParams
+from gateway.servers.uds.authentication import AuthenticationParams
 
-#: Diagnostic sessions by name (ISO 14229-1, 0x10).
-SESSIONS = {"default": 0x01, "extended": 0x03}
-
-
-class Access(StrictModel):
-    """In which sessions something is allowed, and at which security level."""
-
-    sessions: tuple[Literal["default", "extended"], ...] = Field(
-        ("default", "extended"), min_length=1, description="sessions in which it is allowed"
-    )
-    security: int = Field(0, ge=0, le=33, description="security level that it needs, 0: none")
-
-    def in_session(self, session: int) -> bool:
-        """Tell whether it is allowed in a session."""
-        return session in {SESSIONS[name] for name in self.sessions}
+#: Shorter seeds come again while somebody listens.
+LEAST_SEED = 8
 
 
 class SecurityLevel(StrictModel):
@@ -35,9 +24,12 @@ class SecurityLevel(StrictModel):
         description='"hmac_sha256", or "package.module:function" of (seed, secret, level) -> key',
     )
     secret: str = Field(description="secret of the key function, as hex digits")
-    seed_length: int = Field(4, ge=2, le=32, description="bytes of the seed")
+    seed_length: int = Field(8, ge=2, le=64, description="bytes of the seed")
     attempts: int = Field(3, ge=1, le=255, description="wrong keys before the delay")
     delay_s: float = Field(10.0, gt=0, le=3600, description="delay after them [s]")
+    start_delay_s: float = Field(
+        0.0, ge=0, le=3600, description="delay after each start of the gateway, from the first request on [s]"
+    )
 
     @model_validator(mode="after")
     def _a_secret(self) -> Self:
@@ -48,6 +40,15 @@ class SecurityLevel(StrictModel):
         return self
 
 
+class FurtherAddress(StrictModel):
+    """A further address of the UDS server, with a session and a security of its own."""
+
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    request: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of physical requests")
+    response: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of the answers")
+    functional: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of functional requests")
+
+
 class UdsParams(IsoTpParams):
     """The UDS server."""
 
@@ -55,18 +56,50 @@ class UdsParams(IsoTpParams):
     p2_star_ms: int = Field(5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]")
     s3_ms: int = Field(5000, ge=10, le=600000, description="a session without requests ends after this [ms]")
     status_mask: int = Field(0xFF, ge=1, le=255, description="status bits that it shows")
-    clear: Access = Field(Access(), description="what clearing (0x14) needs")
-    write: Access = Field(Access(sessions=("extended",)), description="what writing (0x2E) needs")
-    routine: Access = Field(Access(sessions=("extended",)), description="what routines (0x31) need")
+    clear: Access | None = Field(None, description="what clearing (0x14) needs; the same as access.clear")
+    write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")
+    routine: Access | None = Field(None, description="what routines (0x31) need; the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
+    authentication: AuthenticationParams | None = Field(None, description="authentication by certificate (0x29)")
+    further: tuple[FurtherAddress, ...] = Field(
+        (), description="further addresses, for testers beside the first; each has its own session"
+    )
 
     @model_validator(mode="after")
     def _known_levels(self) -> Self:
         levels = [entry.level for entry in self.security]
         if len(set(levels)) != len(levels):
             raise ValueError("security: two entries have one level")
-        for name in ("clear", "write", "routine"):
-            needed = getattr(self, name).security
-            if needed and needed not in levels:
-                raise ValueError(f"{name}.security: no security level {needed} is set up")
+        for name, rule in self.rules.items():
+            if rule.security and rule.security not in levels:
+                raise ValueError(f"{name}.security: no security level {rule.security} is set up")
         return self
+
+    @property
+    def each_address(self) -> list[UdsParams]:
+        """The server's settings for each of its addresses, the first one first."""
+        return [self, *(self.model_copy(update=further.model_dump()) for further in self.further)]
+
+    @property
+    def rules(self) -> dict[str, Access]:
+        """Rules of access that are given here, rather than in the table ``[access]``."""
+        named = {"clear": self.clear, "write": self.write, "routine": self.routine}
+        return {name: rule for name, rule in named.items() if rule is not None}
+
+    def weak_levels(self) -> list[str]:
+        """Return what is weak about the security levels, one line each."""
+        return [
+            f"output.uds.security[{k}].seed_length = {entry.seed_length}: a seed comes again soon; take 8 or more"
+            for k, entry in enumerate(self.security)
+            if entry.seed_length < LEAST_SEED
+        ]
+
+    @property
+    def roles(self) -> list[str]:
+        """Roles that there are."""
+        return [] if self.authentication is None else list(self.authentication.roles)
+
+    @property
+    def levels(self) -> list[int]:
+        """Security levels that there are."""
+        return sorted(entry.level for entry in self.security)

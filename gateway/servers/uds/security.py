@@ -47,12 +47,27 @@ def key_function(name: str) -> KeyFunction:
 class _Level:
     params: SecurityLevel
     key: KeyFunction
-    wrong: int = 0
+    wrong: int = 0  # keys since the last right one; at most as many as are allowed
     locked_until_ns: int = 0
+
+    def lock_out(self, t_ns: int, seconds: float) -> None:
+        self.locked_until_ns = max(self.locked_until_ns, t_ns + round(seconds * 1e9))
+
+    @property
+    def is_spent(self) -> bool:
+        return self.wrong >= self.params.attempts
+
+
+#: Keeps how many wrong keys a level has had, durable on return; returns that number.
+Keep = Callable[[int, int], None]
+Kept = Callable[[int], int]
 
 
 class Security:
     """State of security access.
+
+    Wrong keys are counted in the fault memory's file, before they are looked at: neither a restart nor a power cut
+    makes them forgotten. Who restarts the gateway in a delay waits for the whole of it again.
 
     Args:
         levels: those of the configuration.
@@ -67,15 +82,41 @@ class Security:
         levels: Sequence[SecurityLevel],
         random: Callable[[int], bytes] = secrets.token_bytes,
     ) -> None:
-        self._levels = {}
+        self._levels: dict[int, _Level] = {}
         for k, params in enumerate(levels):
             try:
                 self._levels[params.level] = _Level(params, key_function(params.key))
             except InputError as error:
                 raise InputError(error.message, key=f"output.uds.security[{k}].key", value=error.value) from error
         self._random = random
+        self._keep: Keep = lambda level, wrong: None
+        self._started = [False]  # one for all testers
         self._seed: tuple[int, bytes] | None = None
         self.unlocked = 0
+
+    def beside(self) -> Security:
+        """Return the security of another tester: unlocked by itself, but wrong keys count for both."""
+        other = Security((), self._random)
+        other._levels, other._keep, other._started = self._levels, self._keep, self._started
+        return other
+
+    def keep_in(self, kept: Kept, keep: Keep) -> None:
+        """Count wrong keys where they outlast this process.
+
+        Args:
+            kept: level -> how many it has had.
+            keep: takes level and number.
+        """
+        self._keep = keep
+        for level, state in self._levels.items():
+            state.wrong = min(max(kept(level), 0), state.params.attempts)
+
+    def start(self, t_ns: int) -> None:
+        """Begin the delays of a start, with the first request: before it no time is known."""
+        if not self._started[0]:
+            self._started[0] = True
+            for state in self._levels.values():
+                state.lock_out(t_ns, state.params.delay_s if state.is_spent else state.params.start_delay_s)
 
     @property
     def levels(self) -> list[int]:
@@ -114,15 +155,17 @@ class Security:
             raise NegativeError(Nrc.REQUEST_SEQUENCE_ERROR)
         seed = self._seed[1]
         self._seed = None
+        self._count(level, state, min(state.wrong + 1, state.params.attempts))
         right = state.key(seed, bytes.fromhex(state.params.secret), level)
         if hmac.compare_digest(right, key):
-            state.wrong = 0
+            self._count(level, state, 0)
             self.unlocked = level
             return
-        state.wrong += 1
-        if state.wrong >= state.params.attempts:
-            # One attempt after each further delay, as the counter only goes down by one (Annex I).
-            state.wrong -= 1
-            state.locked_until_ns = t_ns + round(state.params.delay_s * 1e9)
+        if state.is_spent:  # and stays so: one attempt after each further delay (Annex I)
+            state.lock_out(t_ns, state.params.delay_s)
             raise NegativeError(Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS)
         raise NegativeError(Nrc.INVALID_KEY)
+
+    def _count(self, level: int, state: _Level, wrong: int) -> None:
+        state.wrong = wrong
+        self._keep(level, wrong)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
+from gateway.faults.interventions import DONE
+from gateway.servers.access import Need
 from gateway.servers.application import Application
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, refuse_unless
@@ -14,6 +16,22 @@ from gateway.servers.uds.services.x86_response_on_event import responses_to
 
 #: The longest response that ISO-TP carries in its usual form.
 LONGEST = 4095
+#: How often the conditions of what lasts are looked at [ns].
+WATCH_NS = 100_000_000
+#: Refusals that say that a tester may not, or not now; others are of requests that make no sense.
+TRACED = frozenset(
+    {
+        Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
+        Nrc.SECURITY_ACCESS_DENIED,
+        Nrc.AUTHENTICATION_REQUIRED,
+        *(Nrc(number) for number in Nrc if 0x50 <= number <= 0x58),
+        Nrc.INVALID_KEY,
+        Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS,
+        Nrc.REQUIRED_TIME_DELAY_NOT_EXPIRED,
+        Nrc.CONDITIONS_NOT_CORRECT,
+        Nrc.GENERAL_PROGRAMMING_FAILURE,
+    }
+)
 
 
 def _negative(sid: int, nrc: Nrc) -> bytes:
@@ -29,8 +47,10 @@ class UdsServer(Application):
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._later: tuple[int, Later] | None = None
+        self._later: tuple[Service, bytes, Later] | None = None
         self._last_request_ns = 0
+        self._watched_ns = 0
+        self._busy = False
 
     def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         """Return the responses to a request: none, one, or 0x78 with the final one to come.
@@ -46,6 +66,9 @@ class UdsServer(Application):
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         c = self._context
         c.now_ns = self._last_request_ns = t_ns
+        c.security.start(t_ns)
+        c.asked_in = c.session, c.security.unlocked, c.authentication.role
+        c.asked_by = (c.params.functional or 0) if functional else c.params.request
         sid = request[0]
         service = SERVICES.get(sid)
         try:
@@ -53,12 +76,15 @@ class UdsServer(Application):
                 raise NegativeError(Nrc.SERVICE_NOT_SUPPORTED)
             found = self._serve(service, request)
         except NegativeError as error:
+            if service is not None:
+                self._note(service, request, error.nrc)
             if functional and error.nrc in SILENT_WHEN_FUNCTIONAL:
                 return []
             return [_negative(sid, error.nrc)]
         if isinstance(found, Later):
-            self._later = sid, found
+            self._later = service, request, found
             return [_negative(sid, Nrc.RESPONSE_PENDING)]
+        self._note(service, request, DONE)
         if service.sub_functions is not None and request[1] & 0x80:
             return []
         return [self._positive(sid, found)]
@@ -66,11 +92,10 @@ class UdsServer(Application):
     def _serve(self, service: Service, request: bytes) -> bytes | Later:
         """Check a request in the standard's order, and let its service handle it."""
         c = self._context
-        access = None if service.access is None else service.access(c.params)
-        refuse_unless(
-            c.session in service.sessions and (access is None or access.in_session(c.session)),
-            Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
-        )
+        need = c.needs[service.action] if service.action else Need()
+        c.need = Need() if service.undoes(request) else need
+        in_session = c.session in service.sessions and c.session in c.need.sessions
+        refuse_unless(in_session, Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION)
         if service.sub_functions is not None:
             refuse_unless(len(request) >= 2, Nrc.INCORRECT_LENGTH)
             known = service.sub_functions(c)
@@ -79,11 +104,17 @@ class UdsServer(Application):
             refuse_unless(c.session in known[number], Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION)
         refuse_unless(len(request) >= service.shortest, Nrc.INCORRECT_LENGTH)
         refuse_unless(service.longest is None or len(request) <= service.longest, Nrc.INCORRECT_LENGTH)
-        refuse_unless(
-            access is None or access.security in (0, c.security.unlocked),
-            Nrc.SECURITY_ACCESS_DENIED,
-        )
+        if not service.late:
+            c.check_security()
         return service.handle(c, request)
+
+    def _note(self, service: Service, request: bytes, outcome: int) -> None:
+        """Keep what a request did, or was refused, if it would change anything."""
+        c = self._context
+        if service.traced(request) and (outcome == DONE or outcome in TRACED):
+            c.note(service.action, request, outcome)
+            if outcome == Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS:
+                c.note("lockout", request[:2], outcome)
 
     def _positive(self, sid: int, content: bytes) -> bytes:
         if 1 + len(content) > LONGEST:
@@ -96,16 +127,36 @@ class UdsServer(Application):
         c.now_ns = max(c.now_ns, t_ns)
         made: list[bytes] = []
         if self._later is not None:
-            sid, later = self._later
+            service, request, later = self._later
             self._later = None
             try:
-                made.append(self._positive(sid, later.work()))
+                made.append(self._positive(service.sid, later.work()))
+                self._note(service, request, DONE)
             except NegativeError as error:
-                made.append(_negative(sid, error.nrc))
+                made.append(_negative(service.sid, error.nrc))
+                self._note(service, request, error.nrc)
             self._last_request_ns = c.now_ns  # S3 starts with the final answer
-        if c.session != DEFAULT and c.now_ns >= self._session_ends_ns:
-            c.enter(DEFAULT)
+        self._end_session()
+        if c.watches and c.now_ns >= self._watched_ns + WATCH_NS:
+            self._watched_ns = c.now_ns
+            c.end_unmet()
         return made
+
+    def _end_session(self) -> None:
+        """End the session if S3 is over; it does not run while a message is under way."""
+        c = self._context
+        if c.session != DEFAULT and not self._busy and c.now_ns >= self._session_ends_ns:
+            c.enter(DEFAULT)
+
+    def hold(self, busy: bool, t_ns: int) -> None:
+        """Stop S3 while a message is under way; it begins anew when that is over (ISO 14229-2, 7.5)."""
+        c = self._context
+        c.now_ns = max(c.now_ns, t_ns)
+        if busy and not self._busy:
+            self._end_session()  # it may have been over before
+        elif self._busy and not busy:
+            self._last_request_ns = c.now_ns
+        self._busy = busy
 
     @property
     def _session_ends_ns(self) -> int:
@@ -116,7 +167,10 @@ class UdsServer(Application):
         """When it has something to do next."""
         if self._later is not None:
             return 0
-        return NEVER if self._context.session == DEFAULT else self._session_ends_ns
+        if self._context.session == DEFAULT:
+            return NEVER
+        ends = NEVER if self._busy else self._session_ends_ns
+        return min(ends, self._watched_ns + WATCH_NS) if self._context.watches else ends
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
         """Take changes of status bytes; returns the responses that were asked for on them (0x86)."""

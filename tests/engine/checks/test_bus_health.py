@@ -216,6 +216,8 @@ def test_any_error_frame_in_any_batch_gives_the_same(build, tools, rows, cut):
     assert results[0] == results[1]
     verdicts = {}
     for _, fault, kind, *_ in results[0][0]:
+        if fault < 0:  # the clock was set: that is no verdict
+            continue
         assert verdicts.get(fault) != kind, "a verdict is told once"
         verdicts[fault] = kind
     errors = [slot.id for slot in engine.faults].index("a.bus_errors")

@@ -74,10 +74,10 @@ def test_faults_are_named_by_the_user_s_parts():
     ]  # fmt: skip
     assert [fault.dtc for fault in faults] == [
         "C1B10-62",
-        "P0A3F-64",
-        "P0A40-64",
-        "P0A41-64",
-        "P0A42-64",
+        "P1A30-64",
+        "P1A31-64",
+        "P1A32-64",
+        "P1A33-64",
     ]
     assert BANK.faults(Params(**entry("aircraft")))[2].dtc == "C1B12-64"
 

@@ -114,10 +114,10 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
     assert running.code == 0
     assert answers[0] == "7e00"
     assert answers[1].startswith("5902ff")
-    assert "033629" in answers[1], "over ISO-TP, on the kernel's own CAN"
+    assert "033639" in answers[1], "over ISO-TP, on the kernel's own CAN"
     assert "0336" in answers[2]
     seen = reports(live / "all.log")
-    assert {"Dtc": 0x033629, "Status": 0x2F, "FaultDetectionCounter": 127}.items() <= seen[0].items()
+    assert {"Dtc": 0x033639, "Status": 0x2F, "FaultDetectionCounter": 127}.items() <= seen[0].items()
     assert len(seen) == 2
     # Three requests and a flow control: kernel filters kept CTW_BASE and our own frames back.
     assert events_in(live)[-1]["counters"]["unknown"] == 4

@@ -12,7 +12,9 @@ HARD, KEY_OFF_ON, SOFT = 0x01, 0x02, 0x03
 
 
 def _handle(c: Context, request: bytes) -> bytes:
-    c.enter(DEFAULT)
+    c.check_conditions()
+    for tester in c.testers:  # a reset is one for all
+        tester.enter(DEFAULT)
     c.control.restart_cycle()
     return bytes([request[1] & 0x7F])
 
@@ -24,4 +26,6 @@ SERVICE = Service(
     lambda _: dict.fromkeys((HARD, KEY_OFF_ON, SOFT), ANY_SESSION),
     shortest=2,
     longest=2,
+    action="reset",
+    traced=lambda _: True,
 )

@@ -9,11 +9,12 @@ from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
 
 def _handle(c: Context, request: bytes) -> bytes:
     group = int.from_bytes(request[1:4], "big")
+    refuse_unless(c.control.knows(group), Nrc.REQUEST_OUT_OF_RANGE)
+    c.check_conditions()
     try:
-        known = c.control.clear(group)
+        c.control.clear(group)
     except StoreError as error:  # nothing was cleared, or it would come back at the next start
         raise NegativeError(Nrc.GENERAL_PROGRAMMING_FAILURE) from error
-    refuse_unless(known, Nrc.REQUEST_OUT_OF_RANGE)
     return b""
 
 
@@ -23,5 +24,6 @@ SERVICE = Service(
     _handle,
     shortest=4,
     longest=4,
-    access=lambda params: params.clear,
+    action="clear",
+    traced=lambda _: True,
 )

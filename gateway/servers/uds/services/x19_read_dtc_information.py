@@ -6,11 +6,15 @@ is that of their codes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import get_args
 
+from gateway.faults.dtc import Dtc
 from gateway.faults.entries import Entry
+from gateway.faults.settings import Readiness
 from gateway.servers.uds.context import ANY_SESSION, Context, Service
 from gateway.servers.uds.extended_data import EXTENDED_DATA
+from gateway.servers.uds.intervention_memory import SELECTION, InterventionMemory
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
 
 #: DTCFormatIdentifier: SAE J2012-DA with failure type byte.
@@ -18,11 +22,17 @@ FORMAT = 0x00
 #: The same in WWH-OBD.
 WWH_FORMAT = 0x04
 ALL_RECORDS = 0xFF
+#: The greatest number of a record; above are "all" and what is reserved.
+MOST_RECORDS = 0xFE
+#: Readiness groups by number: in the order of the configuration's names (J1979-DA has numbers that are not public).
+READINESS_GROUPS = dict(enumerate(get_args(Readiness), start=1))
 #: Functional groups of WWH-OBD (ISO 27145-3): emission system, all of them.
 EMISSION_GROUP, ALL_GROUPS = 0x33, 0xFF
 #: Bits of the severity byte that are filled: severity and class.
 SEVERITY_MASK = 0xFF
 
+#: Data identifiers with their bytes.
+Identified = Sequence[tuple[int, bytes]]
 #: Handler of one sub-function: takes what follows the sub-function, returns what follows its echo.
 Report = Callable[[Context, bytes], bytes]
 
@@ -72,8 +82,23 @@ def _by_status(c: Context, rest: bytes) -> bytes:
 def _snapshot_identification(c: Context, _rest: bytes) -> bytes:
     """03 reportDTCSnapshotIdentification."""
     return b"".join(
-        bytes(entry.dtc) + bytes([frame.number]) for entry in c.memory.supported() for frame in entry.freeze_frames
+        bytes(entry.dtc) + bytes([number]) for entry in c.memory.supported() for number, _ in _frames(c, entry)
     )
+
+
+def _frames(c: Context, entry: Entry) -> list[tuple[int, Identified]]:
+    """Return the freeze frames of an entry that hold anything: number, identifiers with their bytes."""
+    found = [(frame.number, c.identifiers.freeze_frame(frame.content)) for frame in entry.freeze_frames]
+    return [(number, content) for number, content in found if content]
+
+
+def _record(number: int, content: Identified) -> bytes:
+    """Return a record of identifiers: its number, how many they are, each with its bytes."""
+    return bytes([number]) + _content(content)
+
+
+def _content(content: Identified) -> bytes:
+    return bytes([len(content)]) + b"".join(did.to_bytes(2, "big") + data for did, data in content)
 
 
 def _snapshot_by_dtc(c: Context, rest: bytes) -> bytes:
@@ -82,12 +107,23 @@ def _snapshot_by_dtc(c: Context, rest: bytes) -> bytes:
     most = c.memory.definition(entry.fault).freeze_frames
     refuse_unless(1 <= record <= most or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
     made = _with_status(c, [entry])
-    for frame in entry.freeze_frames:
-        content = c.identifiers.freeze_frame(frame.content)
-        if content and record in (frame.number, ALL_RECORDS):
-            made += bytes([frame.number, len(content)])
-            made += b"".join(did.to_bytes(2, "big") + data for did, data in content)
+    for number, content in _frames(c, entry):
+        if record in (number, ALL_RECORDS):
+            made += _record(number, content)
     return made
+
+
+def _stored_data(c: Context, rest: bytes) -> bytes:
+    """05 reportDTCStoredDataByRecordNumber: the first freeze frames, numbered in the order of the failures."""
+    record = rest[0]
+    refuse_unless(1 <= record <= MOST_RECORDS or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
+    frames = [(entry, frames[0][1]) for entry in c.memory.in_order("first_failed") if (frames := _frames(c, entry))]
+    made = b"".join(
+        bytes([number]) + _with_status(c, [entry]) + _content(content)
+        for number, (entry, content) in enumerate(frames[:MOST_RECORDS], start=1)
+        if record in (number, ALL_RECORDS)
+    )
+    return made or rest
 
 
 def _extended_data(c: Context, rest: bytes) -> bytes:
@@ -104,6 +140,85 @@ def _extended_data(c: Context, rest: bytes) -> bytes:
         if data and record in (number, ALL_RECORDS):
             made += bytes([number]) + data
     return made
+
+
+def _extended_by_record(c: Context, rest: bytes) -> bytes:
+    """16 reportDTCExtDataRecordByRecordNumber: one record of every DTC that has it."""
+    c.memory.fold_statistics()
+    c.memory.commit()
+    made = rest
+    for entry, data in _having(c, rest[0]):
+        made += _with_status(c, [entry]) + data
+    return made
+
+
+def _having(c: Context, record: int) -> list[tuple[Entry, bytes]]:
+    """Return the entries that have an extended data record, with its bytes."""
+    refuse_unless(record in EXTENDED_DATA, Nrc.REQUEST_OUT_OF_RANGE)
+    encode = EXTENDED_DATA[record].encode
+    found = [(entry, encode(entry)) for entry in c.memory.supported() if entry.occurrence]
+    return [(entry, data) for entry, data in found if data]
+
+
+def _extended_identification(c: Context, rest: bytes) -> bytes:
+    """1A reportDTCExtendedDataRecordIdentification: the DTCs that have a record."""
+    return _available(c) + rest + _with_status(c, [entry for entry, _ in _having(c, rest[0])])
+
+
+def _user_memory(c: Context, selection: int) -> InterventionMemory:
+    refuse_unless(selection == SELECTION and c.trace_did is not None, Nrc.REQUEST_OUT_OF_RANGE)
+    return InterventionMemory(c.memory.interventions(), c.trace_did or 0)
+
+
+def _user_by_status(c: Context, rest: bytes) -> bytes:
+    """17 reportUserDefMemoryDTCByStatusMask: what testers did."""
+    mask, selection = rest
+    memory = _user_memory(c, selection)
+    found = memory.by_status(mask & c.params.status_mask)
+    return bytes([selection]) + _available(c) + b"".join(bytes(dtc) + bytes([status]) for dtc, status in found)
+
+
+def _user_dtc(c: Context, rest: bytes) -> tuple[InterventionMemory, Dtc, bytes]:
+    """Return the memory, a DTC of it, and the answer's beginning."""
+    memory, dtc = _user_memory(c, rest[4]), Dtc.from_bytes(rest[:3])
+    status = memory.status(dtc)
+    if status is None:
+        raise NegativeError(Nrc.REQUEST_OUT_OF_RANGE)
+    return memory, dtc, rest[4:] + bytes(dtc) + bytes([status & c.params.status_mask])
+
+
+def _user_snapshot(c: Context, rest: bytes) -> bytes:
+    """18 reportUserDefMemoryDTCSnapshotRecordByDTCNumber."""
+    memory, dtc, made = _user_dtc(c, rest)
+    refuse_unless(rest[3] != 0, Nrc.REQUEST_OUT_OF_RANGE)
+    for number, content in memory.snapshots(dtc):
+        if rest[3] in (number, ALL_RECORDS):
+            made += _record(number, content)
+    return made
+
+
+def _user_extended_data(c: Context, rest: bytes) -> bytes:
+    """19 reportUserDefMemoryDTCExtDataRecordByDTCNumber."""
+    memory, dtc, made = _user_dtc(c, rest)
+    records = memory.extended_data(dtc)
+    refuse_unless(rest[3] in records or rest[3] == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
+    for number, data in records.items():
+        if rest[3] in (number, ALL_RECORDS):
+            made += bytes([number]) + data
+    return made
+
+
+def _by_readiness_group(c: Context, rest: bytes) -> bytes:
+    """56 reportDTCInformationByDTCReadinessGroupIdentifier: functional group, readiness group."""
+    group, readiness = rest
+    refuse_unless(readiness in READINESS_GROUPS, Nrc.REQUEST_OUT_OF_RANGE)
+    name = READINESS_GROUPS[readiness]
+    found = [
+        entry
+        for entry in _in_group(c, group, c.memory.supported())
+        if c.memory.definition(entry.fault).readiness == name
+    ]
+    return bytes([group]) + _available(c) + bytes([WWH_FORMAT, readiness]) + _with_status(c, found)
 
 
 def _by_severity(c: Context, severity: int, status: int) -> list[Entry]:
@@ -192,6 +307,7 @@ REPORTS: dict[int, tuple[int, Report]] = {
     0x02: (1, _by_status),
     0x03: (0, _snapshot_identification),
     0x04: (4, _snapshot_by_dtc),
+    0x05: (1, _stored_data),
     0x06: (4, _extended_data),
     0x07: (2, _number_by_severity),
     0x08: (2, _by_severity_mask),
@@ -203,8 +319,14 @@ REPORTS: dict[int, tuple[int, Report]] = {
     0x0E: (0, _ordered("last_confirmed", -1)),
     0x14: (0, _fault_detection_counters),
     0x15: (0, _permanent_status),
+    0x16: (1, _extended_by_record),
+    0x17: (2, _user_by_status),
+    0x18: (5, _user_snapshot),
+    0x19: (5, _user_extended_data),
+    0x1A: (1, _extended_identification),
     0x42: (3, _wwh_by_mask),
     0x55: (1, _wwh_permanent),
+    0x56: (2, _by_readiness_group),
 }
 
 
@@ -212,6 +334,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     number = request[1] & 0x7F
     length, report = REPORTS[number]
     refuse_unless(len(request) == 2 + length, Nrc.INCORRECT_LENGTH)
+    c.check_conditions()
     return bytes([number]) + report(c, request[2:])
 
 
@@ -221,4 +344,5 @@ SERVICE = Service(
     _handle,
     lambda _: dict.fromkeys(REPORTS, ANY_SESSION),
     shortest=2,
+    action="read_dtcs",
 )

@@ -16,7 +16,9 @@ def _handle(c: Context, request: bytes) -> bytes:
         if data is not None:  # of several, those that are there are answered
             made += request[at : at + 2] + data
     refuse_unless(bool(made), Nrc.REQUEST_OUT_OF_RANGE)
+    c.check_security()
+    c.check_conditions()
     return made
 
 
-SERVICE = Service(0x22, "ReadDataByIdentifier", _handle, shortest=3)
+SERVICE = Service(0x22, "ReadDataByIdentifier", _handle, shortest=3, action="read_data", late=True)

@@ -15,8 +15,10 @@ def _handle(c: Context, request: bytes) -> bytes:
     level = (number + 1) // 2
     if number % 2:
         refuse_unless(len(request) == 2, Nrc.INCORRECT_LENGTH)
+        c.check_conditions()
         return bytes([number]) + c.security.seed(level, c.now_ns)
     refuse_unless(len(request) > 2, Nrc.INCORRECT_LENGTH)
+    c.check_conditions()
     c.security.try_key(level, request[2:], c.now_ns)
     return bytes([number])
 
@@ -28,5 +30,7 @@ SERVICE = Service(
     _sub_functions,
     shortest=2,
     sessions=NOT_DEFAULT,
+    action="unlock",
+    traced=lambda request: len(request) > 1 and request[1] % 2 == 0,  # a key; who only asks for a seed does nothing yet
     offered=lambda c: bool(c.security.levels),
 )

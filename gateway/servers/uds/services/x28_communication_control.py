@@ -19,9 +19,11 @@ def _handle(c: Context, request: bytes) -> bytes:
     number, kind = request[1] & 0x7F, request[2]
     refuse_unless(kind & 0x03 != 0 and kind & 0x0C == 0, Nrc.REQUEST_OUT_OF_RANGE)
     refuse_unless(kind >> 4 in (0x0, 0xF), Nrc.REQUEST_OUT_OF_RANGE)  # all networks, or this one
+    c.check_conditions()
     if kind & _NORMAL:
         receive, send = _SETTINGS[number]
-        c.control.set_communication(receive=receive, send=send)
+        c.set_lasting("communication", not (receive and send))
+        c.control.set_communication(receive=receive, send=send, by=c.name)
     return bytes([number])
 
 
@@ -33,4 +35,7 @@ SERVICE = Service(
     shortest=3,
     longest=3,
     sessions=NOT_DEFAULT,
+    action="communication",
+    traced=lambda _: True,
+    undoes=lambda request: request[1:2] in (b"\x00", b"\x80"),
 )

@@ -12,7 +12,9 @@ def _handle(c: Context, request: bytes) -> bytes:
     did = c.identifiers.table.get(number)
     refuse_unless(did is not None and did.writable, Nrc.REQUEST_OUT_OF_RANGE)
     assert did is not None
+    c.check_security()
     refuse_unless(len(request) - 3 == len(did.constant), Nrc.INCORRECT_LENGTH)
+    c.check_conditions()
     try:
         c.identifiers.write(number, request[3:])
     except StoreError as error:
@@ -25,6 +27,8 @@ SERVICE = Service(
     "WriteDataByIdentifier",
     _handle,
     shortest=4,
-    access=lambda params: params.write,
+    action="write",
+    traced=lambda _: True,
+    late=True,
     offered=lambda c: any(did.writable for did in c.identifiers.table.values()),
 )

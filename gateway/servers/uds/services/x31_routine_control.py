@@ -22,7 +22,10 @@ DONE = b"\x00"
 def _handle(c: Context, request: bytes) -> bytes | Later:
     number, routine = request[1] & 0x7F, int.from_bytes(request[2:4], "big")
     refuse_unless(routine in (RESTART_CYCLE, COMPACT), Nrc.REQUEST_OUT_OF_RANGE)
+    c.check_security()
+    refuse_unless(number in (START, RESULTS), Nrc.SUB_FUNCTION_NOT_SUPPORTED)
     refuse_unless(len(request) == 4, Nrc.INCORRECT_LENGTH)
+    c.check_conditions()
     echo = bytes([number]) + request[2:4]
     if number == RESULTS:
         refuse_unless(routine in c.routines_done, Nrc.REQUEST_SEQUENCE_ERROR)
@@ -47,7 +50,9 @@ SERVICE = Service(
     0x31,
     "RoutineControl",
     _handle,
-    lambda _: dict.fromkeys((START, RESULTS), ANY_SESSION),
+    lambda _: dict.fromkeys(range(0x80), ANY_SESSION),  # which there are is asked of the routine, after its identifier
     shortest=4,
-    access=lambda params: params.routine,
+    action="routine",
+    traced=lambda request: request[1:2] not in (b"\x03", b"\x83"),
+    late=True,
 )

@@ -13,7 +13,9 @@ def _handle(c: Context, request: bytes) -> bytes:
     number, option = request[1] & 0x7F, request[2:]
     refuse_unless(len(option) in (0, 3), Nrc.INCORRECT_LENGTH)
     refuse_unless(option in (b"", ALL_DTCS.to_bytes(3, "big")), Nrc.REQUEST_OUT_OF_RANGE)
-    c.control.set_dtcs(number == ON)
+    c.check_conditions()
+    c.set_lasting("dtc_setting", number == OFF)
+    c.control.set_dtcs(number == ON, c.name)
     return bytes([number])
 
 
@@ -24,4 +26,7 @@ SERVICE = Service(
     lambda _: dict.fromkeys((ON, OFF), NOT_DEFAULT),
     shortest=2,
     sessions=NOT_DEFAULT,
+    action="dtc_setting",
+    traced=lambda _: True,
+    undoes=lambda request: request[1:2] in (b"\x01", b"\x81"),
 )

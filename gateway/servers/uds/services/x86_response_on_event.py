@@ -25,6 +25,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     if number == ON_DTC_STATUS_CHANGE:
         refuse_unless(len(request) >= 6, Nrc.INCORRECT_LENGTH)
         refuse_unless(window != 0 and request[4] in ANSWERS, Nrc.REQUEST_OUT_OF_RANGE)
+        c.check_conditions()
         c.events = EventLogic((request[3], request[4:]), window)
         return bytes([number, 0]) + request[2:]
     refuse_unless(len(request) == 3, Nrc.INCORRECT_LENGTH)
@@ -36,6 +37,7 @@ def _handle(c: Context, request: bytes) -> bytes:
         mask, service = events.set_up
         return bytes([number, 1, ON_DTC_STATUS_CHANGE, events.window, mask]) + service
     else:
+        c.check_conditions()
         refuse_unless(events.set_up is not None, Nrc.REQUEST_SEQUENCE_ERROR)
         events.started = number == START
         infinite = events.window == INFINITE
@@ -63,4 +65,6 @@ SERVICE = Service(
     _handle,
     lambda _: dict.fromkeys((STOP, ON_DTC_STATUS_CHANGE, REPORT, START, CLEAR), ANY_SESSION),
     shortest=3,
+    action="events",
+    undoes=lambda request: request[1:2] in (b"\x00", b"\x80", b"\x06", b"\x86"),
 )

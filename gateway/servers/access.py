@@ -1,0 +1,258 @@
+"""Who may intervene, and when: one rule for each kind of intervention, whichever protocol it comes by.
+
+Reading is free. What blinds the gateway, clears its memory, or changes what it keeps is *guarded*: unless its rule says
+otherwise it needs the extended session, the lowest security level where there are any, and the conditions of
+``[access] when``. Protocols that know no sessions (OBD mode 04; DM3 and DM11) may clear where ``clear`` needs no
+security; those conditions hold for them as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from gateway.common.tomlfile import StrictModel
+from gateway.errors import InputError, nearest
+from gateway.faults.settings import ConditionSettings
+
+#: Diagnostic sessions by name (ISO 14229-1, 0x10).
+SESSIONS = {"default": 0x01, "extended": 0x03}
+_ALL = frozenset(SESSIONS.values())
+_EXTENDED = frozenset({SESSIONS["extended"]})
+
+#: What testers do by UDS, and the service. Those that are guarded unless a rule says otherwise stand first.
+GUARDED = {
+    "reset": 0x11,
+    "clear": 0x14,
+    "communication": 0x28,
+    "write": 0x2E,
+    "routine": 0x31,
+    "dtc_setting": 0x85,
+}
+FREE = {
+    "session": 0x10,
+    "read_dtcs": 0x19,
+    "read_data": 0x22,
+    "unlock": 0x27,
+    "authenticate": 0x29,
+    "events": 0x86,
+}
+#: Clearing by protocols that know no sessions.
+SESSIONLESS = {"obd_clear": "OBD mode 04", "j1939_clear": "DM3 and DM11"}
+
+
+class Conditions(StrictModel):
+    """Signals in ranges."""
+
+    when: tuple[ConditionSettings, ...] | None = Field(
+        None, description="signals in ranges, else refused (0x22); default of what is guarded: those of [access]"
+    )
+
+    @field_validator("when")
+    @classmethod
+    def _now(cls, when: tuple[ConditionSettings, ...] | None) -> tuple[ConditionSettings, ...] | None:
+        if any(condition.rise for condition in when or ()):
+            raise ValueError("rise is for operation cycles, not for conditions of access")
+        return when
+
+
+class Access(Conditions):
+    """In which sessions something is allowed, at which security level, and when."""
+
+    sessions: tuple[Literal["default", "extended"], ...] = Field(
+        ("default", "extended"), min_length=1, description="sessions in which it is allowed"
+    )
+    security: int = Field(0, ge=0, le=33, description="security level that it needs, 0: none")
+    roles: tuple[str, ...] = Field((), description="roles (0x29) of which it needs one; none: anybody")
+
+
+class SessionlessAccess(Conditions):
+    """Whether something is allowed by a protocol that knows no sessions, and when."""
+
+    allowed: bool | None = Field(None, description="default: if clear needs neither security nor a role")
+
+
+class AccessParams(StrictModel):
+    """Rules of access; one that is given replaces its default whole, but for ``when``."""
+
+    when: tuple[ConditionSettings, ...] = Field(
+        (), description="conditions of everything that is guarded, e.g. that the vehicle stands"
+    )
+    stale_ms: float = Field(
+        1000.0, gt=0, le=60_000, allow_inf_nan=False, description="a signal is unknown when it is older [ms]"
+    )
+    trace_did: int | None = Field(
+        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads what testers did; none: it is not read"
+    )
+    session: Access | None = Field(None, description="entering another than the default session (0x10)")
+    reset: Access | None = Field(None, description="reset (0x11)")
+    clear: Access | None = Field(None, description="clearing (0x14)")
+    read_dtcs: Access | None = Field(None, description="reading DTCs (0x19)")
+    read_data: Access | None = Field(None, description="reading data (0x22)")
+    unlock: Access | None = Field(None, description="security access (0x27)")
+    authenticate: Access | None = Field(None, description="authentication (0x29)")
+    communication: Access | None = Field(None, description="switching communication off (0x28)")
+    write: Access | None = Field(None, description="writing (0x2E)")
+    routine: Access | None = Field(None, description="routines (0x31)")
+    dtc_setting: Access | None = Field(None, description="switching the setting of DTCs off (0x85)")
+    events: Access | None = Field(None, description="responses on events (0x86)")
+    obd_clear: SessionlessAccess | None = Field(None, description="clearing by OBD (mode 04)")
+    j1939_clear: SessionlessAccess | None = Field(None, description="clearing by J1939 (DM3, DM11)")
+
+    @model_validator(mode="after")
+    def _conditions_now(self) -> Self:
+        if any(condition.rise for condition in self.when):
+            raise ValueError("rise is for operation cycles, not for conditions of access")
+        return self
+
+
+@dataclass(frozen=True)
+class Need:
+    """What an intervention needs.
+
+    Attributes:
+        sessions: numbers of the sessions in which it is allowed.
+        security: security level, 0: none.
+        roles: of which the tester must have one; none: anybody.
+        when: conditions on signals, all of which must be met.
+        allowed: False: it is refused in any case.
+    """
+
+    sessions: frozenset[int] = _ALL
+    security: int = 0
+    when: tuple[ConditionSettings, ...] = ()
+    allowed: bool = True
+    roles: frozenset[str] = frozenset()
+
+    @property
+    def is_locked(self) -> bool:
+        """Whether it needs a key or a role."""
+        return bool(self.security or self.roles)
+
+
+#: What each intervention needs, by its name.
+Needs = Mapping[str, Need]
+
+
+def needs_of(
+    params: AccessParams, levels: Sequence[int], j1939_clears: bool | None = None, roles: Sequence[str] = ()
+) -> Needs:
+    """Return what each intervention needs.
+
+    Args:
+        params: the rules that the configuration gives.
+        levels: security levels that there are.
+        j1939_clears: ``allow_clear`` of J1939, if it is given.
+        roles: that there are; without security levels what is guarded needs any of them.
+    """
+    found: dict[str, Need] = {}
+    least = min(levels, default=0)
+    for name in (*GUARDED, *FREE):
+        guarded = name in GUARDED
+        rule: Access | None = getattr(params, name)
+        when = params.when if guarded else ()
+        if rule is None:
+            any_role = frozenset(() if least else roles)
+            found[name] = Need(_EXTENDED, least, when, roles=any_role) if guarded else Need()
+            continue
+        sessions = frozenset(SESSIONS[session] for session in rule.sessions)
+        conditions = when if rule.when is None else rule.when
+        found[name] = Need(sessions, rule.security, conditions, roles=frozenset(rule.roles))
+    clear = found["clear"]
+    for name in SESSIONLESS:
+        other: SessionlessAccess = getattr(params, name) or SessionlessAccess()
+        allowed = other.allowed
+        if allowed is None and name == "j1939_clear":
+            allowed = j1939_clears
+        found[name] = Need(
+            when=clear.when if other.when is None else other.when,
+            allowed=not clear.is_locked if allowed is None else allowed,
+        )
+    return found
+
+
+def signals_of(needs: Needs) -> set[str]:
+    """Return the signals that conditions ask for, by their names in the configuration."""
+    return {condition.signal for need in needs.values() for condition in need.when}
+
+
+def wrong_rules(
+    params: AccessParams, levels: Sequence[int], roles: Sequence[str] = (), uds: Collection[str] = ()
+) -> Iterator[InputError]:
+    """Yield the rules that nobody can meet.
+
+    Args:
+        params: all rules that the configuration gives.
+        levels: security levels that there are.
+        roles: that there are.
+        uds: names of the rules that the UDS server's own table gives.
+    """
+    for name in (*GUARDED, *FREE):
+        rule: Access | None = getattr(params, name)
+        if rule is None:
+            continue
+        table = "output.uds" if name in uds else "access"
+        for k, role in enumerate(rule.roles):
+            if role not in roles:
+                there = ", ".join(roles) or "none"
+                text = f"there is no such role (output.uds.authentication.roles: {there}){nearest(role, roles)}"
+                yield InputError(text, key=f"{table}.{name}.roles[{k}]", value=role)
+        if rule.roles and name in ("session", "authenticate"):
+            text = "nobody has a role in the default session, so that this could never be met"
+            yield InputError(text, key=f"{table}.{name}.roles", value=", ".join(rule.roles))
+        if not rule.security:
+            continue
+        key = f"{table}.{name}.security"
+        if rule.security not in levels:
+            there = ", ".join(str(level) for level in levels) or "none"
+            yield InputError(f"no such security level is set up (output.uds.security: {there})", key=key,
+                             value=rule.security)  # fmt: skip
+        elif name in ("session", "unlock"):
+            text = "nothing is unlocked in the default session, so that this could never be met"
+            yield InputError(text, key=key, value=rule.security)
+
+
+def ways_around(needs: Needs, levels: Sequence[int], *, uds: bool, obd: bool, j1939: bool) -> Iterator[str]:
+    """Yield the ways by which an intervention is easier than it looks, one line each.
+
+    Args:
+        needs: of each intervention.
+        levels: security levels that there are.
+        uds: whether there is a UDS server.
+        obd: whether there is an OBD server.
+        j1939: whether there is a J1939 server.
+    """
+    if uds:
+        yield from _open_doors(needs, levels)
+    clear = needs["clear"]
+    for name, there in (("obd_clear", obd), ("j1939_clear", j1939)):
+        need, what = needs[name], SESSIONLESS[name]
+        if not there or not need.allowed:
+            continue
+        if uds and clear.is_locked:
+            lock = f"security level {clear.security}" if clear.security else "role"
+            yield f"access.{name}: {what} can clear without the {lock} that 0x14 needs"
+        if uds and set(clear.when) - set(need.when):
+            yield f"access.{name}: {what} can clear without the conditions that 0x14 needs"
+        if not clear.is_locked and not need.when:
+            yield f"access.{name}: anybody on the bus can clear by {what} at any time: no condition, no security"
+
+
+def _open_doors(needs: Needs, levels: Sequence[int]) -> Iterator[str]:
+    """Yield what is guarded and is not, and services that do what another one guards better."""
+    bare = [name for name in GUARDED if not needs[name].is_locked and not needs[name].when]
+    for name in bare:
+        if levels or SESSIONS["default"] in needs[name].sessions:
+            where = "any" if SESSIONS["default"] in needs[name].sessions else "the extended"
+            yield f"access.{name}: anybody may do 0x{GUARDED[name]:02X} in {where} session: no condition, no security"
+    if not levels and len(bare) == len(GUARDED):
+        yield (
+            "access: anybody who begins the extended session may clear, reset and switch monitoring off: no condition"
+            " ([access] when), no security level ([output.uds] security)"
+        )
+    reset, routine = needs["reset"], needs["routine"]
+    if (reset.is_locked and not routine.is_locked) or set(reset.when) - set(routine.when):
+        yield "access.routine: routine 0x0201 begins a new operation cycle with less than 0x11 needs"

@@ -1,0 +1,50 @@
+"""What ISO 15765-2 says of frames at its edges, judged before the state machine sees them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
+#: A separation time that the standard reserves counts as the longest one (9.6.5.5): 127 ms.
+LONGEST_STMIN = 0x7F
+#: Lengths above this have the escape form of a first frame.
+MOST_SHORT = 4095
+
+
+class Judged(NamedTuple):
+    """A frame as it is to be taken.
+
+    Attributes:
+        data: its bytes; None: it is to be ignored.
+        aborts: whether it ends the message that waits for this flow control (9.6.5.2).
+    """
+
+    data: bytes | None
+    aborts: bool = False
+
+
+def judge(data: bytes) -> Judged:
+    """Return a frame as it is to be taken.
+
+    Args:
+        data: of a frame on the identifier of physical requests, normal addressing.
+    """
+    kind = data[0] >> 4 if data else -1
+    if kind == FIRST and not _is_first(data):
+        return Judged(None)
+    if kind == FLOW_CONTROL and len(data) >= 3:
+        if data[0] & 0x0F > 2:
+            return Judged(None, aborts=True)
+        if 0x7F < data[2] < 0xF1 or data[2] > 0xF9:
+            return Judged(data[:2] + bytes([LONGEST_STMIN]) + data[3:])
+    return Judged(data)
+
+
+def _is_first(data: bytes) -> bool:
+    """Tell whether a first frame is one (9.6.3): full, and of a message that no single frame could carry."""
+    if len(data) < 8:
+        return False
+    length = (data[0] & 0x0F) << 8 | data[1]
+    if not length:
+        return int.from_bytes(data[2:6], "big") > MOST_SHORT
+    return length >= (8 if len(data) == 8 else len(data) - 1)

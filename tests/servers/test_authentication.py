@@ -1,0 +1,290 @@
+"""Authentication by certificate (0x29): who may, who may not and why; certificates made here by cryptography itself."""
+
+import datetime as dt
+
+import pytest
+import udsoncan
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.x509.oid import NameOID
+from rig import Rig, write_config
+from test_access import SERVERS, by_j1939, by_mode_04
+from uds_tester import EXTRA, Asked
+from udsoncan.services import Authentication
+
+NOW = dt.datetime.fromtimestamp(0, dt.UTC)  # the rig's clock begins there
+DAY = dt.timedelta(days=1)
+AUTH = 'authentication = { roots = ["root.pem"], roles = ["workshop", "development"], revoked = [666] }\n'
+
+
+def name(common, unit=None):
+    parts = [x509.NameAttribute(NameOID.COMMON_NAME, common)]
+    if unit is not None:
+        parts.append(x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit))
+    return x509.Name(parts)
+
+
+def issue(key, subject, issuer, issuer_key, *, first=NOW - DAY, last=NOW + DAY, serial=7, ca=False):
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(serial)
+        .not_valid_before(first)
+        .not_valid_after(last)
+        .add_extension(x509.BasicConstraints(ca=ca, path_length=None), critical=True)
+    )
+    algorithm = None if isinstance(issuer_key, ed25519.Ed25519PrivateKey) else hashes.SHA256()
+    return builder.sign(issuer_key, algorithm).public_bytes(serialization.Encoding.DER)
+
+
+ROOT_KEY, ROOT = ec.generate_private_key(ec.SECP256R1()), name("root")
+
+
+def signed(key, data):
+    if isinstance(key, ed25519.Ed25519PrivateKey):
+        return key.sign(data)
+    if isinstance(key, ec.EllipticCurvePrivateKey):
+        return key.sign(data, ec.ECDSA(hashes.SHA256()))
+    return key.sign(data, padding.PSS(padding.MGF1(hashes.SHA256()), padding.PSS.MAX_LENGTH), hashes.SHA256())
+
+
+@pytest.fixture
+def make(tmp_path):
+    root = x509.load_der_x509_certificate(issue(ROOT_KEY, ROOT, ROOT, ROOT_KEY, ca=True))
+    (tmp_path / "root.pem").write_bytes(root.public_bytes(serialization.Encoding.PEM))
+    rigs = []
+
+    def build(uds=AUTH, more=""):
+        rigs.append(Rig(write_config(tmp_path, extra=EXTRA.format(uds=uds) + more)))
+        return rigs[-1], Asked(rigs[-1])
+
+    yield build
+    for rig in rigs:
+        rig.close()
+
+
+def field(data):
+    return (len(data).to_bytes(2, "big") + data).hex()
+
+
+def show(ask, certificate, challenge=b""):
+    """Show a certificate; returns the gateway's challenge, or the whole answer if it is refused."""
+    answer = ask("290100" + field(certificate) + field(challenge), patience=200)
+    if answer.startswith("7f"):
+        return answer
+    assert answer.startswith("6901110020")
+    assert answer.endswith("0000")
+    return bytes.fromhex(answer[10:-4])
+
+
+def prove(ask, proof):
+    return ask("2903" + field(proof) + field(b""), patience=200)
+
+
+def a_tester(unit="workshop", key=None, **options):
+    key = key or ec.generate_private_key(ec.SECP256R1())
+    return key, issue(key, name("tester", unit), ROOT, ROOT_KEY, **options)
+
+
+def log_in(ask, unit="workshop", key=None, challenge=b""):
+    key, certificate = a_tester(unit, key)
+    ours = show(ask, certificate, challenge)
+    return prove(ask, signed(key, ours + challenge))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        lambda: ec.generate_private_key(ec.SECP256R1()),
+        ed25519.Ed25519PrivateKey.generate,
+        lambda: rsa.generate_private_key(65537, 2048),
+    ],
+)
+def test_who_proves_his_role_may(make, key):
+    _, ask = make()
+    assert ask("2908") == "7f297f"
+    assert ask("1003")
+    assert ask("2908") == "690802", "by certificate (APCE)"
+    assert ask("14ffffff") == "7f1434"
+    assert ask("8502") == "7f8534"
+    assert log_in(ask, key=key()) == "6903120000"
+    assert ask("14ffffff") == "54"
+    assert ask("8502") == "c502"
+    assert ask("2900") == "690010"
+    assert ask("14ffffff") == "7f1434", "logged out"
+
+
+def test_udsoncan_asks_and_reads_the_same(make):
+    """Requests made, and answers read, by a library that nobody here wrote."""
+    _, ask = make()
+    assert ask("1003")
+    task = Authentication.AuthenticationTask
+
+    def by_udsoncan(number, **fields):
+        request = Authentication.make_request(number, **fields).get_payload()
+        answer = bytes.fromhex(ask(request.hex(), patience=200))
+        response = udsoncan.Response.from_payload(answer)
+        assert response.positive
+        return Authentication.interpret_response(response).service_data
+
+    assert by_udsoncan(task.authenticationConfiguration).return_value == 0x02
+    key, certificate = a_tester()
+    shown = by_udsoncan(
+        task.verifyCertificateUnidirectional, communication_configuration=0, certificate_client=certificate,
+        challenge_client=b"mine",
+    )  # fmt: skip
+    assert shown.return_value == 0x11
+    proof = signed(key, shown.challenge_server + b"mine")
+    proven = by_udsoncan(task.proofOfOwnership, proof_of_ownership_client=proof, ephemeral_public_key_client=b"")
+    assert proven.return_value == 0x12
+    assert ask("14ffffff") == "54"
+    assert by_udsoncan(task.deAuthenticate).return_value == 0x10
+
+
+def test_the_testers_challenge_is_signed_too(make):
+    _, ask = make()
+    assert ask("1003")
+    assert log_in(ask, challenge=b"mine" * 8) == "6903120000"
+
+
+@pytest.mark.parametrize(
+    ("options", "nrc", "why"),
+    [
+        ({"first": NOW - 3 * DAY, "last": NOW - DAY}, "50", "expired"),
+        ({"first": NOW + DAY, "last": NOW + 2 * DAY}, "50", "not yet valid"),
+        ({"unit": "kitchen"}, "56", "a role that there is not"),
+        ({"unit": None}, "56", "no role"),
+        ({"serial": 666}, "57", "revoked"),
+        ({"ca": True}, "53", "this one signs others"),
+    ],
+)
+def test_certificates_that_are_not_good(make, options, nrc, why):
+    rig, ask = make()
+    assert ask("1003")
+    _, certificate = a_tester(**options)
+    assert show(ask, certificate) == f"7f29{nrc}", why
+    assert prove(ask, b"x" * 64) == "7f2924", "there is no challenge"
+    rig.wait(1)
+    assert [f"{each.outcome:02x}" for each in rig.gateway.memory.interventions()] == [nrc]
+
+
+def test_certificates_of_others(make):
+    _, ask = make()
+    assert ask("1003")
+    key, other = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
+    assert show(ask, issue(key, name("x", "workshop"), name("other root"), other)) == "7f2952", "another root's"
+    assert show(ask, issue(key, name("x", "workshop"), ROOT, other)) == "7f2951", "it only says that it is ours"
+    _, good = a_tester()
+    assert show(ask, good[:-1] + bytes([good[-1] ^ 1])) == "7f2951"
+    assert show(ask, b"nonsense") == "7f2954"
+    weak = rsa.generate_private_key(65537, 1024)
+    assert show(ask, a_tester(key=weak)[1]) == "7f2953"
+    # One that a tester's certificate has signed: it is no root, though a root has signed it.
+    between, certificate = a_tester()
+    subject = x509.load_der_x509_certificate(certificate).subject
+    assert show(ask, issue(key, name("x", "workshop"), subject, between)) == "7f2952"
+
+
+def test_a_proof_is_of_this_challenge_and_this_key(make):
+    rig, ask = make()
+    assert ask("1003")
+    key, certificate = a_tester()
+    first = show(ask, certificate)
+    other = show(ask, certificate)
+    assert first != other
+    assert prove(ask, signed(key, first)) == "7f2958", "of an earlier challenge: replayed"
+    assert prove(ask, signed(key, other)) == "7f2924", "each challenge is good for one try"
+    ours = show(ask, certificate)
+    assert prove(ask, signed(ec.generate_private_key(ec.SECP256R1()), ours)) == "7f2958"
+    assert ask("14ffffff") == "7f1434"
+    rig.wait(1)
+    kinds = {(each.action, each.outcome) for each in rig.gateway.memory.interventions()}
+    assert ("authenticate", 0x58) in kinds
+
+
+def test_a_session_that_ends_takes_the_role_with_it(make):
+    rig, ask = make()
+    assert ask("1003")
+    assert log_in(ask) == "6903120000"
+    rig.wait(5100)
+    assert ask("1003")
+    assert ask("14ffffff") == "7f1434"
+    assert log_in(ask) == "6903120000"
+    assert ask("1003")
+    assert ask("14ffffff") == "7f1434"
+
+
+def test_roles_may_different_things(make):
+    rules = (
+        '[access]\nclear = { roles = ["workshop", "development"] }\ndtc_setting = { roles = ["development"] }\n'
+        'read_data = { roles = ["development"] }\n'
+    )
+    rig, ask = make(more=rules)
+    assert ask("1003")
+    assert log_in(ask, "workshop") == "6903120000"
+    assert ask("14ffffff") == "54"
+    assert ask("8502") == "7f8534"
+    assert ask("22f190") == "7f2234"
+    assert log_in(ask, "development") == "6903120000"
+    assert ask("8502") == "c502"
+    assert ask("22f190").startswith("62f190")
+    rig.wait(1)
+    noted = [(each.action, each.role, each.outcome) for each in rig.gateway.memory.interventions()]
+    assert ("clear", "workshop", 0) in noted
+    assert ("dtc_setting", "workshop", 0x34) in noted
+    assert ("dtc_setting", "development", 0) in noted
+
+
+def test_a_role_and_a_key_may_both_be_needed(make):
+    level = 'security = [{ level = 1, secret = "00" }]\n'
+    _, ask = make(AUTH + level, '[access]\nclear = { security = 1, roles = ["workshop"] }\n')
+    assert ask("1003")
+    assert ask("14ffffff") == "7f1434"
+    assert log_in(ask) == "6903120000"
+    assert ask("14ffffff") == "7f1433"
+
+
+def test_other_protocols_do_not_get_around_it(make):
+    rig, _ = make(more=SERVERS)
+    rig.wait(300)
+    rig.fail(0)
+    assert by_mode_04(rig) == "7f0422"
+    assert by_j1939(rig, 0xFED3) == 2
+    assert rig.status(0) == 0x2F
+
+
+@pytest.mark.parametrize(
+    ("request_", "expected"),
+    [
+        ("29", "7f2913"), ("2902", "7f2912"), ("2901", "7f2913"), ("290100", "7f2913"), ("2901000001", "7f2913"),
+        ("29010000000000ff", "7f2913"), ("290101000141000142", "7f2931"), ("2903", "7f2913"), ("290300", "7f2913"),
+        ("290800", "7f2913"), ("29000000", "7f2913"), ("290300014100", "7f2913"),
+    ],
+)  # fmt: skip
+def test_malformed_requests(make, request_, expected):
+    _, ask = make()
+    assert ask("1003")
+    assert ask(request_) == expected
+
+
+def test_it_is_not_offered_without_roots(tmp_path):
+    rig = Rig(write_config(tmp_path, extra="[output.uds]\n"))
+    assert Asked(rig)("2908") == "7f2911"
+    rig.close()
+
+
+def test_what_is_wrong_in_the_configuration(make, tmp_path):
+    with pytest.raises(Exception, match=r"authentication.roots\[0\]"):
+        make(AUTH.replace("root.pem", "nowhere.pem"))
+    (tmp_path / "text.pem").write_text("hello")
+    with pytest.raises(Exception, match="no certificate in PEM"):
+        make(AUTH.replace("root.pem", "text.pem"))
+    with pytest.raises(Exception, match="workshop"):
+        make(more='[access]\nclear = { roles = ["workshp"] }\n')
+    with pytest.raises(Exception, match=r"output.uds.write.roles\[0\]"):
+        make(AUTH + 'write = { roles = ["nobody"] }\n')
+    with pytest.raises(Exception, match="never be met"):
+        make(more='[access]\nsession = { roles = ["workshop"] }\n')
