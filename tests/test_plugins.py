@@ -13,7 +13,7 @@ import pytest
 
 from gateway.common.resources import shipped
 
-EXAMPLES = sorted(path for path in shipped("examples").iterdir() if path.is_dir())
+EXAMPLES = sorted(path.parent for path in shipped("examples").glob("*/gateway.toml"))
 GATEWAY = [str(Path(sys.executable).parent / "gateway")]
 COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0]='gateway'; sys.exit(main())"]
 

@@ -177,7 +177,8 @@ def test_a_signal_of_no_bus_is_named(tmp_path, second, match):
     config = config_of(tmp_path, ["chassis", "other"], "chassis.", second)
     with pytest.raises((InputError, InputErrors), match=match) as error:
         Gateway(config)
-    assert "brake" in str(error.value)
+    assert 'monitor[0].signals."' in str(error.value)
+    assert "PED_Brake.Ch2" in str(error.value)
 
 
 def test_what_is_held_back_is_fed_at_the_end(tmp_path, drive):

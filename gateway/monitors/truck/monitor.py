@@ -18,8 +18,8 @@ from gateway.monitors.truck.records import Const, State, peaks, prepare, sums
 
 #: Sets that may be missing in a row.
 LONGEST = 5
-#: Steps of the counter that are steps back: a set that was late.
-OLDER = 128
+#: Steps of the counter, modulo 256, that are steps back: a set that was late.
+OLDER = 256 - collection.DEPTH
 #: Sets between two messages.
 SENT = 10
 
@@ -36,9 +36,11 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) ->
     if place < 0:
         return
     steps = (s.frames.number[place] - s.counter) & 255 if s.counter >= 0 else 0
-    if steps > OLDER or (steps == 0 and s.counter >= 0):
+    if s.counter >= 0 and (u.t_ns - s.taken_ns) * 1e-9 > collection.OLD * c.period:
+        steps = LONGEST + 1  # whatever its counter says, which may have come round
+    elif s.counter >= 0 and (steps == 0 or steps > OLDER):
         return  # newer ones have been taken
-    s.counter = s.frames.number[place]
+    s.counter, s.taken_ns = s.frames.number[place], u.t_ns
     _take(s, c, s.frames.held[place], steps, out)
 
 

@@ -70,7 +70,7 @@ class State(Record):
 
     ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
     T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
-    ``apart``: sets of which not all frames came.
+    ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken.
     """
 
     sets: i8
@@ -80,6 +80,7 @@ class State(Record):
     found: i8
     explained: i8
     counter: i8
+    taken_ns: i8
     frames: collection.State
     reported: i8
     watched: i8
