@@ -18,7 +18,7 @@ EXTRAS = {
 PURPOSES = {
     "mf4": "MF4 logs",
     "plot": "pictures (--plot)",
-    "structure": "gateway structure --residual",
+    "structure": "gateway structure --residual, and monitors of your own equations",
     "zst": "logs in Zstandard",
 }
 
