@@ -37,7 +37,9 @@ MOST_HINTS = 4
 
 #: What a class of causality costs against one equation, by what is preferred. (20) is a derivative in the consistency
 #: relation; a derivative elsewhere is a low-pass's slope, and the last resort.
-_COST = {"integral": {"S": 0, "SI": 0, "SD": 50, "SDI": 50}, "mixed": {"S": 0, "SI": 50, "SD": 0, "SDI": 0}}
+#: Up to CHEAP it is as preferred.
+_COST = {"integral": {"S": 0, "SI": 1, "SD": 50, "SDI": 51}, "mixed": {"S": 0, "SD": 1, "SDI": 2, "SI": 50}}
+_CHEAP = 2
 
 
 def choose(model: Model, p: Params) -> Plan:
@@ -136,7 +138,7 @@ def _sets(analysis: Analysis, p: Params) -> list[_Set]:
             names = tuple(analysis.structure.equations[candidates.equation[k]] for k in mine)
             several, within, dear, _ = order(mine[0])
             price = float(row.sum()) + 200 * several + 100 * within + dear
-            found.append(_Set(row, names, price, preferred=not (several or within or dear)))
+            found.append(_Set(row, names, price, preferred=not several and not within and dear <= _CHEAP))
     return found
 
 
@@ -281,8 +283,8 @@ def _told(model: Model, tests: Sequence[Test], seen: set[str]) -> Iterator[str]:
     """Yield what people should know of the tests."""
     for test in tests:
         if test.guessed:
-            names = ", ".join(test.guessed)
-            yield f"{test.name}: {names} begins at 0 and has settle_s to settle, or give start: no equation says where"
+            names = " and ".join(test.guessed)
+            yield f"{test.name}: no equation says where {names} should start: at 0, and settle_s to settle, or give it"
         if test.differentiated:
             names = ", ".join(test.differentiated)
             yield f"{test.name}: the slope of a low-pass (derivative_bandwidth) stands for the derivative of {names}"

@@ -38,6 +38,8 @@ def equations_in_words(model: Model, test: Test) -> str:
     check = model.by_name[test.consistency]
     said = f"{check.name} ({check.text})" if check.text else check.name
     relation = f"{said}: {check.relation.text}" if check.relation is not None else said
+    if check.differential:
+        relation = f"{said}: the slope of {check.differential}"
     used = [name for name in test.equations if name != test.consistency]
     return f"{relation}, by {', '.join(used)}" if used else relation
 
