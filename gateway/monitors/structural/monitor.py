@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from gateway.common.resources import shipped
-from gateway.errors import InputError, nearest
+from gateway.common.tomlfile import read_toml
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
@@ -232,6 +233,21 @@ def _file(p: Params, folder: Path) -> Path:
         raise InputError(f"{text}{nearest(str(p.model), known)}", key="model", value=str(p.model)) from error
 
 
+def _model(path: Path) -> Model:
+    """Read the model.
+
+    Raises:
+        InputError, InputErrors: what is wrong with it.
+    """
+    try:
+        return load_model(path)
+    except InputErrors as errors:
+        if "bus" not in read_toml(path):
+            raise
+        text = "this file is a configuration, not a model: one of the two needs another name, or folder"
+        raise InputError(text, key="model", value=path.name) from errors
+
+
 #: Monitors by the names of their plans: the same one for the same model.
 _MONITORS: dict[str, Monitor[Params]] = {}
 
@@ -239,7 +255,7 @@ _MONITORS: dict[str, Monitor[Params]] = {}
 def made(p: Params, folder: Path) -> Monitor[Params]:
     """Return the monitor that has these parameters."""
     path = _file(p, folder)
-    model = load_model(path)
+    model = _model(path)
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
         "start": sorted(p.start.items()),

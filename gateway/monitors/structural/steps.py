@@ -6,7 +6,7 @@ Behind too many that are missing, or while the model did not hold, everything be
 
 A fault **explains** the tests that have fired if it is in the signature of each of them (one fault at a time). That a
 test has not fired says nothing: it may be slow, or its fault not excited. So there is never a single name while
-another fault fits too.
+another fault fits too. What has a name keeps it until its last test has come down, or another one fires.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ class State(Record):
     fired: i8
     fired_ns: i8 = means("since when these have fired", "ns")
     found: i8 = means("what was reported, -1: nothing")
+    basis: i8 = means("tests that had fired for that")
     reported_ns: i8 = means(unit="ns")
 
 
@@ -218,6 +219,10 @@ def decide(s: State, c: Const, u: Any, out: Any) -> None:
     if u.t_ns - s.fired_ns < c.confirm_ns or u.t_ns - s.since_ns < c.settle_ns:
         return
     found = diagnosis(c, fired)
+    if fired != 0 and 0 <= s.found < c.told - 1 and fired & ~s.basis == 0:
+        found = s.found  # a fault that goes away: its tests come down one after the other, and say no more than before
+    else:
+        s.basis = fired
     if found == s.found and s.reported_ns != 0 and u.t_ns - s.reported_ns < REPEAT_NS:
         return
     s.found, s.reported_ns = found, u.t_ns

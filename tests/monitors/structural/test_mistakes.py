@@ -64,6 +64,7 @@ def test_signals(tmp_path, signals, words):
 
 def test_models(tmp_path):
     assert "did you mean motor.toml" in refused(configuration(tmp_path, model="moter.toml", nu=None))
+    assert "a configuration, not a model" in refused(configuration(tmp_path, model="gateway.toml", nu=None))
     (tmp_path / "mine.toml").write_text(MOTOR.replace("k * omega", "k * omga"))
     said = refused(configuration(tmp_path, model="mine.toml", nu=None))
     assert f"{tmp_path}/mine.toml" in said

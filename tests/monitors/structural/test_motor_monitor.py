@@ -161,6 +161,16 @@ def test_each_fault_has_its_name(tmp_path, fault, size):
 
 
 @compiled
+def test_a_fault_that_goes_away_keeps_its_name(tmp_path):
+    """Its tests come down one after the other: what is left of them would fit others, too."""
+    rows = motor_data.drive(60, seed=7)
+    rows[1000:2000, 1] += 0.5
+    run = Run(configuration(tmp_path, TURNS)).feed(motor_data.frames_of(rows))
+    told = [(e["fault"], e["status"] & 1) for e in run.events if e["event"] == "dtc"]
+    assert told == [("motor.f_i", 1), ("motor.f_i", 0)]
+
+
+@compiled
 def test_healthy_drives_have_none(tmp_path):
     for seed in range(amount(10, 3)):
         run = Run(configuration(tmp_path, TURNS)).feed(motor_data.frames_of(motor_data.drive(SECONDS, seed=seed)))
