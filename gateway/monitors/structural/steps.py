@@ -1,7 +1,7 @@
 """What all monitors made from a model do alike: samples, whether the model holds, what the tests say together.
 
-A **sample** takes the newest value of each signal. By the clock it is taken each period, by sets when each signal has
-come once more; in both cases only of values that are not too old, else it is left out and the next one spans the gap.
+A **sample** takes the newest value of each signal: by the clock at each multiple of the period, by sets when each
+signal has come once more. In both cases no value may be too old, else it is left out and the next one spans the gap.
 Behind too many that are missing, or while the model did not hold, everything begins anew, and settles.
 
 A fault **explains** the tests that have fired if it is in the signature of each of them (one fault at a time). That a
@@ -98,7 +98,7 @@ def _due(s: State, c: Const, t_ns: int, out: Any) -> bool:
         for k in range(c.inputs):
             if c.wanted[k] == 1 and s.fresh[k] == 0:
                 return False
-        s.tick_ns = t_ns
+        s.tick_ns = (t_ns + c.period_ns - 1) // c.period_ns * c.period_ns
     if t_ns < s.tick_ns:
         out.wake_ns = s.tick_ns
         return False
