@@ -19,11 +19,13 @@ from gateway.common.extras import need
 from gateway.errors import InputError, nearest
 from gateway.fdi.structure.analysis import Analysis, analyse
 from gateway.fdi.structure.generator.code import write
+from gateway.fdi.structure.generator.conditioning import begins, forgets
+from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
 from gateway.fdi.structure.incidence import Sets
 from gateway.fdi.structure.isolability import isolability_of_model
-from gateway.fdi.structure.model import Model, ResidualChoice
+from gateway.fdi.structure.model import Model, Quantity, ResidualChoice
 from gateway.fdi.structure.selection import fewest_tests, requirements
 from gateway.fdi.structure.sensors import place_sensors
 from gateway.fdi.structure.sequence import shown
@@ -172,16 +174,18 @@ def _fewest(model: Model, sets: Sequence[_Set]) -> list[_Set]:
 
 
 def _made(model: Model, p: Params, found: _Set, made: dict[bytes, Test]) -> bool:
-    """Write the code of a set's best way that has one; returns whether there is any."""
+    """Write the code of a set's best way that has one, one that does not drift if there is; returns whether it has."""
     key = found.row.tobytes()
     equations = frozenset(e.name for e, there in zip(model.equations, found.row, strict=True) if there)
     for consistency in found.ways:
-        if key in made:
+        if key in made and not made[key].drifting:
             break
         try:
-            made[key] = _test(model, p, "", ResidualChoice(equations, consistency))
+            test = _test(model, p, "", ResidualChoice(equations, consistency))
         except (NotSolvableError, ValueError):
             continue
+        if key not in made or not test.drifting:
+            made[key] = test
     return key in made
 
 
@@ -213,6 +217,8 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         realised = realise(model, choice.equations, choice.consistency, differentiate=True, start=p.start)
     guessed: tuple[str, ...] = ()
     try:
+        if not begins(realised, find_initial(realised)):
+            raise NotSolvableError("(24) divides by zero at these parameters")
         code = write(name or choice.consistency, realised)
     except NotSolvableError:  # (24) does not say where these begin: at 0, and they have the time to settle
         guessed = realised.initialised
@@ -231,6 +237,7 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         rates=code.rates,
         unit=_unit(model, realised),
         guessed=guessed,
+        drifting=_drifting(model, realised),
         differentiated=realised.differentiated,
         source=code.source,
     )
@@ -239,6 +246,15 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
 def _causality(realised: Realisation) -> str:
     derives = bool(realised.transformed or realised.differentiated)
     return "S" + "D" * derives + "I" * bool(realised.integrated)
+
+
+def _drifting(model: Model, realised: Realisation) -> tuple[str, ...]:
+    """Return the integrated states of which some combination never forgets.
+
+    Those whose start the model gives are integrals on purpose (a charge, a mass).
+    """
+    states = tuple(x for x in realised.integrated if model.quantities.get(x, Quantity()).value is None)
+    return () if forgets(realised, states) else states
 
 
 def _unit(model: Model, realised: Realisation) -> str:
@@ -285,6 +301,9 @@ def _told(model: Model, tests: Sequence[Test], seen: set[str]) -> Iterator[str]:
         if test.guessed:
             names = " and ".join(test.guessed)
             yield f"{test.name}: no equation says where {names} should start: at 0, and settle_s to settle, or give it"
+        if test.drifting:
+            names = " and ".join(test.drifting)
+            yield f"{test.name} integrates {names} and does not forget all of it: what a sensor is off by adds up"
         if test.differentiated:
             names = ", ".join(test.differentiated)
             yield f"{test.name}: the slope of a low-pass (derivative_bandwidth) stands for the derivative of {names}"

@@ -29,6 +29,7 @@ class Test:
         rates: fields for derivatives of known variables that its start reads.
         unit: of its residual, empty if that is not known.
         guessed: states that begin at 0, because neither the model nor (24) says where.
+        drifting: states that are integrated and never forget: what a sensor is off by adds up.
         differentiated: variables whose derivative is the slope of a low-pass.
         source: its code.
     """
@@ -43,6 +44,7 @@ class Test:
     rates: tuple[str, ...]
     unit: str
     guessed: tuple[str, ...]
+    drifting: tuple[str, ...]
     differentiated: tuple[str, ...]
     source: str
 
