@@ -247,7 +247,7 @@ def config_error(tmp_path, *changes):
             "crank.missed_pulse has this DTC",
         ),
         ('"CTW_PT4.FrameCnt"]', '"powertrain.CTW_PT4.Pt9"]', "no signal 'Pt9'"),
-        ("crank.dbc", "motor.dbc", "No such file"),
+        ("crank.dbc", "nowhere.dbc", "No such file"),
         ('name = "bench"', 'name = "bench', "gateway.toml:3"),
         ("cycle_ms = 1000.0", 'cycle_ms = "x"', "output.dtc_frame.cycle_ms = 'x'"),
     ],

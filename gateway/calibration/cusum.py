@@ -5,7 +5,7 @@ A first replay gives each residual's nu, a second, with these nu and thresholds 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -32,9 +32,9 @@ class Quantity:
         name: of the quantity, key in ``thresholds``.
         residual: key in ``nu``; none if the quantity has a unit of its own.
         samples: residuals that updated it.
-        nu_now: of the configuration; None without a residual.
+        nu_now: of the configuration; None without a residual, or where nothing has set it yet.
         nu: found; that of the configuration where there were too few samples.
-        now: threshold of the configuration, in units of nu.
+        now: threshold of the configuration, in units of nu; None: nothing has set it yet.
         largest: healthy T, in units of the nu found.
         threshold: found, in units of nu.
         floored: the floor decides.
@@ -46,7 +46,7 @@ class Quantity:
     samples: int
     nu_now: float | None
     nu: float | None
-    now: float
+    now: float | None
     largest: float
     threshold: float
     floored: bool
@@ -77,6 +77,8 @@ class Found:
         tables: dict[str, dict[str, dict[str, float]]] = {}
         for row in self.rows:
             mine = tables.setdefault(row.monitor, {"nu": {}, "thresholds": {}})
+            if row.residual and row.nu is None:
+                continue  # nothing is known of it: it stays silent
             mine["thresholds"][row.name] = row.threshold
             if row.nu is not None:
                 mine["nu"][row.residual] = row.nu
@@ -84,6 +86,12 @@ class Found:
 
 
 _Monitors = list[Chosen[CusumCalibration]]
+
+
+def _now(table: Any, name: str) -> float | None:
+    """Return what a table of a monitor's parameters has now: a model of them, or a dictionary; None if nothing."""
+    found = table.get(name) if isinstance(table, Mapping) else getattr(table, name)
+    return None if found is None else float(found)
 
 
 def _replay(
@@ -111,7 +119,8 @@ def _replay(
                 gateway.feed(gateway.without_own(frames))
                 last = int(frames[-1]["t_ns"])
             for each in chosen:
-                states[each.name].append(gateway.engine.state_of(each.place)[0].copy())
+                place = gateway.engine.place_of(each.name)
+                states[each.name].append(gateway.engine.state_of(place)[0].copy())
         finally:
             gateway.close()
         seconds += (last - begun) * 1e-9
@@ -121,7 +130,7 @@ def _replay(
 def _rows(
     chosen: Chosen[CusumCalibration],
     states: list[Any],
-    nus: dict[str, float],
+    nus: Mapping[str, float],
     margin: float,
     floor: float,
 ) -> list[Quantity]:
@@ -139,9 +148,9 @@ def _rows(
                 name=quantity,
                 residual=residual,
                 samples=int(samples[place]),
-                nu_now=getattr(now.nu, residual) if residual else None,
-                nu=nus[residual] if residual else None,
-                now=getattr(now.thresholds, quantity),
+                nu_now=_now(now.nu, residual) if residual else None,
+                nu=nus.get(residual),
+                now=_now(now.thresholds, quantity),
                 largest=largest,
                 threshold=threshold(largest, margin, least),
                 floored=largest < least,
@@ -151,13 +160,17 @@ def _rows(
 
 
 def _typical(chosen: Chosen[CusumCalibration], states: list[Any]) -> dict[str, float]:
-    """Return nu of each residual: the largest of its quantities', or the parameters' where samples are too few."""
+    """Return nu of each residual: the largest of its quantities', or the parameters' where samples are too few.
+
+    One that has neither is not among them.
+    """
     calibration, now = chosen.calibration, cast(Any, chosen.params)
     keys = ("samples", "total", "squares")
     sums = np.sum([[calibration.sums(s)[key] for key in keys] for s in states], axis=0)
     residuals = [residual for _, residual in calibration.quantities]
     found = nus(residuals, sums)
-    return {r: found.get(r, getattr(now.nu, r)) for r in residuals if r}
+    asked = {r: found.get(r, _now(now.nu, r)) for r in residuals if r}
+    return {r: nu for r, nu in asked.items() if nu is not None}
 
 
 def learn(

@@ -135,7 +135,8 @@ def levels(
     for path in logs:
         gateway = Gateway(config, None, file=file)
         watch(gateway, failed)
-        rules = [(each.name, each.calibration.rules(gateway.engine.state_of(each.place)[0])) for each in chosen]
+        places = {each.name: gateway.engine.place_of(each.name) for each in chosen}
+        rules = [(c.name, c.calibration.rules(gateway.engine.state_of(places[c.name])[0])) for c in chosen]
         begun = 0
         end_ns = 0
         try:

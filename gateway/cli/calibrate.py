@@ -92,7 +92,7 @@ def _cusum_table(rows: tuple[cusum.Quantity, ...]) -> Table:
             str(row.samples),
             "-" if row.nu_now is None else f"{row.nu_now:.4g}",
             "-" if row.nu is None else f"{row.nu:.4g}",
-            f"{row.now:.4g}",
+            "-" if row.now is None else f"{row.now:.4g}",
             f"{row.largest:.3g}",
             f"{row.threshold:.4g}",
             f"{row.margin:.2f}",

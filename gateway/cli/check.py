@@ -50,17 +50,14 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
     gateway.close()
-    warnings = [
-        f"{entry.name}: {text}"
-        for entry in config.monitor
-        for monitor, params in [monitor_of(entry)]
-        for text in monitor.warnings(params)
-    ]
+    types = [(entry.name, *monitor_of(entry)) for entry in config.monitor]
+    warnings = [f"{name}: {text}" for name, monitor, params in types for text in monitor.warnings(params)]
+    told = {name: list(found) for name, monitor, params in types if (found := monitor.notes(params))}
     warnings += _ways_around(config)
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "warnings": warnings})
+        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "told": told, "warnings": warnings})
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
@@ -71,6 +68,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"  {' '.join(given):<11}  {_shortened(name)}")
         for text in notes:
             print(f"taken: {text}")
+        for name, lines in told.items():
+            print(f"{name}:", *lines, sep="\n  ")
         for text in warnings:
             print(f"warning: {text}")
     return 0

@@ -12,6 +12,7 @@ from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.errors import InputError
 from gateway.jit import cache_directory
+from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 
@@ -23,7 +24,8 @@ def warmup(*, json: bool) -> int:
         try:
             if isinstance(monitor, InputError):
                 raise monitor
-            _ = monitor.entry
+            if not isinstance(monitor, Family):  # its kernels depend on what a configuration says
+                _ = monitor.entry
         except InputError as error:  # of another package: the others are made ready
             say(f"monitor type {type_}: {error}")
     config = load_config(shipped("gateway.toml"))

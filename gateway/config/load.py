@@ -121,6 +121,8 @@ def load_config(path: Path) -> Config:
         raise input_errors(error, path, data=data, model=Config) from error
     folder = path.parent
     config = _with_catalogues(config, folder)
+    for entry in config.monitor:
+        entry.lie_in(folder)
     if any(":" in entry.type for entry in config.monitor):
         importable(folder)
     wrong = [error.within(path) for error in cross_check(config)]

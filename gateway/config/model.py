@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
@@ -74,6 +74,16 @@ class MonitorConfig(BaseModel):
         default_factory=dict,
         description='default "Message.Signal" = your "Message.Signal", or "bus.Message.Signal"',
     )
+    _folder: Path = PrivateAttr(Path())
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the configuration, from which the files that it names are looked for."""
+        return self._folder
+
+    def lie_in(self, folder: Path) -> None:
+        """Say which folder the configuration lies in."""
+        self._folder = folder
 
 
 class MemoryConfig(StrictModel):

@@ -7,7 +7,8 @@ from typing import Any
 from gateway.common.tomlfile import validate
 from gateway.config.model import MonitorConfig
 from gateway.errors import InputError, nearest
-from gateway.monitors.contract import Monitor, MonitorParams
+from gateway.monitors.conformance import made
+from gateway.monitors.contract import Family, Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
 
 
@@ -31,4 +32,13 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], Monit
         raise InputError(
             error.message, file=error.file, key=f"{key}.type" if key else "type", value=entry.type
         ) from error
-    return monitor, validate(dict(entry.model_extra or {}), monitor.params, None, key)
+    params: MonitorParams = validate(dict(entry.model_extra or {}), monitor.params, None, key)
+    if not isinstance(monitor, Family):
+        return monitor, params
+    try:
+        return made(monitor, params, entry.folder), params
+    except InputError as error:
+        if error.file is not None:  # of the model, or of the family itself
+            raise
+        own = ".".join(part for part in (key, error.key) if part) or None
+        raise InputError(error.message, key=own, value=error.value) from error

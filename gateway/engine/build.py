@@ -34,7 +34,7 @@ from gateway.engine.tables import (
 from gateway.engine.wiring import Wired, wire
 from gateway.errors import InputError, named
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS
+from gateway.monitors.contract import RESULTS, Arrivals
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
@@ -178,6 +178,7 @@ def _handlers(
         row["state"], row["const"] = state.ctypes.data, const.ctypes.data
         row["inputs"] = cells
         cells += _connect(row, m, wired, plan, made)
+        _tell_arrivals(m, wired, plan, const.view(np.recarray)[0])
         _send(row, m, made)
         row["bus"], row["wake_ns"] = m.bus, NEVER
         mine = checked_faults(m.monitor, m.params)
@@ -206,6 +207,14 @@ def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made:
     made.slots += own
     made.sources += sources
     return size // 8
+
+
+def _tell_arrivals(m: MonitorInstance, wired: Wired, plan: DecodePlan, const: Any) -> None:
+    """Write the message of each number of a monitor's inputs into its constants, if it wants to know."""
+    wanted = m.monitor.capability(Arrivals)
+    if wanted is not None:
+        rows = [-1 if place is None else int(plan.slot_message[plan.slot(*place)]) for place in wired.inputs]
+        wanted.of(const)[: len(rows)] = rows
 
 
 def _send(row: Any, m: MonitorInstance, made: _Handlers) -> None:

@@ -59,6 +59,10 @@ class Engine:
         """Return the state records of a monitor, shape (1,)."""
         return self._states[monitor].view(np.recarray)
 
+    def place_of(self, name: str) -> int:
+        """Return the place of a monitor, the first of its parts: in the order of priority, not the configuration's."""
+        return next(k for k, instance in enumerate(self.monitors) if instance.name == name)
+
     def warm(self) -> None:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
         for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):

@@ -37,6 +37,7 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     known = {signal.name for _, signal in connected.inputs if signal is not None}
     inputs: list[SignalRef | None] = []
     places: dict[str, tuple[int, str]] = {}  # default name of a message -> where it is
+    triggers: set[tuple[int, str]] = set()
     optional: set[tuple[int, str]] = set()
     key = m.key or f'monitor "{m.name}"'
     for name in m.signals:
@@ -53,8 +54,9 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
         places[message] = (place.bus, place.message)
         if signal.optional:
             optional.add((place.bus, place.message))
-    stepped = {name.rpartition(".")[0] for name in connected.signals} | connected.messages
-    triggers = {places.get(name, (m.bus, name)) for name in stepped}
+        if signal.triggers:
+            triggers.add((place.bus, place.message))
+    triggers |= {places.get(name, (m.bus, name)) for name in connected.messages}
     for bus, name in triggers:
         try:
             databases[bus].message(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +20,11 @@ from gateway.monitors.contract import (
     API,
     EVIDENCE,
     MAX_OUTPUTS,
+    Arrivals,
     Calibration,
     CusumCalibration,
     Emission,
+    Family,
     Fault,
     Inputs,
     Monitor,
@@ -35,13 +38,15 @@ _FLOAT = np.dtype("<f8")
 _OWN = tuple(Inputs.dtype.names or ())
 
 
-def accepted(monitor: object, name: str) -> Monitor[Any]:
+def accepted(monitor: object, name: str) -> Monitor[Any] | Family[Any]:
     """Return what a name stands for, if it is a monitor that keeps the contract as far as its type can tell.
+
+    Of a family that is little; the rest is checked of each monitor that it makes (:func:`made`).
 
     Raises:
         InputError: it is none, one of another version, or something of it is wrong.
     """
-    if not isinstance(monitor, Monitor):
+    if not isinstance(monitor, Monitor | Family):
         raise InputError(f"this is no Monitor, but {type(monitor).__name__}", value=name)
     if monitor.api != API:
         raise InputError(
@@ -50,8 +55,40 @@ def accepted(monitor: object, name: str) -> Monitor[Any]:
             key=f'monitor type "{monitor.type}".api',
             value=monitor.api,
         )
+    if isinstance(monitor, Family):
+        _check_params(monitor)
+    else:
+        check_type(monitor)
+    return monitor
+
+
+def made(family: Family[Any], params: MonitorParams, folder: Path) -> Monitor[Any]:
+    """Return the monitor that a family makes of parameters, if it keeps the contract.
+
+    Args:
+        family: of the monitor.
+        params: its parameters.
+        folder: of the configuration.
+
+    Raises:
+        InputError, InputErrors: nothing can be made of them, or what is made is not as the contract has it.
+    """
+    monitor = family.made(params, folder)
+    key = f'monitor type "{family.type}".made'
+    if not isinstance(monitor, Monitor):
+        raise InputError(f"this is no Monitor, but {type(monitor).__name__}", file=family.file, key=key)
+    if (monitor.type, monitor.api, monitor.params) != (family.type, family.api, family.params):
+        text = "a monitor of a family has its type, api and params"
+        raise InputError(text, file=family.file, key=key, value=monitor.type)
     check_type(monitor)
     return monitor
+
+
+def _check_params(family: Family[Any]) -> None:
+    if not (isinstance(family.params, type) and issubclass(family.params, MonitorParams)):
+        raise InputError(
+            "a class that derives from MonitorParams", file=family.file, key=f'monitor type "{family.type}".params'
+        )
 
 
 def check_type(monitor: Monitor[Any]) -> None:
@@ -118,8 +155,19 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
             yield f"the state has no field {name!r}{nearest(name, known)}", "capabilities"
         elif monitor.state.dtype[name].shape or monitor.state.dtype[name].names is not None:
             yield f"the state's field {name!r} is not one number", "capabilities"
+    arrivals = monitor.capability(Arrivals)
+    if arrivals is not None:
+        yield from _wrong_arrivals(monitor, arrivals)
     if monitor.capability(Readout) is not None and len(set(monitor.readout)) < len(monitor.readout):
         yield "a field is shown twice", "capabilities"
+
+
+def _wrong_arrivals(monitor: Monitor[Any], arrivals: Arrivals) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with the place where the engine writes the messages of the inputs."""
+    room = np.asarray(arrivals.of(np.zeros(1, monitor.const.dtype).view(np.recarray)[0]))
+    count = sum(size for _, size, _ in _fields(monitor))
+    if room.dtype.kind != "i" or room.ndim != 1 or len(room) < count:
+        yield f"Arrivals: {count} integers of the constants at least, one for each number of the inputs", "capabilities"
 
 
 def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault, ...]:

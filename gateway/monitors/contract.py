@@ -329,9 +329,32 @@ class Parts:
     of: Callable[[Any, Callable[[str], Any], Callable[[Iterable[str]], Mapping[str, str]]], Mapping[str, Any]]
 
 
+@dataclass(frozen=True)
+class Notes:
+    """What ``gateway check`` tells of what will run.
+
+    Attributes:
+        of: parameters -> lines.
+    """
+
+    of: Callable[[Any], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """A monitor that keeps the age of its inputs: the engine tells it in which message each of them comes.
+
+    Attributes:
+        of: record of constants -> integers, one at least for each number of the inputs; the engine writes into them the
+            index of that number's message, as ``u.trigger`` has it, -1: it is not connected.
+    """
+
+    of: Callable[[Any], Any]
+
+
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Calibration | CusumCalibration | Parts | Readout | Warnings
-C = TypeVar("C", Calibration, CusumCalibration, Parts, Readout, Warnings)
+Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Readout | Warnings
+C = TypeVar("C", Arrivals, Calibration, CusumCalibration, Notes, Parts, Readout, Warnings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,6 +411,11 @@ class Monitor(Generic[P]):
         found = self.capability(Warnings)
         return () if found is None else found.of(params)
 
+    def notes(self, params: P) -> tuple[str, ...]:
+        """Return what ``gateway check`` tells of what will run."""
+        found = self.capability(Notes)
+        return () if found is None else found.of(params)
+
     @cached_property
     def results(self) -> np.dtype[np.void]:
         """Record that its kernel reports into: RESULTS, with its own evidence and outputs."""
@@ -418,3 +446,27 @@ class Monitor(Generic[P]):
                 file=self.file,
                 key=f'monitor type "{self.type}"',
             ) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family(Generic[P]):
+    """A type of monitor whose kernel, records and faults depend on its parameters.
+
+    Attributes:
+        type: its name in the configuration.
+        api: version of the contract that it was written for.
+        params: pydantic model of its parameters.
+        made: parameters, folder of the configuration -> the monitor, which has these parameters; equal ones give the
+            same object, so that it goes on over a reload. It raises InputError or InputErrors for parameters of which
+            no monitor can be made, with keys from the monitor's table on.
+    """
+
+    type: str
+    api: int
+    params: Class[P]
+    made: Callable[[P, Path], Monitor[P]]
+
+    @property
+    def file(self) -> Path:
+        """Where it is made."""
+        return Path(self.made.__code__.co_filename)

@@ -6,6 +6,6 @@ from typing import Any
 
 from gateway.common.plugins import Registry
 from gateway.monitors.conformance import accepted
-from gateway.monitors.contract import Monitor
+from gateway.monitors.contract import Family, Monitor
 
-MONITORS: Registry[Monitor[Any]] = Registry("gateway.monitors", accepted)
+MONITORS: Registry[Monitor[Any] | Family[Any]] = Registry("gateway.monitors", accepted)

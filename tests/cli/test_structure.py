@@ -119,7 +119,10 @@ def test_sensor_places():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["lorry"], "no such model; shipped: example_1, example_4, machine, series_machine, truck"),
+        (
+            ["lorry"],
+            "no such model; shipped: example_1, example_4, induction_motor, machine, motor, series_machine, three_",
+        ),
         (["nowhere.toml"], "nowhere.toml: No such file"),
         (["truck", "--limit", "50"], "more than 50 MSO sets .*raise the limit"),
         (["truck", "--plot", "x.gif"], "--plot = 'x.gif': a picture is .svg, .png, .pdf"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil, cos, exp, floor, isnan, log, nan, sin, sqrt, tan
 from typing import Annotated, Any
 
@@ -44,6 +45,7 @@ from gateway.monitors.rule.program import (
     SUBTRACT,
     TAN,
     UNEQUAL,
+    Program,
 )
 
 
@@ -245,3 +247,21 @@ def run(s: Machine, c: Code, t_ns: int, values: Any, tolerance: float) -> float:
             top -= 1
             s.stack[top] = two_of(op, s.stack[top], s.stack[top + 1])
     return float(s.stack[0])
+
+
+def load(s: Any, c: Any, program: Program, signals: Sequence[str]) -> None:
+    """Make a machine ready to run a program.
+
+    Args:
+        s: record of :class:`Machine`.
+        c: record of :class:`Code`.
+        program: what it is to run.
+        signals: names of the values that it will be given, in their order.
+    """
+    c["length"] = len(program.ops)
+    for k, (op, argument) in enumerate(program.ops):
+        c["op"][k] = op
+        c["argument"][k] = signals.index(program.signals[argument]) if op == SIGNAL else argument
+    c["number"][: len(program.numbers)] = program.numbers
+    c["seconds"][: len(program.times_s)] = program.times_s
+    s["memory"]["result"] = np.nan

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any
 
-import numpy as np
-
 from gateway.errors import InputError
 from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.contract import Inputs as Event
-from gateway.monitors.rule.machine import Code, Machine, run
+from gateway.monitors.rule.machine import Code, Machine, load, run
 from gateway.monitors.rule.params import Params, PartParams, Rule
-from gateway.monitors.rule.program import MOST_SIGNALS, SIGNAL, Program
+from gateway.monitors.rule.program import MOST_SIGNALS, Program
 from gateway.monitors.rule.text import compile_text, is_relation
 
 
@@ -70,24 +68,12 @@ def _connect(p: PartParams) -> dict[str, Connection]:
     return {"value": [*own, *[None] * (MOST_SIGNALS - len(own))]}
 
 
-def _fill(row: Any, program: Program, signals: tuple[str, ...]) -> None:
-    """Fill a record of :class:`Code`; its signals are numbered as the relation's are."""
-    row["length"] = len(program.ops)
-    for k, (op, argument) in enumerate(program.ops):
-        row["op"][k] = op
-        row["argument"][k] = signals.index(program.signals[argument]) if op == SIGNAL else argument
-    row["number"][: len(program.numbers)] = program.numbers
-    row["seconds"][: len(program.times_s)] = program.times_s
-
-
 def _prepare(p: PartParams, s: Any, c: Any) -> None:
     holds, when = p.holds, p.when
-    _fill(c["holds"], holds, p.signals)
+    load(s["holds"], c["holds"], holds, p.signals)
     if when is not None:
-        _fill(c["when"], when, p.signals)
+        load(s["when"], c["when"], when, p.signals)
     c["tolerance"], c["signals"] = p.rule.tolerance, len(p.signals)
-    for machine in (s["holds"], s["when"]):
-        machine["memory"]["result"] = np.nan
 
 
 def _faults(p: PartParams) -> tuple[Fault, ...]:

@@ -7,7 +7,7 @@ the functions of :data:`gateway.monitors.rule.program.FUNCTIONS` are taken.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 from gateway.errors import InputError, nearest
@@ -35,12 +35,14 @@ class _Writer:
     Attributes:
         text: the expression.
         unit_of: signal -> its unit in the database, None where it has none.
+        named: signals that have a name without a message.
         made: the program.
         depth: of the stack now.
     """
 
     text: str
     unit_of: Callable[[str], Unit]
+    named: Collection[str] = ()
     made: Program = field(default_factory=Program)
     depth: int = 0
 
@@ -84,9 +86,11 @@ class _Writer:
 
     def _signal(self, node: ast.Attribute | ast.Name) -> Unit:
         name = ast.unparse(node)
-        if "." not in name:
-            known = list(FUNCTIONS)
-            raise self.refuse(node, f'a signal is named "Message.Signal"{nearest(name, known)}')
+        if self.named and name not in self.named:
+            known = [*self.named, *FUNCTIONS]
+            raise self.refuse(node, f"the names are {', '.join(self.named)}{nearest(name, known)}")
+        if not self.named and "." not in name:
+            raise self.refuse(node, f'a signal is named "Message.Signal"{nearest(name, list(FUNCTIONS))}')
         if name not in self.made.signals:
             self.made.signals.append(name)
         self.emit(p.SIGNAL, self.made.signals.index(name))
@@ -168,13 +172,14 @@ class _Writer:
         self.made.times_s.append(seconds)
 
 
-def compile_text(text: str, unit_of: Callable[[str], Unit]) -> Program:
+def compile_text(text: str, unit_of: Callable[[str], Unit], *, named: Collection[str] = ()) -> Program:
     """Return the program of a relation.
 
     Args:
         text: e.g. ``"abs(A.x - B.y) < 3 + 0.1 * C.v"``.
         unit_of: signal -> its unit in the database, None where it has none; raises InputError where there is no such
             signal.
+        named: the only names that may stand in it, where they are no ``"Message.Signal"``.
 
     Raises:
         InputError: text that is none, signals or functions that are not there, units that do not go together, too much
@@ -185,7 +190,7 @@ def compile_text(text: str, unit_of: Callable[[str], Unit]) -> Program:
     except (SyntaxError, ValueError) as error:
         place = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
         raise InputError(f"this is no expression{place}", value=text) from error
-    writer = _Writer(text, unit_of)
+    writer = _Writer(text, unit_of, named)
     writer.walk(tree.body)
     made = writer.made
     for what, count, most in (

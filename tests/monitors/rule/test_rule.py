@@ -10,8 +10,7 @@ from car import Car, write
 
 from gateway.config.load import load_config
 from gateway.errors import InputError, InputErrors
-from gateway.monitors.rule.machine import Code, Machine, run
-from gateway.monitors.rule.monitor import _fill
+from gateway.monitors.rule.machine import Code, Machine, load, run
 from gateway.monitors.rule.text import compile_text
 from gateway.runtime.app import Gateway
 
@@ -25,8 +24,7 @@ class Evaluated:
     def __init__(self, text):
         program = compile_text(text, lambda _name: "")
         self.code, self.machine = np.zeros(1, Code.dtype), np.zeros(1, Machine.dtype)
-        _fill(self.code[0], program, tuple(program.signals))
-        self.machine["memory"]["result"] = np.nan
+        load(self.machine[0], self.code[0], program, program.signals)
         self.signals = program.signals
 
     def __call__(self, values, t_ns=0, tolerance=0.0):

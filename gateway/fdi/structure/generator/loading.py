@@ -1,13 +1,9 @@
-"""Generated code compiled: a module in the cache of kernels, found again by its text."""
+"""Residual generators compiled."""
 
 from __future__ import annotations
 
-import hashlib
-import linecache
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,6 +11,7 @@ import numpy as np
 from gateway.fdi.structure.generator.code import Generated, write
 from gateway.fdi.structure.generator.realisation import realise
 from gateway.fdi.structure.generator.records import field_name, fill
+from gateway.fdi.structure.generator.sources import load_source
 from gateway.fdi.structure.model import Model
 from gateway.jit import f8, record
 
@@ -69,23 +66,6 @@ class Loaded:
             filter_bandwidth=filter_bandwidth,
             derivative_bandwidth=derivative_bandwidth,
         )
-
-
-def load_source(name: str, source: str) -> ModuleType:
-    """Return generated code as a module.
-
-    It has no file: its source is where debuggers, tracebacks and the digests of kernels look for one.
-    """
-    digest = hashlib.blake2b(source.encode(), digest_size=8).hexdigest()
-    label = f"gateway_generated_{digest}"
-    if label in sys.modules:
-        return sys.modules[label]
-    module = ModuleType(label)
-    file = f"<generated {name} {digest}>"
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    exec(compile(source, file, "exec", dont_inherit=True), module.__dict__)
-    sys.modules[label] = module
-    return module
 
 
 def load(generated: Generated) -> Loaded:

@@ -1,0 +1,292 @@
+"""From parameters to a monitor: the model is read, its tests found or chosen, and their kernel made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gateway.common.resources import shipped
+from gateway.common.tomlfile import read_toml
+from gateway.errors import InputError, InputErrors, nearest
+from gateway.fdi import cusum
+from gateway.fdi.structure.file import load_model
+from gateway.fdi.structure.generator.records import fill
+from gateway.fdi.structure.generator.sources import load_source
+from gateway.fdi.structure.model import Model, Quantity
+from gateway.monitors.contract import (
+    Arrivals,
+    Connection,
+    CusumCalibration,
+    Family,
+    Fault,
+    Monitor,
+    Notes,
+    Parts,
+    Signal,
+    Warnings,
+)
+from gateway.monitors.rule.machine import load
+from gateway.monitors.rule.program import Program
+from gateway.monitors.rule.text import compile_text, is_relation
+from gateway.monitors.structural import kept, source, steps, summary
+from gateway.monitors.structural.faults import faults_of, names_of, shown_tests
+from gateway.monitors.structural.params import Params, PartParams
+from gateway.monitors.structural.plan import Plan
+
+TYPE, API = "structural", 2
+
+
+class _Made:
+    """A monitor of one model with one choice of tests.
+
+    Args:
+        model: the model.
+        plan: its tests.
+    """
+
+    def __init__(self, model: Model, plan: Plan) -> None:
+        self.model, self.plan = model, plan
+        if len(model.knowns) > steps.MOST_INPUTS:
+            text = f"{len(model.knowns)} known variables: a monitor has room for {steps.MOST_INPUTS}"
+            raise InputError(text, key="model", value=model.name)
+        for test in plan.tests:
+            load_source(test.name, test.source)
+        self._module = load_source(model.name, source.module_of(plan, model.knowns))
+
+    def monitor(self) -> Monitor[Params]:
+        """Return the monitor."""
+        module, plan = self._module, self.plan
+        names = tuple(test.name for test in plan.tests)
+        count = len(names)
+        return Monitor(
+            type=TYPE,
+            api=API,
+            params=Params,
+            state=module.State,
+            const=module.Const,
+            inputs=module.Inputs,
+            step=module.step,
+            connect=self._connect,  # type: ignore[arg-type] # of its parts
+            prepare=self._prepare,  # type: ignore[arg-type]
+            faults=self._faults,  # type: ignore[arg-type]
+            capabilities=(
+                Arrivals(lambda c: c.own.message),
+                CusumCalibration(
+                    quantities=tuple((name, name) for name in names),
+                    floors={},
+                    sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
+                    peaks=lambda s: s["own"]["cusum"]["peak"][:count],
+                ),
+                Notes(lambda _: summary.notes(self.model, plan)),
+                Parts(self._parts),
+                Warnings(lambda p: summary.warnings(plan, p)),
+            ),
+        )
+
+    # How it is connected ----------------------------------------------------------------------------------------------
+
+    def _parts(
+        self, p: Any, find: Callable[[str], Any], give: Callable[[Iterable[str]], Mapping[str, str]]
+    ) -> dict[str, PartParams]:
+        assert isinstance(p, Params)
+        needed = self._needed(p)
+        connected = tuple(z for z in self.model.knowns if self._found(z, find, needed=z in needed))
+        names = names_of(self.plan)
+        for name in p.codes:
+            if name not in names:
+                text = f"the faults and groups are {', '.join(names)}{nearest(name, names)}"
+                raise InputError(text, key=f"codes.{name}", value=name)
+        own = {f"{self.model.name}.{name}": name for name in names if name not in p.codes}
+        given = {own[name]: code for name, code in give(own).items()}
+        return {"": PartParams(**p.model_dump(exclude_unset=True), connected=connected, given=p.codes | given)}
+
+    def _needed(self, p: Params) -> set[str]:
+        program = _condition(self.model, p)
+        return {*self.plan.knowns, *(() if program is None else program.signals)}
+
+    def _found(self, known: str, find: Callable[[str], Any], *, needed: bool) -> bool:
+        """Tell whether a known variable has a signal, of its unit if both have one.
+
+        Raises:
+            InputError: it has none and is needed, or that of another unit.
+        """
+        try:
+            signal = find(known)
+        except InputError as error:
+            if not needed:
+                return False
+            text = f'the tests need this known variable of the model: signals = {{ {known} = "Message.Signal" }}'
+            raise InputError(f"{text}; {error.message}", key=f"signals.{known}") from error
+        wanted, told = self.model.quantities.get(known, Quantity()).unit, str(signal.unit or "")
+        if _plain(wanted) and _plain(told) and _plain(wanted) != _plain(told):
+            text = f'{signal.name} is in "{told}", {known} of the model in "{wanted}"'
+            raise InputError(text, key=f"signals.{known}", value=told)
+        return True
+
+    def _connect(self, p: PartParams) -> dict[str, Connection]:
+        needed = self._needed(p)
+        return {
+            "value": [
+                Signal(z, triggers=z in needed, optional=True) if z in p.connected else None for z in self.model.knowns
+            ]
+        }
+
+    # Its records ------------------------------------------------------------------------------------------------------
+
+    def _prepare(self, p: PartParams, s: Any, c: Any) -> None:
+        needed, plan, own = self._needed(p), self.plan, c.own
+        own.inputs, own.tests, own.faults = len(self.model.knowns), len(plan.tests), len(plan.faults)
+        own.wanted[: own.inputs] = [z in needed for z in self.model.knowns]
+        own.sets, own.period_ns, own.oldest_ns = p.sample == "set", p.period_ns, p.oldest_ns
+        own.gap_ns = round((p.missing + 1.5) * p.period_ns)
+        own.settle_ns, own.confirm_ns = round(p.settle_s * 1e9), round(p.confirm_s * 1e9)
+        program = _condition(self.model, p)
+        if program is not None:
+            load(s.own.active, own.active, program, self.model.knowns)
+        own.signature[: own.faults] = [plan.bits(fault) for fault in plan.faults]
+        self._fill_told(own)
+        for k, (test, field) in enumerate(zip(plan.tests, source.fields_of(plan), strict=True)):
+            nu, j = p.nu.get(test.name, math.inf), p.thresholds.get(test.name, math.inf)
+            cusum.prepare(own.cusum[k], nu, nu * j, p.limit)
+            fill(
+                getattr(c, field),
+                self.model,
+                values=p.parameters,
+                start=dict.fromkeys(test.guessed, 0.0) | p.start,
+                filter_bandwidth=p.filter_bandwidth,
+                derivative_bandwidth=p.derivative_bandwidth,
+            )
+        s.own.found = -1
+
+    def _fill_told(self, own: Any) -> None:
+        diagnoses = self.plan.diagnoses
+        own.told = len(diagnoses) + 1
+        place = {fault: k for k, fault in enumerate(self.plan.faults)}
+        own.diagnosis[: len(diagnoses)] = [sum(1 << place[f] for f in faults) for faults in diagnoses]
+        own.shown[:] = -1
+        for k, tests in enumerate(shown_tests(self.plan)):
+            own.shown[k, : len(tests)] = tests
+
+    def _faults(self, p: PartParams) -> tuple[Fault, ...]:
+        return faults_of(self.model, self.plan, p.given)
+
+
+def _plain(unit: str) -> str:
+    """Return a unit as it is compared: without spaces, and empty for a pure number."""
+    text = "".join(unit.split()).replace("·", "").replace("*", "").replace("²", "2")
+    return "" if text in ("1", "-") else text
+
+
+def _measured(model: Model) -> dict[str, str]:
+    """Return unknowns that a sensor's equation gives as they are: unknown -> known variable."""
+    found: dict[str, str] = {}
+    for equation in model.equations:
+        if equation.relation is None or len(equation.variables) != 1 or len(equation.knowns) != 1:
+            continue
+        x, z = equation.variables[0], equation.knowns[0]
+        sides = (equation.relation.left.text, equation.relation.right.text)
+        if z in sides and sides[1 - sides.index(z)] in (x, *(f"{x} + {f}" for f in equation.faults)):
+            found.setdefault(x, z)
+    return found
+
+
+def _condition(model: Model, p: Params) -> Program | None:
+    """Return the program of `active`, None without one; an unknown in it is its sensor's value.
+
+    Raises:
+        InputError: it is no condition, or names what is neither known nor measured.
+    """
+    if p.active is None:
+        return None
+    measured = _measured(model)
+    names = (*model.knowns, *measured)
+
+    def unit_of(name: str) -> str | None:
+        return model.quantities.get(name, Quantity()).unit or None
+
+    try:
+        program = compile_text(p.active, unit_of, named=names)
+        if not is_relation(p.active):
+            raise InputError("this says nothing that is true or false: compare it with something", value=p.active)
+    except InputError as error:
+        raise InputError(error.message, key="active", value=p.active) from error
+    program.signals[:] = [measured.get(name, name) for name in program.signals]
+    return program
+
+
+def _file(p: Params, folder: Path) -> Path:
+    """Return the model's file: beside the configuration, else one that comes with the gateway.
+
+    Raises:
+        InputError: there is neither.
+    """
+    path = folder / p.model
+    if path.exists():
+        return path
+    try:
+        return shipped(f"models/{p.model}")
+    except InputError as error:
+        known = sorted(each.name for each in shipped("models").glob("*.toml"))
+        text = f"no such file beside the configuration, and the gateway comes with {', '.join(known)} only"
+        raise InputError(f"{text}{nearest(str(p.model), known)}", key="model", value=str(p.model)) from error
+
+
+def _model(path: Path) -> Model:
+    """Read the model.
+
+    Raises:
+        InputError, InputErrors: what is wrong with it.
+    """
+    try:
+        return load_model(path)
+    except InputErrors as errors:
+        if "bus" not in read_toml(path):
+            raise
+        text = "this file is a configuration, not a model: one of the two needs another name, or folder"
+        raise InputError(text, key="model", value=path.name) from errors
+
+
+#: Monitors by the names of their plans: the same one for the same model.
+_MONITORS: dict[str, Monitor[Params]] = {}
+
+
+def made(p: Params, folder: Path) -> Monitor[Params]:
+    """Return the monitor that has these parameters."""
+    path = _file(p, folder)
+    model = _model(path)
+    asked = {
+        "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
+        "start": sorted(p.start.items()),
+    }  # fmt: skip
+    key = kept.key_of(path.read_bytes(), asked)
+    _condition(model, p)
+    if key not in _MONITORS:
+        plan = kept.read(key)
+        if plan is None:
+            from gateway.monitors.structural.choice import choose  # noqa: PLC0415 - algebra is slow to load
+
+            plan = choose(model, p)
+            kept.write(key, plan)
+        _MONITORS[key] = _Made(model, plan).monitor()
+    _check_names(_MONITORS[key], p, model)
+    return _MONITORS[key]
+
+
+def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
+    calibration = monitor.capability(CusumCalibration)
+    assert calibration is not None
+    tests = [name for name, _ in calibration.quantities]
+    for key, names, known in (
+        ("nu", p.nu, tests),
+        ("thresholds", p.thresholds, tests),
+        ("parameters", p.parameters, model.parameters),
+    ):
+        for name in names:
+            if name not in known:
+                text = f"the {'parameters' if key == 'parameters' else 'tests'} are {', '.join(known)}"
+                raise InputError(f"{text}{nearest(name, known)}", key=f"{key}.{name}", value=name)
+
+
+FAMILY = Family(type=TYPE, api=API, params=Params, made=made)

@@ -1,0 +1,94 @@
+"""What a user says of a monitor made from a structural model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from gateway.fdi import cusum
+from gateway.monitors.contract import MonitorParams
+
+#: A number above 0.
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+#: Base code of a DTC.
+Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
+
+#: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
+OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
+
+
+class Params(MonitorParams):
+    """Parameters of a monitor made from a structural model."""
+
+    model: Path = Field(description="the model; relative to this configuration, or of those that come with the gateway")
+    tests: Literal["auto"] | tuple[str, ...] = Field(
+        "auto",
+        description="auto: the fewest that detect and tell apart as much as all; or names of the model's residuals, or"
+        ' "SET:EQUATION" as gateway structure lists them',
+    )
+    causality: Literal["integral", "mixed"] = Field(
+        "integral", description="what auto prefers where it has a choice: to integrate, or to differentiate"
+    )
+    unseen: tuple[str, ...] = Field((), description="faults of the model that no test needs to see")
+    period_ms: float = Field(10.0, gt=0, le=3.6e6, description="between two samples [ms]")
+    sample: Literal["clock", "set"] = Field(
+        "clock", description="clock: each period, of held values; set: when each signal has come once more"
+    )
+    max_age_ms: float | None = Field(
+        None,
+        gt=0,
+        le=3.6e6,
+        description="oldest value that a sample takes [ms]; default: 250, or three periods; of a set half a period",
+    )
+    missing: int = Field(
+        5, ge=0, le=10_000, description="samples in a row that may be missing; behind more all begins anew"
+    )
+    active: str | None = Field(
+        None, min_length=1, description='the tests run while this holds, e.g. "omega > 50"; names of the model'
+    )
+    settle_s: float = Field(1.0, ge=0, le=3600, description="after each begin no test counts for so long [s]")
+    confirm_s: float = Field(1.0, ge=0, le=3600, description="the same tests must have fired for so long [s]")
+    filter_bandwidth: float = Field(
+        0.5, gt=0, allow_inf_nan=False, description="of tests whose checked equation has a derivative [rad/s]"
+    )
+    derivative_bandwidth: float = Field(
+        10.0, gt=0, allow_inf_nan=False, description="of low-passes whose slope stands for a derivative [rad/s]"
+    )
+    parameters: dict[str, Finite] = Field(default_factory=dict, description="values instead of the model's")
+    start: dict[str, Finite] = Field(default_factory=dict, description="start values of states")
+    nu: dict[str, Positive] = Field(
+        default_factory=dict,
+        description="of each test, what its residual is without a fault; gateway calibrate finds it",
+    )
+    thresholds: dict[str, Positive] = Field(default_factory=dict, description="J of each test, in units of its nu")
+    limit: float = Field(cusum.MOST, gt=1, description="of a test quantity, in units of J: it comes down again")
+    codes: dict[str, Code] = Field(
+        default_factory=dict, description="fault, or group -> base code of its DTC; default: its own, U1xxx, U2xxx"
+    )
+    calibrated: str = Field("", description="where nu and thresholds come from")
+
+    @property
+    def period_ns(self) -> int:
+        """Time between two samples [ns]."""
+        return round(self.period_ms * 1e6)
+
+    @property
+    def oldest_ns(self) -> int:
+        """Greatest age of a value that a sample takes [ns]."""
+        default = 0.5 * self.period_ms if self.sample == "set" else max(OLDEST_MS, OLDEST_PERIODS * self.period_ms)
+        return round((default if self.max_age_ms is None else self.max_age_ms) * 1e6)
+
+
+class PartParams(Params):
+    """The same, with what the configuration around it says.
+
+    Attributes:
+        connected: known variables of the model that have a signal.
+        given: base code of each DTC.
+    """
+
+    connected: tuple[str, ...] = ()
+    given: dict[str, str] = Field(default_factory=dict)

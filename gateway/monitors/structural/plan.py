@@ -1,0 +1,106 @@
+"""What a structural model becomes: the tests that were chosen, and what they tell. It is data, and kept as such."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gateway.fdi.structure.isolability import Isolability, isolability_of_tests
+
+#: Tests and faults that a monitor has room for.
+MOST_TESTS, MOST_FAULTS = 32, 60
+
+
+@dataclass(frozen=True)
+class Test:
+    """A residual generator that runs.
+
+    Attributes:
+        name: of the test.
+        equations: its set, in the order of the model.
+        consistency: the equation that is checked.
+        causality: S, SI, SD or SDI.
+        faults: that it is sensitive to.
+        sequence: how its unknowns are computed, as the paper writes it.
+        knowns: known variables that it reads.
+        rates: fields for derivatives of known variables that its start reads.
+        unit: of its residual, empty if that is not known.
+        guessed: states that begin at 0, because neither the model nor (24) says where.
+        drifting: states that are integrated and never forget: what a sensor is off by adds up.
+        differentiated: variables whose derivative is the slope of a low-pass.
+        source: its code.
+    """
+
+    name: str
+    equations: tuple[str, ...]
+    consistency: str
+    causality: str
+    faults: tuple[str, ...]
+    sequence: str
+    knowns: tuple[str, ...]
+    rates: tuple[str, ...]
+    unit: str
+    guessed: tuple[str, ...]
+    drifting: tuple[str, ...]
+    differentiated: tuple[str, ...]
+    source: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The tests of a monitor.
+
+    Attributes:
+        tests: in the order in which they run.
+        faults: of the model that some test sees, in the model's order.
+        told: what people should know of the choice, a line each.
+    """
+
+    tests: tuple[Test, ...]
+    faults: tuple[str, ...]
+    told: tuple[str, ...] = field(default=())
+
+    @property
+    def knowns(self) -> tuple[str, ...]:
+        """Known variables that the tests read."""
+        return tuple(dict.fromkeys(z for test in self.tests for z in test.knowns))
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """Fields for derivatives that their starts read."""
+        return tuple(dict.fromkeys(z for test in self.tests for z in test.rates))
+
+    @cached_property
+    def isolability(self) -> Isolability:
+        """What the tests tell."""
+        rows = np.array([[fault in test.faults for fault in self.faults] for test in self.tests], np.bool_)
+        return isolability_of_tests(self.faults, rows)
+
+    @cached_property
+    def diagnoses(self) -> tuple[tuple[str, ...], ...]:
+        """What can come out: for each fault, when all its tests have fired, the faults that explain that."""
+        found = self.isolability.confused
+        each = (tuple(g for g, too in zip(self.faults, row, strict=True) if too) for row in found)
+        return tuple(dict.fromkeys(each))
+
+    def bits(self, fault: str) -> int:
+        """Return the tests that see a fault, as bits."""
+        return sum(1 << k for k, test in enumerate(self.tests) if fault in test.faults)
+
+
+def as_dict(plan: Plan) -> dict[str, Any]:
+    """Return a plan as JSON has it."""
+    return asdict(plan)
+
+
+def from_dict(data: dict[str, Any]) -> Plan:
+    """Return the plan that :func:`as_dict` gave, also by way of JSON."""
+
+    def tuples(values: dict[str, Any]) -> dict[str, Any]:
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+
+    tests = tuple(Test(**tuples(test)) for test in data["tests"])
+    return Plan(tests, tuple(data["faults"]), tuple(data["told"]))

@@ -1,0 +1,66 @@
+"""Whether states forget where they began, and whether they have a beginning, beside poles worked out by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from gateway.fdi.structure.file import load_model
+from gateway.fdi.structure.generator.conditioning import begins, forgets
+from gateway.fdi.structure.generator.initial import find_initial
+from gateway.fdi.structure.generator.realisation import realise
+from gateway.fdi.structure.model import Quantity
+
+#: x'' = u - d x' - k x, y = x, through a table that is the identity.
+SPRING = """
+[unknown]
+x = {{ start = 0.0 }}
+v = {{ start = 0.0 }}
+[known]
+u = {{}}
+y = {{}}
+[parameter]
+k = {{ value = {k} }}
+d = {{ value = {d} }}
+[table.f]
+x = [-10, 10]
+y = [-10, 10]
+[equation.e1]
+relation = "der(x) = v"
+unique = ["der(x)"]
+[equation.e2]
+relation = "der(v) = u - k * f(x) - d * v"
+unique = ["der(v)"]
+[equation.e3]
+relation = "y = x"
+unique = ["x"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("k", "d", "stable"),
+    [(4.0, 0.5, True), (4.0, 0.0, False), (0.0, 0.5, False), (4.0, -0.1, False), (-1.0, 0.5, False)],
+)
+def test_a_spring_forgets_if_it_is_damped(tmp_path, k, d, stable):
+    """Its poles are the roots of s^2 + d s + k."""
+    (tmp_path / "spring.toml").write_text(SPRING.format(k=k, d=d))
+    model = load_model(tmp_path / "spring.toml")
+    realised = realise(model, frozenset(["e1", "e2", "e3"]), "e3")
+    assert forgets(realised, ("x", "v")) == stable
+    assert forgets(realised, ())
+
+
+def test_two_tanks_forget_all_but_what_is_in_them_together(load):
+    """p1' = q0 - (p1 - p2), p2' = (p1 - p2) - q2: their sum stays, though each derivative depends on both."""
+    model = load("three_tanks")
+    realised = realise(model, frozenset(["e1", "e4", "e5", "e7", "e8", "e9", "e10", "e11"]), "e7")
+    assert set(realised.integrated) == {"p1", "p2"}
+    assert not forgets(realised, ("p1", "p2"))
+
+
+def test_a_beginning_that_divides_by_zero(load):
+    """r = 0 and r' = 0 determine p2 and p3 unless the tanks are alike: then r' has their difference only, as r has."""
+    model, members = load("three_tanks"), frozenset(["e1", "e2", "e3", "e5", "e6", "e7", "e8", "e11", "e12"])
+    other = replace(model, quantities={**model.quantities, "CT3": Quantity(value=2.0), "Rv3": Quantity(value=3.0)})
+    for one, there in ((model, False), (other, True)):
+        realised = realise(one, members, "e2")
+        assert begins(realised, find_initial(realised)) == there
