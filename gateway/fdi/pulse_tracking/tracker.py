@@ -122,6 +122,8 @@ def begin(tr: Tracker, index: int, period: float, growth: float, variance: float
     h.index = index
     h.missed = 0
     h.added = 0
+    h.missed_at = 0
+    h.added_at = 0
     h.clutter = 0
     h.associated = 1
     h.outlier = 0
@@ -156,6 +158,8 @@ def shift(tr: Tracker, pulses: int, number: int) -> None:
     for k in range(tr.count):
         h = tr.banks[first + k]
         h.index = (h.index + number) % pulses
+        h.missed_at = (h.missed_at + number) % pulses
+        h.added_at = (h.added_at + number) % pulses
 
 
 @kernel

@@ -22,9 +22,19 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import kernel
-from gateway.monitors.crank import reversal
+from gateway.monitors.crank import anchor, reversal
 from gateway.monitors.crank.faults import RESIDUALS, Reports
-from gateway.monitors.crank.isolation import confirm, decide, fall_silent, lose, turned, wait
+from gateway.monitors.crank.isolation import (
+    UNSEEN_PULSES,
+    confirm,
+    decide,
+    fall_silent,
+    hold_to_gap,
+    lose,
+    turned,
+    unwatched,
+    wait,
+)
 from gateway.monitors.crank.place import (
     CONFIRMED,
     SEARCHING,
@@ -33,25 +43,34 @@ from gateway.monitors.crank.place import (
     State,
     doubt,
     search,
+    unlearned,
 )
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
 MOST_MEAN_COST = 8.0
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
+#: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
+BEYOND = 0.45
 
 
 @kernel
-def lost(s: State, c: Const, number: int) -> None:
-    """Pass over pulses whose times were lost on the bus: they were there, unseen."""
+def lost(s: State, c: Const, number: int, out: Reports) -> None:
+    """Pass over pulses whose times were lost on the bus: they were there, unseen.
+
+    A tooth missed among them would not be known: the place is not proven any more, until a gap is seen where it is
+    expected.
+    """
+    unwatched(s, c, number, out)
+    anchor.skip(s.anchor, c.pulses, number)
     if s.phase == SEARCHING:
         restart(s.search)
     else:
         jump(s.tracker, c.pulses, number)
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
-        s.profile.clean = 0
-        s.hole = 2
+        doubt(s)
+        s.hole = 1
     s.unsynced = 0  # what the bus lost is no reason to blame the sensor
     s.y1 = 0.0
     s.y2 = 0.0
@@ -66,7 +85,8 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
-        s.hole = 2
+        anchor.skip(s.anchor, c.pulses, c.pulses)
+        s.hole = 1
 
 
 @kernel
@@ -80,9 +100,11 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         out: record of Out.
     """
     s.teeth += 1
+    s.unseen -= s.unseen / UNSEEN_PULSES
+    anchor.note(s.anchor, c.pulses, y)
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out)
-        search(s)
+        search(s, c)
     if s.phase == SEARCHING:
         _seek(s, c, y)
     else:
@@ -91,14 +113,31 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
             reversal.begin(s.reversal, c.pulses, s.index, y)
             doubt(s)
-        if y > (MOST_MISSED + 1 + span) * ABRUPT * period:
+        if y > (MOST_MISSED + 1) * period and _silent(s, c, y, period):
             fall_silent(s, c, out, y / period)
         else:
             _track(s, c, y, out)
+            if s.phase != SEARCHING:
+                hold_to_gap(s, c, y, out)
     if s.phase != CONFIRMED:
         wait(s, c, y, out)
     s.y2 = s.y1
     s.y1 = y
+
+
+@kernel
+def _silent(s: State, c: Const, y: float, period: float) -> bool:
+    """Tell whether an interval [us] goes beyond the last tooth that hypotheses count to.
+
+    The truth must be among the hypotheses: of nine pulses missed, eight and a late edge would win, and the index be
+    wrong by one. An engine that nearly stands is given more.
+    """
+    span, slot = 0.0, int(s.index)
+    for _ in range(MOST_MISSED + 1):
+        span += s.tracker.pitches[slot]
+        slot = slot + 1 if slot + 1 < c.pulses else 0
+    most = span + BEYOND if period < c.slowest_us / ABRUPT else (MOST_MISSED + 1 + c.gap) * ABRUPT
+    return bool(y > most * period)
 
 
 @kernel
@@ -108,12 +147,15 @@ def _seek(s: State, c: Const, y: float) -> None:
     if index >= 0:
         se = s.search
         begin(s.tracker, index, se.period, se.growth, se.variance)
+        s.tracker.wander = unlearned(c, se.period)
         s.phase = TENTATIVE
         s.index = index
         s.since = 0
         s.suspects = 0
+        s.recurring = 0
         s.profile.clean = 0
         s.profile.turn_us = 0.0
+        anchor.restart(s.anchor)
 
 
 @kernel
@@ -154,5 +196,5 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
         transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
-    if s.phase == TENTATIVE and s.since >= c.pulses and agreed(tr):
+    if s.phase == TENTATIVE and s.since >= c.pulses and s.hole == 0 and agreed(tr):
         confirm(s, out)

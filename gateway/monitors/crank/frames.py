@@ -18,17 +18,17 @@ from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 def stand(s: State, c: Const) -> None:
     """The engine stands: synchronisation ends."""
     if c.adaptive == 1:
-        place.stand(s.fast)
+        place.stand(s.fast, c.fast)
     else:
         constant_speed.search(s.paper)
 
 
 @kernel
-def _lost(s: State, c: Const, number: int) -> None:
+def _lost(s: State, c: Const, number: int, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
     if c.adaptive == 1:
-        adaptive.lost(s.fast, c.fast, number)
+        adaptive.lost(s.fast, c.fast, number, out)
     else:
         constant_speed.lost(s.paper, c.paper, number)
 
@@ -110,7 +110,7 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
         elif frames > 0:
             number = _missing(s, frames, counter)
             if number > 0:
-                _lost(s, c, number)
+                _lost(s, c, number, out)
     s.linked = 1
     s.counter = counter
     for k in range(CLASSIC_INTERVALS):
@@ -136,7 +136,7 @@ def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
         if number < 0:
             stand(s, c)
         elif number > 0:
-            _lost(s, c, number)
+            _lost(s, c, number, out)
     s.linked = 1
     s.count = pulses
     s.counted = 1
