@@ -55,9 +55,15 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for monitor, params in [monitor_of(entry)]
         for text in monitor.warnings(params)
     ]
+    facts = [
+        f"{entry.name}: {text}"
+        for entry in config.monitor
+        for monitor, params in [monitor_of(entry)]
+        for text in monitor.facts(params)
+    ]
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "warnings": warnings})
+        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "facts": facts, "warnings": warnings})
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
@@ -68,6 +74,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"  {' '.join(given):<11}  {_shortened(name)}")
         for text in notes:
             print(f"taken: {text}")
+        for text in facts:
+            print(text)
         for text in warnings:
             print(f"warning: {text}")
     return 0

@@ -317,6 +317,17 @@ class Warnings:
 
 
 @dataclass(frozen=True)
+class Facts:
+    """What ``gateway check`` tells of what follows from parameters.
+
+    Attributes:
+        of: parameters -> lines.
+    """
+
+    of: Callable[[Any], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
 class Parts:
     """One configured monitor that steps in several parts: each has its own inputs, and steps when they come.
 
@@ -386,6 +397,11 @@ class Monitor(Generic[P]):
     def warnings(self, params: P) -> tuple[str, ...]:
         """Return what ``gateway check`` says of parameters, though they are not wrong."""
         found = self.capability(Warnings)
+        return () if found is None else found.of(params)
+
+    def facts(self, params: P) -> tuple[str, ...]:
+        """Return what ``gateway check`` tells of what follows from parameters."""
+        found = self.capability(Facts)
         return () if found is None else found.of(params)
 
     @cached_property

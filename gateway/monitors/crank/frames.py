@@ -3,6 +3,9 @@
 A frame that is lost on the bus is known by its counter: its pulses were there, unseen. In CTW_PT4 the
 number of pulses of a lost frame is known only when it was full; CTW_BASE puts it right. CTW_FD27 tells its first
 pulse's number.
+
+An interval longer than ``stall_ms`` spans a standstill and tells nothing of the wheel; a shorter one is a tooth's, however
+long: what it means is for the method to say, by the speed before it.
 """
 
 from __future__ import annotations
@@ -75,7 +78,11 @@ def _missing(s: State, frames: int, counter: int) -> int:
 
 @kernel
 def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
-    """Take one interval [us]."""
+    """Take one interval [us]; none is taken over a standstill."""
+    if y * 1e3 >= c.stall_ns:
+        s.count = (s.count + 1) % 65536
+        stand(s, c)
+        return
     s.count = (s.count + 1) % 65536
     if c.adaptive == 1:
         adaptive.tooth(s.fast, c.fast, y, out)
