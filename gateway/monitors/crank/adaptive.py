@@ -26,6 +26,7 @@ from gateway.monitors.crank import anchor, reversal
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
+    broken_silence,
     confirm,
     decide,
     fall_silent,
@@ -106,6 +107,8 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         reversal.tell(s.reversal, out)
         search(s, c)
     if s.phase == SEARCHING:
+        if s.silent > 0:
+            broken_silence(s, y, out)
         _seek(s, c, y)
     else:
         span = s.tracker.pitches[s.index]

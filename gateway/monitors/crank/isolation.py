@@ -39,13 +39,15 @@ PATIENCE, PATIENCE_PULSES = 4, 100
 DOUBLE_SHARE = 0.25
 #: Revolutions that the pitches must have been learned from before they are believed.
 LEARNED = 3
+#: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
+SILENT, SAME = 3, 1.5
 #: Runout and single teeth are judged above this speed, where torsional ripple is small [rpm].
 RUNOUT_RPM = 800.0
 #: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
 #: other teeth, but at the most by this.
 BENT, BENT_SIGMAS, BENT_MOST = 0.17, 4.5, 0.3
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
-MOST_UNSEEN, UNSEEN_PULSES = 0.4, 500.0
+MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
 
 @kernel
@@ -136,7 +138,10 @@ def decide(s: State, c: Const, out: Reports) -> None:
 
 @kernel
 def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
-    """Report a silence too long to count its teeth, unless the engine can have come to rest in it, and search.
+    """Report a silence too long to count its teeth, and search.
+
+    An engine that was too slow can have come to rest in it; then it depends on the teeth that follow
+    (:func:`broken_silence`).
 
     Args:
         s: record of State.
@@ -144,18 +149,41 @@ def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
         out: record of Out.
         pitches: that have passed at the speed before.
     """
-    if s.phase == CONFIRMED and best(s.tracker).period < c.turning_us:
+    period = best(s.tracker).period
+    proven = s.phase == CONFIRMED
+    if proven:
         turns = int(pitches / c.wheel.whole)
         number, slot, span = turns * c.pulses - 1, int(s.index), turns * c.wheel.whole
         while span + 0.5 * c.wheel.nominal[slot] < pitches:
             span += c.wheel.nominal[slot]
             slot = slot + 1 if slot + 1 < c.pulses else 0
             number += 1
-        s.burst_missed = number
-        s.missed += number
-        _fail(s, c, out, PULSES_LOST, number, s.index + 1)
-        s.losses += 1
+        _shape(s, c, number, s.index + 1, s.held)
     search(s, c)
+    if proven and period < c.turning_us:
+        _tell_silence(s, out)
+    elif proven:
+        s.silent_us = period
+        s.silent = SILENT
+
+
+@kernel
+def _tell_silence(s: State, out: Reports) -> None:
+    s.missed += int(s.held.count)
+    s.losses += 1
+    e = report(out, PULSES_LOST, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+    for k in range(RESIDUALS):
+        e.residual[k] = s.held.residual[k]
+
+
+@kernel
+def broken_silence(s: State, y: float, out: Reports) -> None:
+    """Take a tooth soon after a silence: an engine that has its speed at once has not stood still in between."""
+    s.silent -= 1
+    if s.silent_us / SAME < y < SAME * s.silent_us:
+        s.silent = 0
+        _tell_silence(s, out)
 
 
 @kernel
@@ -263,7 +291,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         elif found > 0:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
-            if an.wins >= anchor.WINS or s.phase == TENTATIVE:
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
                 relocate(s, c, out, found)
 
 

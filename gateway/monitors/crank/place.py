@@ -55,7 +55,8 @@ class State(Record):
     ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
     synchronisation was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
     ``suspect_net`` the pulses missed less those added; ``hole`` frames were lost, and the gap was not seen since;
-    ``unseen`` pulses that no frame brought and ``blind`` turns without a proven place, lately.
+    ``unseen`` pulses that no frame brought and ``blind`` turns without a proven place, lately;
+    ``silent`` teeth that may still tell whether a silence was one of the sensor, ``silent_us`` the period before it.
     """
 
     phase: i4
@@ -81,6 +82,8 @@ class State(Record):
     recent_added: i8
     doubled: i8
     doubling: u1
+    silent: i4
+    silent_us: f8
     hole: i4
     unseen: f8
     blind: i4
@@ -164,6 +167,7 @@ def search(s: State, c: Const) -> None:
     s.suspects = 0
     s.recurring = 0
     s.held_fault = -1
+    s.silent = 0
     s.recent_missed = 0
     s.recent_added = 0
     s.doubled = 0
