@@ -139,7 +139,7 @@ def correct(
     jolt: float,
     scale: float,
     q3: float,
-) -> None:
+) -> tuple[float, float, float]:
     """Take a pulse as the tooth ``span`` pitches on, with residual ``e``.
 
     Args:
@@ -152,6 +152,9 @@ def correct(
         jolt: variance added to the growth before (units of the edge's).
         scale: 1 / variance of an edge [1/pitch^2].
         q3: process noise of the growth per pitch.
+
+    Returns:
+        the gains.
     """
     period = h.period / q
     p22, p33 = h.p22 + step, h.p33 + jolt
@@ -177,3 +180,4 @@ def correct(
     h.period = period * (1.0 + change + 0.5 * change * change)
     growth = h.growth / (q * q) * max(1.0 - span / LASTS, 0.5) + k3 * e
     h.growth = min(max(growth, -MOST_GROWTH), MOST_GROWTH)
+    return k1, k2, k3

@@ -29,6 +29,8 @@ from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
 
 #: Share of a new revolution in the profile, once it is old.
 SHARE = 0.15
+#: Pairs of turns after which the profile is old; from then on so many turns are passed over between two pairs.
+SETTLED, REST = 12, 6
 #: A revolution whose squared speed changed by more than this share teaches nothing.
 MOST_TREND = 0.25
 #: Nor does one whose trend is not that of the revolution before, by so much: the torque changed inside.
@@ -85,9 +87,12 @@ class Profile(Record):
     even: f8
     odd: f8
     rest: f8
+    evens: Annotated[f8s, MOST_ORDERS]
+    odds: Annotated[f8s, MOST_ORDERS]
     share: f8
     clean: u1
     paired: u1
+    resting: i4
     turns: i8
 
 
@@ -97,6 +102,7 @@ def forget(pr: Profile, wh: LearnedWheel, pitches: f8s) -> None:
     pr.turns = 0
     pr.clean = 0
     pr.paired = 0
+    pr.resting = 0
     pr.turn_us = 0.0
     pr.last_us = 0.0
     pr.trend = 0.0
@@ -128,9 +134,15 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
     if clean and pr.last_us > 0.0:
         ratio = pr.turn_us / pr.last_us
         trend = 1.0 - ratio * ratio
-        if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE:
-            if _learn(pr, wh, trend / wh.whole) or pr.turns > 0:
+        pr.resting = pr.resting - 1 if pr.resting > 0 else 0
+        if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE and pr.resting == 0:
+            if _learn(pr, wh, trend / wh.whole):
                 apply(pr, wh, pr.turn_us / wh.whole, pitches)
+                if pr.turns >= SETTLED:
+                    pr.resting = REST
+                    pr.paired = 0
+            elif pr.turns > 0:
+                follow(pr, wh, pr.turn_us / wh.whole, pitches)
         else:
             pr.paired = 0
         pr.trend = trend
@@ -181,22 +193,8 @@ def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> bool:
         pr.logs[i] += (fallen - 1.0) * (pr.ripple[i] if wh.gap[i] == 1 else pr.logs[i])
         pr.logs[i] += share * (pr.intervals[i] - pr.logs[i])
         pr.intervals[i] = pr.before[i] - pr.logs[i]
-        pr.ripple[i] = 0.0
     _measure(pr, wh)
-    for order in range(1, wh.orders + 1):
-        even, odd = 0.0, 0.0
-        for i in range(wh.pulses):
-            re, im = _power(wh.cosine[i], wh.sine[i], order)
-            even += wh.nominal[i] * re * pr.logs[i]
-            odd += wh.nominal[i] * im * pr.logs[i]
-        even *= 2.0 / wh.whole
-        odd *= 2.0 / wh.whole
-        if order == 1:
-            pr.even, pr.odd = pr.even + even, pr.odd + odd
-            pr.first = (even * even + odd * odd) ** 0.5
-        for i in range(wh.pulses):
-            re, im = _power(wh.cosine[i], wh.sine[i], order)
-            pr.ripple[i] += even * re + odd * im
+    _harmonics(pr, wh)
     for i in range(wh.pulses):
         most = (MOST_GAP_OFF if wh.gap[i] == 1 else MOST_OFF) / wh.nominal[i]
         own = pr.logs[i] - pr.ripple[i]
@@ -228,12 +226,32 @@ def _measure(pr: Profile, wh: LearnedWheel) -> None:
 
 
 @kernel
-def _power(re: float, im: float, order: int) -> tuple[float, float]:
-    """Return cosine and sine of a multiple of an angle."""
-    x, y = re, im
-    for _ in range(order - 1):
-        x, y = x * re - y * im, x * im + y * re
-    return x, y
+def _harmonics(pr: Profile, wh: LearnedWheel) -> None:
+    """Project what is learned on its low orders: their sum is the ripple, the first one the runout's amplitude."""
+    for k in range(wh.orders):
+        pr.evens[k] = 0.0
+        pr.odds[k] = 0.0
+    for i in range(wh.pulses):
+        re, im, weight = wh.cosine[i], wh.sine[i], wh.nominal[i] * pr.logs[i]
+        x, y = re, im
+        for k in range(wh.orders):
+            pr.evens[k] += weight * x
+            pr.odds[k] += weight * y
+            x, y = x * re - y * im, x * im + y * re
+    scale = 2.0 / wh.whole
+    for k in range(wh.orders):
+        pr.evens[k] *= scale
+        pr.odds[k] *= scale
+    for i in range(wh.pulses):
+        re, im = wh.cosine[i], wh.sine[i]
+        x, y, ripple = re, im, 0.0
+        for k in range(wh.orders):
+            ripple += pr.evens[k] * x + pr.odds[k] * y
+            x, y = x * re - y * im, x * im + y * re
+        pr.ripple[i] = ripple
+    even, odd = pr.evens[0], pr.odds[0]
+    pr.even, pr.odd = pr.even + even, pr.odd + odd
+    pr.first = (even * even + odd * odd) ** 0.5
 
 
 @kernel

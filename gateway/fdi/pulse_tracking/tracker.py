@@ -31,7 +31,9 @@ class Tracker(Record):
     ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance``
     of an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2];
     ``residual`` of the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of
-    a pulse lately [nat]; ``open`` pulses since there was one hypothesis only.
+    a pulse lately [nat]; ``open`` pulses since there was one hypothesis only; ``steady`` regular pulses over
+    one pitch in a row, from which on the gains ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of
+    the steady state.
     """
 
     bank: i4
@@ -46,6 +48,12 @@ class Tracker(Record):
     open: i8
     pitches: Annotated[f8s, MOST_TEETH]
     slack: Annotated[f8s, MOST_TEETH]
+    steady: i4
+    k1: f8
+    k2: f8
+    k3: f8
+    spread: f8
+    gate: f8
 
 
 @kernel
@@ -127,12 +135,14 @@ def begin(tr: Tracker, index: int, period: float, growth: float, variance: float
     h.clutter = 0
     h.associated = 1
     h.outlier = 0
+    tr.steady = 0
 
 
 @kernel
 def jump(tr: Tracker, pulses: int, number: int) -> None:
     """Pass over pulses that the sensor gave but nobody told us the times of."""
     first = tr.bank * MOST
+    tr.steady = 0
     for k in range(tr.count):
         h = tr.banks[first + k]
         span = 0.0
