@@ -8,7 +8,7 @@ while the speed changes.
 from __future__ import annotations
 
 from gateway.fdi.pulse_tracking import profile
-from gateway.fdi.pulse_tracking.acquisition import restart, seek
+from gateway.fdi.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway.fdi.pulse_tracking.branching import MOST_MISSED
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, short, take
 from gateway.fdi.pulse_tracking.tracker import (
@@ -187,6 +187,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, c.pulses, index, WINDOW) else 0
 
 
 @kernel
@@ -227,5 +228,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
         transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
-    if s.phase == TENTATIVE and s.since >= c.pulses and s.hole == 0 and agreed(tr):
+    # Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
+    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.phase == TENTATIVE and s.since >= proof and s.hole == 0 and agreed(tr):
         confirm(s, out)

@@ -119,6 +119,29 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
 
 
 @kernel
+def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
+    """Tell whether the largest gap is among the last intervals, and stands out from its neighbours as it should.
+
+    A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that was
+    found without having seen the gap is a guess.
+
+    Args:
+        an: record of State.
+        c: record of Const.
+        pulses: of one turn.
+        index: of the latest tooth; the gap ended so many pulses ago.
+        window: intervals that the place was found by.
+    """
+    if index > window - 2:
+        return False
+    at = an.at - 1 - index
+    before, here = an.intervals[(at - 1) % pulses], an.intervals[at % pulses]
+    behind = an.intervals[(at + 1) % pulses] if index > 0 else before
+    squared, expected = here * here, c.ratio * before * behind
+    return bool(c.ratio > 0.0 and expected > 0.0 and expected / RIGHT <= squared <= RIGHT * expected)
+
+
+@kernel
 def _squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
     """Return S of a shift; the contrasts are in ``logs``, that of the interval k pulses ago at k, NaN: not known."""
     total = 0.0

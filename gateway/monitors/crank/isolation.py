@@ -81,15 +81,21 @@ def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int)
 
 
 @kernel
+def _beside_gap(c: Const, tooth: int) -> bool:
+    """Tell whether a tooth is next to a gap."""
+    return bool(c.wheel.gap[tooth] == 1 or c.wheel.gap[tooth - 1 if tooth > 0 else c.pulses - 1] == 1)
+
+
+@kernel
 def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
     """Tell whether a fault found at a place that is not proven speaks against the place.
 
     One fault does not: it is held until the place is proven. Nor does the same one a turn later at the same tooth: that
-    is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong place. Two
-    different ones do, unless frames were lost in between, and pulses with them.
+    is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong place; but beside
+    the gap it is a wrong edge, or a wrong wheel. Two different ones do, unless frames were lost in between, and pulses with them.
     """
     turn = c.pulses - net
-    again = s.suspects > 0 and tooth == s.suspect and net == s.suspect_net and abs(s.since - turn) <= 3
+    again = s.suspects > 0 and not _beside_gap(c, tooth) and tooth == s.suspect and net == s.suspect_net and abs(s.since - turn) <= 3
     s.suspects = 1 if again else s.suspects + 1
     s.suspect = tooth
     s.suspect_net = net
@@ -110,6 +116,11 @@ def decide(s: State, c: Const, out: Reports) -> None:
         search(s, c)
         return
     s.since = 0
+    if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and _beside_gap(c, tooth):
+        # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
+        s.suspects = 0
+        s.sure = 1
+        return
     s.corrections += missed - added
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += missed
@@ -300,6 +311,8 @@ def _witness(s: State, out: Reports) -> None:
     """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
     h = best(s.tracker)
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
+    if told:
+        s.sure = 1
     if s.phase == TENTATIVE and told and (s.hole == 1 or s.recurring == 1):
         confirm(s, out)
 

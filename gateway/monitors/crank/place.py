@@ -54,7 +54,8 @@ class State(Record):
 
     ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
     synchronisation was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
-    ``suspect_net`` the pulses missed less those added; ``hole`` frames were lost, and the gap was not seen since;
+    ``suspect_net`` the pulses missed less those added,
+    ``sure`` whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
     ``unseen`` pulses that no frame brought and ``blind`` turns without a proven place, lately;
     ``silent`` teeth that may still tell whether a silence was one of the sensor, ``silent_us`` the period before it.
     """
@@ -71,6 +72,7 @@ class State(Record):
     suspect: i4
     suspect_net: i4
     recurring: u1
+    sure: u1
     held_fault: i4
     held: Shape
     residuals: Annotated[f8s, RESIDUALS]

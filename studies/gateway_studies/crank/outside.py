@@ -101,7 +101,7 @@ def _speed(rpm: float) -> Callable[[Wheel, np.random.Generator, int], Train]:
 def _start_and_stop(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
     """Cranked to 250 rpm over a compression, catches, idles, and runs out to 60 rpm."""
     speed = [(0.0, 20.0), (0.3, 250.0), (1.5, 250.0), (2.0, 900.0), (4.0, 850.0), (5.0, 60.0)]
-    ripple = [(2.0, 0.12, rng.uniform(0, 2 * np.pi))]
+    ripple = [(2.0, 0.06, rng.uniform(0, 2 * np.pi))]
     times = tooth_times(wheel, speed, 5.0, ripple=ripple, jitter=JITTER, tooth_error=TOOTH_ERROR, rng=rng) / 1e3
     return times, np.arange(len(times)) % wheel.pulses, 0
 
