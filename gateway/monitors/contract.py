@@ -341,8 +341,8 @@ class Parts:
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Calibration | CusumCalibration | Parts | Readout | Warnings
-C = TypeVar("C", Calibration, CusumCalibration, Parts, Readout, Warnings)
+Capability = Calibration | CusumCalibration | Facts | Parts | Readout | Warnings
+C = TypeVar("C", Calibration, CusumCalibration, Facts, Parts, Readout, Warnings)
 
 
 @dataclass(frozen=True, kw_only=True)

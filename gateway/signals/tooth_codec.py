@@ -1,10 +1,11 @@
 """Times between tooth pulses as 12-bit codes (CTW_PT4) and 16-bit codes (CTW_FD27).
 
-A 12-bit code is a 2-bit range ``r`` above a 10-bit mantissa: ``mantissa << 2 r`` microseconds, up to
-65.4 ms, at most 0.4 % coarse. An interval that a lower range holds is coded in that, so that mantissas below 256 of the
-highest range are free: they carry the long ones, a 3-bit exponent ``x`` above a 5-bit mantissa ``m``, ``(32 + m) << (11 + x)``
-microseconds, 65.5 ms to 16.5 s, at most 3.2 % coarse: an engine that cranks slowly shows no other in its gap. The encoder codes the difference to the time already decoded, so that
-rounding errors do not add up; behind a long code it begins anew.
+A 12-bit code is a 2-bit range ``r`` above a 10-bit mantissa: ``mantissa << 2 r`` microseconds, up to 65.4 ms, at most
+0.4 % coarse. An interval that a lower range holds is coded in that, so that mantissas below 256 of the highest range
+are free: they carry the long ones, a 3-bit exponent ``x`` above a 5-bit mantissa ``m``, ``(32 + m) << (11 + x)``
+microseconds, 65.5 ms to 16.5 s, at most 3.2 % coarse: an engine that cranks slowly shows no other in its gap. The
+encoder codes the difference to the time already decoded, so that rounding errors do not add up; behind a long code it
+begins anew.
 """
 
 from __future__ import annotations

@@ -157,9 +157,7 @@ def _outlier_cost(h: Hypothesis, p: Prediction) -> float:
 
 
 @kernel
-def _associate(
-    tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, pulses: int, cause: int, cost: float
-) -> None:
+def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, pulses: int, cause: int, cost: float) -> None:
     """Make a spare hypothesis that takes the pulse for a tooth, its residual for a cause.
 
     Args:

@@ -31,8 +31,8 @@ SMALL = 0.1
 def short(tr: Tracker, pulses: int, y: float) -> bool:
     """Take a regular pulse the short way: one prediction, one gate, gains of the steady state; False: not taken.
 
-    With one hypothesis, over equal pitches, the covariance of the filter has come to its limit: neither it nor the gains
-    have to be computed. With z = r S the motion is a series, so that but one division is left::
+    With one hypothesis, over equal pitches, the covariance of the filter has come to its limit: neither it nor the
+    gains have to be computed. With z = r S the motion is a series, so that but one division is left::
 
         q = 1 + z/2 - z^2/8 + z^3/16,   dt = T S (1 - z/4 + z^2/8 - 5 z^3/64),   1/q = 1 - z/2 + 3 z^2/8 - 5 z^3/16
 

@@ -8,15 +8,15 @@ Most of it is torsional ripple, the torque's part of the kinetic energy, whose s
 speed; teeth that are a few per cent out are learned again soon. A gap's error is its own at any speed:
 there only the low orders fall.
 
-What is learned is bounded: what is left of ln(pitch / nominal) without its low orders is the tooth's own, and no more of
-it than :data:`MOST_OFF` of a pitch (at a gap :data:`MOST_GAP_OFF`) is believed. The angle by which a tooth is off is the
-sum of the pitches' errors before it, the mean taken off.
+What is learned is bounded: what is left of ln(pitch / nominal) without its low orders is the tooth's own, and no more
+of it than :data:`MOST_OFF` of a pitch (at a gap :data:`MOST_GAP_OFF`) is believed. The angle by which a tooth is off
+is the sum of the pitches' errors before it, the mean taken off.
 
 A four-stroke's half orders (0.5, 1.5, ...: one or three cylinders, V-twins, a misfire) change sign from turn to turn.
-What is learned is therefore the mean of two turns, in which they cancel; the motion has to follow them, and how
-large they are is what a turn has beyond the profile. From the rms of the smoothed rest, a speed ripple of amplitude A at order n on a wheel of S
-pitches changes the growth of the squared speed, r = 2 A (2 pi n / S) cos, by up to 2 A (2 pi n / S)^2 a pitch: the
-process noise that the tracker needs.
+What is learned is therefore the mean of two turns, in which they cancel; the motion has to follow them, and how large
+they are is what a turn has beyond the profile. From the rms of the smoothed rest, a speed ripple of amplitude A at
+order n on a wheel of S pitches changes the growth of the squared speed, r = 2 A (2 pi n / S) cos, by up to 2 A (2 pi
+n / S)^2 a pitch: the process noise that the tracker needs.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ class LearnedWheel(Record):
 class Profile(Record):
     """Profile.
 
-    ``intervals`` of this revolution [us], ``before`` ln(pitch / nominal) of the last one if it is ``paired``, ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
-    ``clean`` this revolution so far, ``turns`` pairs learned from, ``period`` [us] at which it was learned ``first``
-    amplitude of the first order, ``even`` and ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple that
-    the last turn had and the profile did not expect, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches
-    hold, as they are.
+    ``intervals`` of this revolution [us], ``before`` ln(pitch / nominal) of the last one if it is ``paired``,
+    ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders, ``clean`` this revolution so far, ``turns``
+    pairs learned from, ``period`` [us] at which it was learned ``first`` amplitude of the first order, ``even`` and
+    ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple that the last turn had and the profile did
+    not expect, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
     """
 
     intervals: Annotated[f8s, MOST_TEETH]
@@ -287,8 +287,8 @@ def follow(pr: Profile, wh: LearnedWheel, period: float, pitches: f8s) -> None:
 def _bend(pr: Profile, wh: LearnedWheel, tooth: int) -> float:
     """Return how much later a tooth is than the middle of its neighbours says [pitch].
 
-    A tooth late by d makes the pitch before it d longer and the one behind it d shorter: half the difference of the two.
-    What their ripple has is taken off. Zero beside a gap, whose own error would count.
+    A tooth late by d makes the pitch before it d longer and the one behind it d shorter: half the difference of the
+    two. What their ripple has is taken off. Zero beside a gap, whose own error would count.
     """
     before = tooth - 1 if tooth > 0 else wh.pulses - 1
     if wh.gap[before] == 1 or wh.gap[tooth] == 1:
@@ -300,7 +300,7 @@ def _bend(pr: Profile, wh: LearnedWheel, tooth: int) -> float:
 
 @kernel
 def bent(pr: Profile, wh: LearnedWheel) -> tuple[int, float, float]:
-    """Return the tooth that is off most, by how much [pitch], and the scatter of the other teeth (standard deviation)."""
+    """Return the tooth that is off most, by how much [pitch], and the standard deviation of the other teeth."""
     place, most, total = 0, 0.0, 0.0
     for i in range(wh.pulses):
         off = _bend(pr, wh, i)

@@ -28,12 +28,11 @@ LEAST_VARIANCE, MOST_VARIANCE = 0.008**2, 0.3**2
 class Tracker(Record):
     """Tracker.
 
-    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance``
-    of an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2];
-    ``residual`` of the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of
-    a pulse lately [nat]; ``open`` pulses since there was one hypothesis only; ``steady`` regular pulses over
-    one pitch in a row, from which on the gains ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of
-    the steady state.
+    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance`` of
+    an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2]; ``residual`` of
+    the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of a pulse lately [nat]; ``open`` pulses
+    since there was one hypothesis only; ``steady`` regular pulses over one pitch in a row, from which on the gains
+    ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of the steady state.
     """
 
     bank: i4

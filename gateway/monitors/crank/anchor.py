@@ -1,16 +1,16 @@
-"""The gap as an anchor: each turn the raw intervals are asked where on the wheel they are, whatever was believed before.
+"""The gap as an anchor: each turn the raw intervals are asked where on the wheel they are.
 
-The tracker takes a gap for one residual more, so that an index which is wrong could outlive any number of gaps. Here the
-logarithms of the last turn's intervals are compared with the wheel's at every shift. Speed and acceleration are taken
-off by the contrast of an interval with its neighbours, which a straight line does not enter::
+The tracker takes a gap for one residual more, so that an index which is wrong could outlive any number of gaps. Here
+the logarithms of the last turn's intervals are compared with the wheel's at every shift. Speed and acceleration are
+taken off by the contrast of an interval with its neighbours, which a straight line does not enter::
 
     c_k = ln y_k - (ln y_{k-1} + ln y_{k+1}) / 2,        p_i = ln a_i - (ln a_{i-1} + ln a_{i+1}) / 2
     S(d) = sum over k of min((c_k - p_{i(k) + d})^2, MOST),    i(k) the slot that interval k is believed to be
 
-``a`` the nominal pitches (what was learned may be what is wrong). With noise of variance v the log likelihood of shift d
-against the present one is ``(S(0) - S(d)) / 2 v``. A shift that is likelier than the present place by :data:`ODDS`, and
-than any third one by :data:`UNIQUE`, wins; two wins in a row of the same shift, a turn apart, relocate. One
-disturbance is in one window only, because the windows do not overlap.
+``a`` the nominal pitches (what was learned may be what is wrong). With noise of variance v the log likelihood of
+shift d against the present one is ``(S(0) - S(d)) / 2 v``. A shift that is likelier than the present place by
+:data:`ODDS`, and than any third one by :data:`UNIQUE`, wins; two wins in a row of the same shift, a turn apart,
+relocate. One disturbance is in one window only, because the windows do not overlap.
 
 The whole test takes all pulses times all shifts, so it is spared while the gap comes where it is expected: there
 ``y_1^2 / (y y_2)`` is the wheel's own ratio and no other place is likelier.
@@ -42,7 +42,7 @@ UNDECIDED, HERE = -1, 0
 
 
 class Const(Record):
-    """What is known of the wheel: contrasts of its slots, and the squared ratio of the largest gap (0: not distinct)."""
+    """Contrasts of the wheel's slots, and the squared ratio of the largest gap (0: not distinct)."""
 
     ratio: f8
     contrast: Annotated[f8s, MOST_TEETH]
@@ -122,8 +122,8 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
 def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
     """Tell whether the largest gap is among the last intervals, and stands out from its neighbours as it should.
 
-    A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that was
-    found without having seen the gap is a guess.
+    A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that
+    was found without having seen the gap is a guess.
 
     Args:
         an: record of State.

@@ -116,7 +116,7 @@ class Unwatched(Record):
     """Evidence of too many lost frames."""
 
     share: f8 = means("share of pulses that no frame brought")
-    turns: f8 = means("turns without a proven place")
+    teeth: f8
 
 
 class Evidence(Record, overlay=True):

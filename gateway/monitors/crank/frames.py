@@ -4,8 +4,8 @@ A frame that is lost on the bus is known by its counter: its pulses were there, 
 number of pulses of a lost frame is known only when it was full; CTW_BASE puts it right. CTW_FD27 tells its first
 pulse's number.
 
-An interval longer than ``stall_ms`` spans a standstill and tells nothing of the wheel; a shorter one is a tooth's, however
-long: what it means is for the method to say, by the speed before it.
+An interval longer than ``stall_ms`` spans a standstill and tells nothing of the wheel; a shorter one is a tooth's,
+however long: what it means is for the method to say, by the speed before it.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ SILENT, SAME = 3, 1.5
 RUNOUT_RPM = 800.0
 #: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
 #: other teeth, but at the most by this.
-BENT, BENT_SIGMAS, BENT_MOST = 0.17, 4.5, 0.3
+BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -90,12 +90,19 @@ def _beside_gap(c: Const, tooth: int) -> bool:
 def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
     """Tell whether a fault found at a place that is not proven speaks against the place.
 
-    One fault does not: it is held until the place is proven. Nor does the same one a turn later at the same tooth: that
-    is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong place; but beside
-    the gap it is a wrong edge, or a wrong wheel. Two different ones do, unless frames were lost in between, and pulses with them.
+    One fault does not: it is held until the place is proven. Nor does the same one a turn later at the same tooth:
+    that is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong
+    place; but beside the gap it is a wrong edge, or a wrong wheel. Two different ones do, unless frames were lost in
+    between, and pulses with them.
     """
     turn = c.pulses - net
-    again = s.suspects > 0 and not _beside_gap(c, tooth) and tooth == s.suspect and net == s.suspect_net and abs(s.since - turn) <= 3
+    again = (
+        s.suspects > 0
+        and not _beside_gap(c, tooth)
+        and tooth == s.suspect
+        and net == s.suspect_net
+        and abs(s.since - turn) <= 3
+    )
     s.suspects = 1 if again else s.suspects + 1
     s.suspect = tooth
     s.suspect_net = net
@@ -206,7 +213,6 @@ def confirm(s: State, out: Reports) -> None:
     s.widest = 0.0
     s.suspects = 0
     s.hole = 0
-    s.blind = 0
     if s.held_fault >= 0:
         e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
         e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
@@ -324,7 +330,7 @@ def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
     share = s.unseen / UNSEEN_PULSES
     if share > MOST_UNSEEN:
         e = report(out, UNWATCHED, True, share, MOST_UNSEEN).unwatched
-        e.share, e.turns = share, s.blind
+        e.share, e.teeth = share, s.teeth
 
 
 @kernel

@@ -24,8 +24,8 @@ RIPPLE, GAP_ERROR = 0.05, 0.1
 #: Ripple that has to be followed while it is not learned: amplitude, at the speed [rpm] up to which it is so large (it
 #: falls with the square of the speed, down to RIPPLE), and order per revolution.
 UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
-#: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it comes
-#: to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
+#: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
+#: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
 
 
@@ -52,12 +52,12 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
-    synchronisation was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
-    ``suspect_net`` the pulses missed less those added,
-    ``sure`` whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
-    ``unseen`` pulses that no frame brought and ``blind`` turns without a proven place, lately;
-    ``silent`` teeth that may still tell whether a silence was one of the sensor, ``silent_us`` the period before it.
+    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since synchronisation
+    was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
+    ``suspect_net`` the pulses missed less those added, ``sure`` whether the gap was seen where the place was found;
+    ``hole`` frames were lost, and the gap was not seen since; ``unseen`` pulses that no frame
+    brought, lately; ``silent`` teeth that may still tell whether a silence was one of the
+    sensor, ``silent_us`` the period before it.
     """
 
     phase: i4
@@ -88,7 +88,6 @@ class State(Record):
     silent_us: f8
     hole: i4
     unseen: f8
-    blind: i4
     decided: i8
     burst_missed: i4
     burst_added: i4

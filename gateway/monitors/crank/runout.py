@@ -1,8 +1,8 @@
 """Runout of the wheel, told from the engine's torque by how they change with speed.
 
-The first order of ln(pitch) is the sum of two vectors, one of the wheel's geometry, the same at any speed, and one of the
-torque (one or two cylinders, a misfire), whose kinetic energy is a share of the engine's that falls with the square of
-the speed: with x = (T / T0)^2, T the time of a pitch::
+The first order of ln(pitch) is the sum of two vectors, one of the wheel's geometry, the same at any speed, and one of
+the torque (one or two cylinders, a misfire), whose kinetic energy is a share of the engine's that falls with the
+square of the speed: with x = (T / T0)^2, T the time of a pitch::
 
     u(x) = g + h x,       g = (mean(x^2) mean(u) - mean(x) mean(x u)) / var(x)
 

@@ -70,7 +70,9 @@ def _alarm_table(rows: list[Alarms]) -> Table:
 
 def _outside_table(rows: list[beyond.Outcome]) -> Table:
     """Return the cases outside the regular sweep: runs with a report, and with a wrong tooth that was proven."""
-    table = Table(title="Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven")
+    table = Table(
+        title="Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
+    )
     for name in ("group", "case", "runs", *beyond.METHODS, "adaptive reported"):
         table.add_column(name, justify="right" if name == "runs" else "left")
     sums = list(beyond.summed(rows))

@@ -1,7 +1,8 @@
 """Healthy engines and sensors outside the regular sweep, and dropouts: the methods side by side.
 
-A run is a train of its own seed. Counted are the runs with a report (of the peers: a loss of synchronisation), and those with
-a wrong tooth while synchronisation was proven; in dropouts wrong counts from two turns behind the dropout on.
+A run is a train of its own seed. Counted are the runs with a report (of the peers: a loss of synchronisation), and
+those with a wrong tooth while synchronisation was proven; in dropouts wrong counts from two turns behind the dropout
+on.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ def _off(tooth_error: float, runout: float) -> Callable[[Wheel, np.random.Genera
         # Off centre: the angle of a tooth by the sine of the turn's, at constant speed its time as well.
         turn = 60e6 / 1500.0
         phase = rng.uniform(0, 2 * np.pi)
-        return times + runout / (2 * np.pi) * turn * np.sin(2 * np.pi * times / turn + phase), teeth, first
+        moved = times + runout / (2 * np.pi) * turn * np.sin(2 * np.pi * times / turn + phase)
+        return np.asarray(moved, np.float64), teeth, first
 
     return make
 
@@ -122,8 +124,8 @@ def _kick_back(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
     speed = [(0.0, 300.0), (3.0, 300.0), (rest, 0.0)]
     times = tooth_times(wheel, speed, 30.0, jitter=JITTER, rng=rng) / 1e3
     back = 2e6 * rest - times[::-1]
-    times = np.concatenate([times, back[back > times[-1] + 5e4][: wheel.pulses]])
-    return times, np.arange(len(times)) % wheel.pulses, len(times)
+    both = np.concatenate([times, back[back > times[-1] + 5e4][: wheel.pulses]]).astype(np.float64)
+    return both, np.arange(len(both)) % wheel.pulses, len(both)
 
 
 @cache
@@ -186,7 +188,7 @@ def outside(runs: int, seed: int, progress: Progress = lambda: None) -> list[Out
         progress: called at the end of each job.
     """
     for method in METHODS:
-        _follower(method, WHEELS[0])(np.arange(100) * 1e3)
+        _follower(method, WHEELS[0])(np.arange(100.0) * 1e3)
     return run(_outcomes, jobs(runs, seed), progress)
 
 

@@ -1,18 +1,18 @@
 """How open engine controllers find the gap: peers, written anew from what their sources do.
 
-These are the synchronisation logic only; the firmware around it (cam, plausible speeds, ignition off while unsynchronised)
-catches some of the cases.
+These are the synchronisation logic only; the firmware around it (cam, plausible speeds, ignition off while
+unsynchronised) catches some of the cases.
 
-* **Ratio logic** (FOME, ``trigger_decoder.cpp``; rusEFI's is of the same origin): a pulse is the synchronisation point when
-  the last interval is 0.75 to 1.25 times the gap of the one before, and that 0.75 to 1.25 times the one before it. A wrong
-  count at the point, or the wheel's number of pulses without one, drops synchronisation; whatever was counted, the next
-  point restores it.
-* **Threshold logic** (Speeduino, ``decoders.cpp``, missing tooth): pulses sooner than half the last regular interval are not
-  seen (filter 50 %; none directly behind the gap). The gap is an interval longer than 1.5 (one tooth missing) or ``m``
-  times the last one, or comes when more pulses were counted than the wheel has; from 2000 rpm on it is looked for in the
-  last quarter of the wheel only. One pulse too few is tolerated. With fewer, synchronisation is dropped, but the time of that
-  pulse is not noted: the next interval is measured from before it, is a gap again, and its pulse is taken for the first
-  tooth. Behind the gap the gap itself is the last interval.
+* **Ratio logic** (FOME, ``trigger_decoder.cpp``; rusEFI's is of the same origin): a pulse is the synchronisation
+  point when the last interval is 0.75 to 1.25 times the gap of the one before, and that 0.75 to 1.25 times the one
+  before it. A wrong count at the point, or the wheel's number of pulses without one, drops synchronisation; whatever
+  was counted, the next point restores it.
+* **Threshold logic** (Speeduino, ``decoders.cpp``, missing tooth): pulses sooner than half the last regular interval
+  are not seen (filter 50 %; none directly behind the gap). The gap is an interval longer than 1.5 (one tooth missing)
+  or ``m`` times the last one, or comes when more pulses were counted than the wheel has; from 2000 rpm on it is
+  looked for in the last quarter of the wheel only. One pulse too few is tolerated. With fewer, synchronisation is
+  dropped, but the time of that pulse is not noted: the next interval is measured from before it, is a gap again, and
+  its pulse is taken for the first tooth. Behind the gap the gap itself is the last interval.
 """
 
 from __future__ import annotations

@@ -156,7 +156,8 @@ def test_no_message_is_sent_unless_asked():
 def test_bus_loss_at_6000_rpm(form, share):
     """116,000 teeth with ripple and jitter: no report, wrong labels at most 0.03 % of those proven.
 
-    Behind a hole the place is proven again by the next gap that no hole touches: seldom with a fifth of the small frames lost.
+    Behind a hole the place is proven again by the next gap that no hole touches: seldom with a fifth of the small
+    frames lost.
     """
     w = Wheel.parse("60-2")
     rng = np.random.default_rng(17)

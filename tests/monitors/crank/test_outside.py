@@ -1,7 +1,8 @@
 """Engines and defects outside the regular sweep: what is reported, and that no wrong index lasts.
 
 The trains are made here. The captures of other origin that they are like lie beside the project where they are
-(``../shared/data/crank/outside``, or the folder that GATEWAY_CRANK_CAPTURES names); elsewhere those tests are passed over.
+(``../shared/data/crank/outside``, or the folder that GATEWAY_CRANK_CAPTURES names); elsewhere those tests are passed
+over.
 """
 
 import json
@@ -33,9 +34,7 @@ def train(wheel="60-2", rpm=1000.0, turns=40, seed=1, ripple=(), jitter=0.01, to
     """Pulse times [us] of a healthy engine at constant mean speed, and the tooth of each."""
     w = Wheel.parse(wheel)
     rng = np.random.default_rng(seed)
-    times = tooth_times(
-        w, [(0, rpm)], turns * 60 / rpm, ripple=ripple, jitter=jitter, tooth_error=tooth_error, rng=rng
-    )
+    times = tooth_times(w, [(0, rpm)], turns * 60 / rpm, ripple=ripple, jitter=jitter, tooth_error=tooth_error, rng=rng)
     return times / 1e3, np.arange(len(times)) % w.pulses
 
 
