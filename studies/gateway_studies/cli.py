@@ -34,6 +34,9 @@ evaluate = typer.Typer(
 def crank(
     seeds: Annotated[int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")] = 20,
     pulses: Annotated[int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")] = 200_000,
+    outside: Annotated[
+        int, typer.Option(min=0, help="Runs of each engine, defect and wheel outside the regular sweep; 0: none.")
+    ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
     plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")] = None,
@@ -44,7 +47,7 @@ def crank(
     """
     from gateway_studies.crank.command import crank as work
 
-    raise typer.Exit(work(runs=seeds, pulses=pulses, seed=seed, json=json, plot=plot))
+    raise typer.Exit(work(runs=seeds, pulses=pulses, outside=outside, seed=seed, json=json, plot=plot))
 
 
 @evaluate.command("pedal")

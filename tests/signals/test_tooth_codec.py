@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.signals.tooth_codec import (
+    LONGEST_LONG_US,
     LONGEST_US,
     OVERFLOW_CODE,
     PADDING_CODE,
@@ -29,7 +30,21 @@ def test_a_code_is_near_its_interval(interval):
 
 
 def test_too_long_an_interval_is_said_to_be_so():
-    assert code_of(LONGEST_US + 64.0) == OVERFLOW_CODE
+    assert code_of(LONGEST_LONG_US * 1.02) == OVERFLOW_CODE
+
+
+@given(st.floats(LONGEST_US + 64, LONGEST_LONG_US))
+def test_a_long_interval_has_a_long_code(interval):
+    code = code_of(interval)
+    assert 0xC00 <= code < 0xD00
+    assert abs(period_us(code) - interval) <= 0.016 * interval
+
+
+def test_an_ordinary_interval_behind_a_long_one_keeps_its_value():
+    """What the long code is off is not taken from it."""
+    codes = np.zeros(3, np.int64)
+    encode_intervals(np.cumsum([0.0, 1250.0, 453_750.0, 1250.0]), codes)
+    assert [period_us(int(code)) for code in codes[::2]] == [1248.0, 1248.0]
 
 
 @given(st.lists(st.floats(20, 60000), min_size=1, max_size=200))

@@ -157,7 +157,7 @@ def _outlier_cost(h: Hypothesis, p: Prediction) -> float:
 
 
 @kernel
-def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, cause: int, cost: float) -> None:
+def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, pulses: int, cause: int, cost: float) -> None:
     """Make a spare hypothesis that takes the pulse for a tooth, its residual for a cause.
 
     Args:
@@ -165,6 +165,7 @@ def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, cause:
         h: the hypothesis before the pulse.
         parent: of it.
         p: the tooth.
+        pulses: of one turn.
         cause: NOISE, JOLT, OUTLIER or SLIP.
         cost: of that [nat].
     """
@@ -172,7 +173,10 @@ def _associate(tr: Tracker, h: Hypothesis, parent: Parent, p: Prediction, cause:
     copy(child, h)
     child.cost += cost
     child.index = p.tooth
-    child.missed += p.missed
+    if p.missed > 0:
+        if h.missed <= 0:
+            child.missed_at = h.index + 1 if h.index + 1 < pulses else 0
+        child.missed += p.missed
     child.clutter = 0
     child.associated = 1
     child.outlier = 1 if cause in (OUTLIER, SLIP) else 0
@@ -194,6 +198,8 @@ def _hold_for_clutter(tr: Tracker, h: Hypothesis, cost: float) -> None:
     child = tr.spare[0]
     copy(child, h)
     child.cost += cost
+    if h.added <= 0:
+        child.added_at = h.index
     child.added += 1
     child.clutter += 1
     child.associated = 0
@@ -231,7 +237,7 @@ def branch(tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple:
             cost = costs[cause]
             if cost > least + BRANCH or noise < cost:
                 continue
-            _associate(tr, h, parent, p, cause, cost)
+            _associate(tr, h, parent, p, pulses, cause, cost)
             made = merge(tr, made)
         if p.e < -0.5 * tr.pitches[slot] and _missed_cost(missed) > least:
             break

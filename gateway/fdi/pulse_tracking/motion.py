@@ -28,8 +28,9 @@ class Hypothesis(Record):
 
     One hypothesis about which pulse was which tooth.  ``elapsed`` since its last tooth (filtered) [us];
     ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance; ``cost`` minus log likelihood above the best;
-    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed; ``clutter`` pulses held
-    for spurious since its last tooth; ``associated`` the latest pulse is its last tooth; ``outlier`` it took that for
+    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed, ``missed_at`` the first tooth
+    missed and ``added_at`` the tooth before the first pulse added; ``clutter`` pulses held for spurious since its last
+    tooth; ``associated`` the latest pulse is its last tooth; ``outlier`` it took that for
     an edge far off.
     """
 
@@ -46,6 +47,8 @@ class Hypothesis(Record):
     index: i4
     missed: i4
     added: i4
+    missed_at: i4
+    added_at: i4
     clutter: i4
     associated: u1
     outlier: u1
@@ -67,6 +70,8 @@ def copy(a: Hypothesis, b: Hypothesis) -> None:
     a.index = b.index
     a.missed = b.missed
     a.added = b.added
+    a.missed_at = b.missed_at
+    a.added_at = b.added_at
     a.clutter = b.clutter
     a.associated = b.associated
     a.outlier = b.outlier
@@ -134,7 +139,7 @@ def correct(
     jolt: float,
     scale: float,
     q3: float,
-) -> None:
+) -> tuple[float, float, float]:
     """Take a pulse as the tooth ``span`` pitches on, with residual ``e``.
 
     Args:
@@ -147,6 +152,9 @@ def correct(
         jolt: variance added to the growth before (units of the edge's).
         scale: 1 / variance of an edge [1/pitch^2].
         q3: process noise of the growth per pitch.
+
+    Returns:
+        the gains.
     """
     period = h.period / q
     p22, p33 = h.p22 + step, h.p33 + jolt
@@ -172,3 +180,4 @@ def correct(
     h.period = period * (1.0 + change + 0.5 * change * change)
     growth = h.growth / (q * q) * max(1.0 - span / LASTS, 0.5) + k3 * e
     h.growth = min(max(growth, -MOST_GROWTH), MOST_GROWTH)
+    return k1, k2, k3

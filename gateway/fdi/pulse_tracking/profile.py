@@ -7,6 +7,16 @@ revolution would take part of the ripple for a trend, and the loop would feed on
 Most of it is torsional ripple, the torque's part of the kinetic energy, whose share falls with the square of the
 speed; teeth that are a few per cent out are learned again soon. A gap's error is its own at any speed:
 there only the low orders fall.
+
+What is learned is bounded: what is left of ln(pitch / nominal) without its low orders is the tooth's own, and no more
+of it than :data:`MOST_OFF` of a pitch (at a gap :data:`MOST_GAP_OFF`) is believed. The angle by which a tooth is off
+is the sum of the pitches' errors before it, the mean taken off.
+
+A four-stroke's half orders (0.5, 1.5, ...: one or three cylinders, V-twins, a misfire) change sign from turn to turn.
+What is learned is therefore the mean of two turns, in which they cancel; the motion has to follow them, and how large
+they are is what a turn has beyond the profile. From the rms of the smoothed rest, a speed ripple of amplitude A at
+order n on a wheel of S pitches changes the growth of the squared speed, r = 2 A (2 pi n / S) cos, by up to 2 A (2 pi
+n / S)^2 a pitch: the process noise that the tracker needs.
 """
 
 from __future__ import annotations
@@ -19,12 +29,20 @@ from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
 
 #: Share of a new revolution in the profile, once it is old.
 SHARE = 0.15
+#: Pairs of turns after which the profile is old; from then on so many turns are passed over between two pairs.
+SETTLED, REST = 12, 6
 #: A revolution whose squared speed changed by more than this share teaches nothing.
 MOST_TREND = 0.25
 #: Nor does one whose trend is not that of the revolution before, by so much: the torque changed inside.
 MOST_CHANGE = 0.05
-#: Orders of the revolution that count as ripple: from the second on; the first is the wheel's runout.
+#: Orders of the revolution that count as ripple. The first may be the wheel's runout as well; it is as smooth.
 MOST_ORDERS = 6
+#: Most that a tooth's pitch, and a gap's, can be learned to be off by itself [pitch].
+MOST_OFF, MOST_GAP_OFF = 0.35, 0.4
+#: Neighbouring pitches over which the edges' jitter is averaged.
+SMOOTHED = 5
+#: Order per turn that ripple which is not learned is taken for.
+REST_ORDER = 2.5
 #: The ripple's share is computed anew when the speed has changed by so much.
 SPEED_STEP = 1.1
 
@@ -48,13 +66,15 @@ class LearnedWheel(Record):
 class Profile(Record):
     """Profile.
 
-    ``intervals`` of this revolution [us], ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders,
-    ``clean`` this revolution so far, ``turns`` learned from, ``period`` [us] at which it was learned ``first``
-    amplitude of the first order, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches
-    hold, as they are.
+    ``intervals`` of this revolution [us], ``before`` ln(pitch / nominal) of the last one if it is ``paired``,
+    ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders, ``clean`` this revolution so far, ``turns``
+    pairs learned from, ``period`` [us] at which it was learned ``first`` amplitude of the first order, ``even`` and
+    ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple that the last turn had and the profile did
+    not expect, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
     """
 
     intervals: Annotated[f8s, MOST_TEETH]
+    before: Annotated[f8s, MOST_TEETH]
     logs: Annotated[f8s, MOST_TEETH]
     ripple: Annotated[f8s, MOST_TEETH]
     turn_us: f8
@@ -64,9 +84,34 @@ class Profile(Record):
     slow: f8
     fast: f8
     first: f8
+    even: f8
+    odd: f8
+    rest: f8
+    evens: Annotated[f8s, MOST_ORDERS]
+    odds: Annotated[f8s, MOST_ORDERS]
     share: f8
     clean: u1
+    paired: u1
+    resting: i4
     turns: i8
+
+
+@kernel
+def forget(pr: Profile, wh: LearnedWheel, pitches: f8s) -> None:
+    """Forget what was learned: the pitches are the nominal ones again."""
+    pr.turns = 0
+    pr.clean = 0
+    pr.paired = 0
+    pr.resting = 0
+    pr.turn_us = 0.0
+    pr.last_us = 0.0
+    pr.trend = 0.0
+    pr.first = 0.0
+    pr.rest = 0.0
+    for i in range(wh.pulses):
+        pr.logs[i] = 0.0
+        pr.ripple[i] = 0.0
+        pitches[i] = wh.nominal[i]
 
 
 @kernel
@@ -89,10 +134,20 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
     if clean and pr.last_us > 0.0:
         ratio = pr.turn_us / pr.last_us
         trend = 1.0 - ratio * ratio
-        if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE:
-            _learn(pr, wh, trend / wh.whole)
-            apply(pr, wh, pr.turn_us / wh.whole, pitches)
+        pr.resting = pr.resting - 1 if pr.resting > 0 else 0
+        if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE and pr.resting == 0:
+            if _learn(pr, wh, trend / wh.whole):
+                apply(pr, wh, pr.turn_us / wh.whole, pitches)
+                if pr.turns >= SETTLED:
+                    pr.resting = REST
+                    pr.paired = 0
+            elif pr.turns > 0:
+                follow(pr, wh, pr.turn_us / wh.whole, pitches)
+        else:
+            pr.paired = 0
         pr.trend = trend
+    else:
+        pr.paired = 0
     pr.last_us = pr.turn_us if clean else 0.0
     pr.turn_us = 0.0
     pr.clean = 1
@@ -100,9 +155,14 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
 
 
 @kernel
-def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> None:
-    pr.turns += 1
-    share = max(SHARE, 1.0 / pr.turns)
+def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> bool:
+    """Learn from this turn and the one before; returns whether there was one.
+
+    Args:
+        pr: record of Profile.
+        wh: record of LearnedWheel.
+        growth: of the squared speed per pitch, over the turn.
+    """
     angle = -wh.whole / 2
     total = 0.0
     for i in range(wh.pulses):
@@ -112,37 +172,86 @@ def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> None:
         pr.intervals[i] = w
         total += a * w
     mean = total / wh.whole
+    paired = pr.paired == 1
+    pr.paired = 1
+    for i in range(wh.pulses):
+        w = pr.intervals[i] - mean
+        pr.intervals[i] = w
+        middle = 0.5 * (w + pr.before[i])
+        pr.before[i] = w
+        if paired:
+            pr.intervals[i] = middle
+    if not paired:
+        return False
+    pr.turns += 1
+    share = max(SHARE, 1.0 / pr.turns)
     period = pr.turn_us / wh.whole
     # What was learned at another speed is brought to this one first.
     fallen = min((period / pr.period) ** 2, 1.0) if pr.turns > 1 else 1.0
     pr.period = period
     for i in range(wh.pulses):
         pr.logs[i] += (fallen - 1.0) * (pr.ripple[i] if wh.gap[i] == 1 else pr.logs[i])
-        pr.logs[i] += share * (pr.intervals[i] - mean - pr.logs[i])
-        pr.ripple[i] = 0.0
-    for order in range(1, wh.orders + 1):
-        even, odd = 0.0, 0.0
-        for i in range(wh.pulses):
-            re, im = _power(wh.cosine[i], wh.sine[i], order)
-            even += wh.nominal[i] * re * pr.logs[i]
-            odd += wh.nominal[i] * im * pr.logs[i]
-        even *= 2.0 / wh.whole
-        odd *= 2.0 / wh.whole
-        if order == 1:
-            pr.first = (even * even + odd * odd) ** 0.5
-            continue
-        for i in range(wh.pulses):
-            re, im = _power(wh.cosine[i], wh.sine[i], order)
-            pr.ripple[i] += even * re + odd * im
+        pr.logs[i] += share * (pr.intervals[i] - pr.logs[i])
+        pr.intervals[i] = pr.before[i] - pr.logs[i]
+    _measure(pr, wh)
+    _harmonics(pr, wh)
+    for i in range(wh.pulses):
+        most = (MOST_GAP_OFF if wh.gap[i] == 1 else MOST_OFF) / wh.nominal[i]
+        own = pr.logs[i] - pr.ripple[i]
+        pr.logs[i] = pr.ripple[i] + min(max(own, -most), most)
+    return True
 
 
 @kernel
-def _power(re: float, im: float, order: int) -> tuple[float, float]:
-    """Return cosine and sine of a multiple of an angle."""
-    x, y = re, im
-    for _ in range(order - 1):
-        x, y = x * re - y * im, x * im + y * re
-    return x, y
+def _measure(pr: Profile, wh: LearnedWheel) -> None:
+    """Measure what this turn had beyond the profile: its first order, and the rms of what is smooth in it.
+
+    ``intervals`` hold what is beyond; a mean over :data:`SMOOTHED` neighbours takes the edges' jitter off, which
+    changes its sign from one interval to the next.
+    """
+    even, odd, square = 0.0, 0.0, 0.0
+    width = min(SMOOTHED, wh.pulses // 4)
+    total = 0.0
+    for i in range(width):
+        total += pr.intervals[i]
+    for i in range(wh.pulses):
+        even += wh.nominal[i] * wh.cosine[i] * pr.intervals[i]
+        odd += wh.nominal[i] * wh.sine[i] * pr.intervals[i]
+        if i + width <= wh.pulses:
+            square += total * total
+            if i + width < wh.pulses:
+                total += pr.intervals[i + width] - pr.intervals[i]
+    pr.even, pr.odd = even * 2.0 / wh.whole, odd * 2.0 / wh.whole
+    pr.rest = (2.0 * square / (wh.pulses - width + 1)) ** 0.5 / width
+
+
+@kernel
+def _harmonics(pr: Profile, wh: LearnedWheel) -> None:
+    """Project what is learned on its low orders: their sum is the ripple, the first one the runout's amplitude."""
+    for k in range(wh.orders):
+        pr.evens[k] = 0.0
+        pr.odds[k] = 0.0
+    for i in range(wh.pulses):
+        re, im, weight = wh.cosine[i], wh.sine[i], wh.nominal[i] * pr.logs[i]
+        x, y = re, im
+        for k in range(wh.orders):
+            pr.evens[k] += weight * x
+            pr.odds[k] += weight * y
+            x, y = x * re - y * im, x * im + y * re
+    scale = 2.0 / wh.whole
+    for k in range(wh.orders):
+        pr.evens[k] *= scale
+        pr.odds[k] *= scale
+    for i in range(wh.pulses):
+        re, im = wh.cosine[i], wh.sine[i]
+        x, y, ripple = re, im, 0.0
+        for k in range(wh.orders):
+            ripple += pr.evens[k] * x + pr.odds[k] * y
+            x, y = x * re - y * im, x * im + y * re
+        pr.ripple[i] = ripple
+    even, odd = pr.evens[0], pr.odds[0]
+    pr.even, pr.odd = pr.even + even, pr.odd + odd
+    pr.first = (even * even + odd * odd) ** 0.5
 
 
 @kernel
@@ -172,6 +281,37 @@ def follow(pr: Profile, wh: LearnedWheel, period: float, pitches: f8s) -> None:
     """Keep the pitches those of the present speed."""
     if pr.turns > 0 and (period > pr.slow or period < pr.fast):
         apply(pr, wh, period, pitches)
+
+
+@kernel
+def _bend(pr: Profile, wh: LearnedWheel, tooth: int) -> float:
+    """Return how much later a tooth is than the middle of its neighbours says [pitch].
+
+    A tooth late by d makes the pitch before it d longer and the one behind it d shorter: half the difference of the
+    two. What their ripple has is taken off. Zero beside a gap, whose own error would count.
+    """
+    before = tooth - 1 if tooth > 0 else wh.pulses - 1
+    if wh.gap[before] == 1 or wh.gap[tooth] == 1:
+        return 0.0
+    late = wh.nominal[before] * (pr.logs[before] - pr.ripple[before])
+    early = wh.nominal[tooth] * (pr.logs[tooth] - pr.ripple[tooth])
+    return float(0.5 * (late - early))
+
+
+@kernel
+def bent(pr: Profile, wh: LearnedWheel) -> tuple[int, float, float]:
+    """Return the tooth that is off most, by how much [pitch], and the standard deviation of the other teeth."""
+    place, most, total = 0, 0.0, 0.0
+    for i in range(wh.pulses):
+        off = _bend(pr, wh, i)
+        total += abs(off)
+        if abs(off) > abs(most):
+            place, most = i, off
+    count = wh.pulses - 3
+    for i in range(place - 1, place + 2):
+        total -= abs(_bend(pr, wh, i % wh.pulses))
+    # Of a normal distribution the mean of the absolute value is 0.8 standard deviations.
+    return place, most, 1.25 * total / max(count, 1)
 
 
 @kernel

@@ -28,10 +28,11 @@ LEAST_VARIANCE, MOST_VARIANCE = 0.008**2, 0.3**2
 class Tracker(Record):
     """Tracker.
 
-    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance``
-    of an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2];
-    ``residual`` of the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of
-    a pulse lately [nat]; ``open`` pulses since there was one hypothesis only.
+    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance`` of
+    an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2]; ``residual`` of
+    the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of a pulse lately [nat]; ``open`` pulses
+    since there was one hypothesis only; ``steady`` regular pulses over one pitch in a row, from which on the gains
+    ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of the steady state.
     """
 
     bank: i4
@@ -46,6 +47,12 @@ class Tracker(Record):
     open: i8
     pitches: Annotated[f8s, MOST_TEETH]
     slack: Annotated[f8s, MOST_TEETH]
+    steady: i4
+    k1: f8
+    k2: f8
+    k3: f8
+    spread: f8
+    gate: f8
 
 
 @kernel
@@ -122,15 +129,19 @@ def begin(tr: Tracker, index: int, period: float, growth: float, variance: float
     h.index = index
     h.missed = 0
     h.added = 0
+    h.missed_at = 0
+    h.added_at = 0
     h.clutter = 0
     h.associated = 1
     h.outlier = 0
+    tr.steady = 0
 
 
 @kernel
 def jump(tr: Tracker, pulses: int, number: int) -> None:
     """Pass over pulses that the sensor gave but nobody told us the times of."""
     first = tr.bank * MOST
+    tr.steady = 0
     for k in range(tr.count):
         h = tr.banks[first + k]
         span = 0.0
@@ -156,6 +167,8 @@ def shift(tr: Tracker, pulses: int, number: int) -> None:
     for k in range(tr.count):
         h = tr.banks[first + k]
         h.index = (h.index + number) % pulses
+        h.missed_at = (h.missed_at + number) % pulses
+        h.added_at = (h.added_at + number) % pulses
 
 
 @kernel

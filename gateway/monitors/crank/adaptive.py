@@ -8,9 +8,9 @@ while the speed changes.
 from __future__ import annotations
 
 from gateway.fdi.pulse_tracking import profile
-from gateway.fdi.pulse_tracking.acquisition import restart, seek
+from gateway.fdi.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway.fdi.pulse_tracking.branching import MOST_MISSED
-from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, take
+from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, short, take
 from gateway.fdi.pulse_tracking.tracker import (
     agreed,
     begin,
@@ -22,9 +22,20 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import kernel
-from gateway.monitors.crank import reversal
+from gateway.monitors.crank import anchor, reversal
 from gateway.monitors.crank.faults import RESIDUALS, Reports
-from gateway.monitors.crank.isolation import confirm, decide, fall_silent, lose, turned, wait
+from gateway.monitors.crank.isolation import (
+    UNSEEN_PULSES,
+    broken_silence,
+    confirm,
+    decide,
+    fall_silent,
+    hold_to_gap,
+    lose,
+    turned,
+    unwatched,
+    wait,
+)
 from gateway.monitors.crank.place import (
     CONFIRMED,
     SEARCHING,
@@ -33,25 +44,34 @@ from gateway.monitors.crank.place import (
     State,
     doubt,
     search,
+    unlearned,
 )
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
 MOST_MEAN_COST = 8.0
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
+#: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
+BEYOND = 0.45
 
 
 @kernel
-def lost(s: State, c: Const, number: int) -> None:
-    """Pass over pulses whose times were lost on the bus: they were there, unseen."""
+def lost(s: State, c: Const, number: int, out: Reports) -> None:
+    """Pass over pulses whose times were lost on the bus: they were there, unseen.
+
+    A tooth missed among them would not be known: the place is not proven any more, until a gap is seen where it is
+    expected.
+    """
+    unwatched(s, c, number, out)
+    anchor.skip(s.anchor, c.pulses, number)
     if s.phase == SEARCHING:
         restart(s.search)
     else:
         jump(s.tracker, c.pulses, number)
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
-        s.profile.clean = 0
-        s.hole = 2
+        doubt(s)
+        s.hole = 1
     s.unsynced = 0  # what the bus lost is no reason to blame the sensor
     s.y1 = 0.0
     s.y2 = 0.0
@@ -66,7 +86,8 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
-        s.hole = 2
+        anchor.skip(s.anchor, c.pulses, c.pulses)
+        s.hole = 1
 
 
 @kernel
@@ -79,11 +100,17 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         y: interval [us].
         out: record of Out.
     """
+    if s.phase == CONFIRMED and s.index > 1 and s.index + 2 < c.pulses and _regular(s, c, y):
+        return
     s.teeth += 1
+    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    anchor.note(s.anchor, c.pulses, y)
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out)
-        search(s)
+        search(s, c)
     if s.phase == SEARCHING:
+        if s.silent > 0:
+            broken_silence(s, y, out)
         _seek(s, c, y)
     else:
         span = s.tracker.pitches[s.index]
@@ -91,14 +118,57 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
             reversal.begin(s.reversal, c.pulses, s.index, y)
             doubt(s)
-        if y > (MOST_MISSED + 1 + span) * ABRUPT * period:
+        if y > (MOST_MISSED + 1) * period and _silent(s, c, y, period):
             fall_silent(s, c, out, y / period)
         else:
             _track(s, c, y, out)
+            if s.phase != SEARCHING:
+                hold_to_gap(s, c, y, out)
     if s.phase != CONFIRMED:
         wait(s, c, y, out)
     s.y2 = s.y1
     s.y1 = y
+
+
+@kernel
+def _regular(s: State, c: Const, y: float) -> bool:
+    """Take a pulse that is the next tooth beyond doubt, away from the gap; returns whether it was one.
+
+    The same as the long way does for it, without what that only does elsewhere.
+    """
+    pr = s.profile
+    period = best(s.tracker).period
+    if s.reversal.index >= 0 or y > c.slowest_us or s.anchor.age > c.pulses:
+        return False
+    if pr.turns > 0 and (period > pr.slow or period < pr.fast):
+        return False
+    if not short(s.tracker, c.pulses, y):
+        return False
+    s.teeth += 1
+    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    anchor.note(s.anchor, c.pulses, y)
+    s.residuals[s.teeth % RESIDUALS] = s.tracker.residual
+    profile.note(pr, s.index, y)
+    s.index += 1
+    s.since += 1
+    s.y2 = s.y1
+    s.y1 = y
+    return True
+
+
+@kernel
+def _silent(s: State, c: Const, y: float, period: float) -> bool:
+    """Tell whether an interval [us] goes beyond the last tooth that hypotheses count to.
+
+    The truth must be among the hypotheses: of nine pulses missed, eight and a late edge would win, and the index be
+    wrong by one. An engine that nearly stands is given more.
+    """
+    span, slot = 0.0, int(s.index)
+    for _ in range(MOST_MISSED + 1):
+        span += s.tracker.pitches[slot]
+        slot = slot + 1 if slot + 1 < c.pulses else 0
+    most = span + BEYOND if period < c.slowest_us / ABRUPT else (MOST_MISSED + 1 + c.gap) * ABRUPT
+    return bool(y > most * period)
 
 
 @kernel
@@ -108,12 +178,16 @@ def _seek(s: State, c: Const, y: float) -> None:
     if index >= 0:
         se = s.search
         begin(s.tracker, index, se.period, se.growth, se.variance)
+        s.tracker.wander = unlearned(c, se.period)
         s.phase = TENTATIVE
         s.index = index
         s.since = 0
         s.suspects = 0
+        s.recurring = 0
         s.profile.clean = 0
         s.profile.turn_us = 0.0
+        anchor.restart(s.anchor)
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, c.pulses, index, WINDOW) else 0
 
 
 @kernel
@@ -154,5 +228,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
         transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
-    if s.phase == TENTATIVE and s.since >= c.pulses and agreed(tr):
+    # Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
+    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.phase == TENTATIVE and s.since >= proof and s.hole == 0 and agreed(tr):
         confirm(s, out)

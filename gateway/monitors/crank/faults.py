@@ -18,7 +18,10 @@ from gateway.monitors.contract import Debounce, Fault, Out
     REVERSED,
     CAM_CORRELATION,
     CAM_SILENT,
-) = range(10)
+    RELOCATED,
+    DAMAGED,
+    UNWATCHED,
+) = range(13)
 #: Those before concern the crankshaft sensor alone.
 CRANK_FAULTS = CAM_CORRELATION
 
@@ -93,6 +96,29 @@ class CamSilent(Record):
     revolutions: f8
 
 
+class Relocated(Record):
+    """Evidence of a place on the wheel that was found wrong."""
+
+    shift: f8 = means("teeth from the wrong place to the right one")
+    tooth: f8 = means("right one")
+    speed: f8 = means(unit="rpm")
+
+
+class Damaged(Record):
+    """Evidence of a tooth that is not where it belongs."""
+
+    tooth: f8
+    off: f8 = means("later than the others say", "pitch")
+    speed: f8 = means(unit="rpm")
+
+
+class Unwatched(Record):
+    """Evidence of too many lost frames."""
+
+    share: f8 = means("share of pulses that no frame brought")
+    teeth: f8
+
+
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
@@ -104,6 +130,9 @@ class Evidence(Record, overlay=True):
     reversed: Reversed
     cam_correlation: CamCorrelation
     cam_silent: CamSilent
+    relocated: Relocated
+    damaged: Damaged
+    unwatched: Unwatched
 
 
 #: What the parts of the monitor report into.
@@ -174,6 +203,27 @@ FAULTS = (
         "P0340-31",
         "the crank turns, but no edge of the cam sensor comes",
         labels(CamSilent),
+        Debounce(failed_after=1, passed_after=3),
+    ),
+    Fault(
+        "relocated",
+        "P0335-62",
+        "the place on the wheel was wrong: the gap came elsewhere turn by turn, and the index was put right",
+        labels(Relocated),
+        _ONCE,
+    ),
+    Fault(
+        "damaged_tooth",
+        "P0336-07",
+        "a tooth is farther from its place than any engine moves it: bent, chipped or not of this wheel",
+        labels(Damaged),
+        Debounce(failed_after=3, passed_after=10),
+    ),
+    Fault(
+        "frames_lost",
+        "U1335-87",
+        "so many tooth frames are lost on the bus that nothing can be told about the sensor",
+        labels(Unwatched),
         Debounce(failed_after=1, passed_after=3),
     ),
 )

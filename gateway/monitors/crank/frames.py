@@ -3,6 +3,9 @@
 A frame that is lost on the bus is known by its counter: its pulses were there, unseen. In CTW_PT4 the
 number of pulses of a lost frame is known only when it was full; CTW_BASE puts it right. CTW_FD27 tells its first
 pulse's number.
+
+An interval longer than ``stall_ms`` spans a standstill and tells nothing of the wheel; a shorter one is a tooth's,
+however long: what it means is for the method to say, by the speed before it.
 """
 
 from __future__ import annotations
@@ -18,17 +21,17 @@ from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 def stand(s: State, c: Const) -> None:
     """The engine stands: synchronisation ends."""
     if c.adaptive == 1:
-        place.stand(s.fast)
+        place.stand(s.fast, c.fast)
     else:
         constant_speed.search(s.paper)
 
 
 @kernel
-def _lost(s: State, c: Const, number: int) -> None:
+def _lost(s: State, c: Const, number: int, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
     if c.adaptive == 1:
-        adaptive.lost(s.fast, c.fast, number)
+        adaptive.lost(s.fast, c.fast, number, out)
     else:
         constant_speed.lost(s.paper, c.paper, number)
 
@@ -75,7 +78,11 @@ def _missing(s: State, frames: int, counter: int) -> int:
 
 @kernel
 def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
-    """Take one interval [us]."""
+    """Take one interval [us]; none is taken over a standstill."""
+    if y * 1e3 >= c.stall_ns:
+        s.count = (s.count + 1) % 65536
+        stand(s, c)
+        return
     s.count = (s.count + 1) % 65536
     if c.adaptive == 1:
         adaptive.tooth(s.fast, c.fast, y, out)
@@ -110,7 +117,7 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
         elif frames > 0:
             number = _missing(s, frames, counter)
             if number > 0:
-                _lost(s, c, number)
+                _lost(s, c, number, out)
     s.linked = 1
     s.counter = counter
     for k in range(CLASSIC_INTERVALS):
@@ -136,7 +143,7 @@ def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
         if number < 0:
             stand(s, c)
         elif number > 0:
-            _lost(s, c, number)
+            _lost(s, c, number, out)
     s.linked = 1
     s.count = pulses
     s.counted = 1

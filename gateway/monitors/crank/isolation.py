@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS
 from gateway.fdi.pulse_tracking.motion import Q3
-from gateway.fdi.pulse_tracking.tracker import best, marginalise_decided
+from gateway.fdi.pulse_tracking.tracker import agreed, best, marginalise_decided, shift
 from gateway.jit import kernel
 from gateway.monitors.contract import report
+from gateway.monitors.crank import anchor, runout
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
+    DAMAGED,
     DOUBLED,
     MISSED,
     NO_GAP,
     PULSES_LOST,
+    RELOCATED,
     RESIDUALS,
     RUNOUT,
     SYNC_LOST,
+    UNWATCHED,
     Reports,
     Shape,
 )
-from gateway.monitors.crank.place import CONFIRMED, TENTATIVE, Const, State, search, speed
+from gateway.monitors.crank.place import CONFIRMED, TENTATIVE, Const, State, doubt, search, speed, unlearned
 
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = 3
@@ -33,18 +39,25 @@ PATIENCE, PATIENCE_PULSES = 4, 100
 DOUBLE_SHARE = 0.25
 #: Revolutions that the pitches must have been learned from before they are believed.
 LEARNED = 3
-#: Runout is judged above this speed, where torsional ripple is small [rpm].
+#: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
+SILENT, SAME = 3, 1.5
+#: Runout and single teeth are judged above this speed, where torsional ripple is small [rpm].
 RUNOUT_RPM = 800.0
+#: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
+#: other teeth, but at the most by this.
+BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
+#: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
+MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
 
 @kernel
 def lose(s: State, c: Const, out: Reports, cost: float) -> None:
     """Report that synchronisation is lost, and search."""
-    if s.phase == CONFIRMED and s.hole == 0:
+    if s.phase == CONFIRMED:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
         s.losses += 1
-    search(s)
+    search(s, c)
 
 
 @kernel
@@ -58,9 +71,8 @@ def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
 
 
 @kernel
-def _fail(s: State, c: Const, out: Reports, fault: int, number: int) -> None:
-    """Report missed or added pulses; a tentative place keeps them until it is proven."""
-    first = s.index - (number if fault != ADDED else 1)
+def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
+    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven."""
     if s.phase == TENTATIVE:
         s.held_fault = fault
         _shape(s, c, number, first, s.held)
@@ -69,20 +81,53 @@ def _fail(s: State, c: Const, out: Reports, fault: int, number: int) -> None:
 
 
 @kernel
+def _beside_gap(c: Const, tooth: int) -> bool:
+    """Tell whether a tooth is next to a gap."""
+    return bool(c.wheel.gap[tooth] == 1 or c.wheel.gap[tooth - 1 if tooth > 0 else c.pulses - 1] == 1)
+
+
+@kernel
+def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
+    """Tell whether a fault found at a place that is not proven speaks against the place.
+
+    One fault does not: it is held until the place is proven. Nor does the same one a turn later at the same tooth:
+    that is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong
+    place; but beside the gap it is a wrong edge, or a wrong wheel. Two different ones do, unless frames were lost in
+    between, and pulses with them.
+    """
+    turn = c.pulses - net
+    again = (
+        s.suspects > 0
+        and not _beside_gap(c, tooth)
+        and tooth == s.suspect
+        and net == s.suspect_net
+        and abs(s.since - turn) <= 3
+    )
+    s.suspects = 1 if again else s.suspects + 1
+    s.suspect = tooth
+    s.suspect_net = net
+    s.recurring = 1 if again else 0
+    return s.suspects > 1 and s.hole == 0
+
+
+@kernel
 def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
     missed, added = int(h.missed), int(h.added)
+    tooth = int(h.missed_at if missed > 0 else h.added_at)
+    added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
-    s.since = 0
-    if s.hole > 0:
+    if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
+        search(s, c)
         return
-    if s.phase == TENTATIVE:
-        s.suspects += 1
-        if s.suspects > 1:
-            search(s)
-            return
+    s.since = 0
+    if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and _beside_gap(c, tooth):
+        # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
+        s.suspects = 0
+        s.sure = 1
+        return
     s.corrections += missed - added
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += missed
@@ -93,6 +138,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if s.teeth - s.decided > TOGETHER:
         s.burst_missed = 0
         s.burst_added = 0
+        s.burst_tooth = tooth
     s.decided = s.teeth
     s.burst_missed += missed
     s.burst_added += added
@@ -101,22 +147,61 @@ def decide(s: State, c: Const, out: Reports) -> None:
         s.added += added
     if missed > 0:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
-        _fail(s, c, out, fault, s.burst_missed)
+        _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
         s.doubled += added
         if s.doubling == 0:
-            _fail(s, c, out, ADDED, s.burst_added)
+            _fail(s, c, out, ADDED, s.burst_added, s.burst_tooth if missed == 0 else added_at)
 
 
 @kernel
-def fall_silent(s: State, c: Const, out: Reports, number: float) -> None:
-    """Report a silence too long to count its teeth, and search."""
-    if s.phase == CONFIRMED and s.hole == 0:
-        s.burst_missed = int(number)
-        s.missed += int(number)
-        _fail(s, c, out, PULSES_LOST, int(number))
-        s.losses += 1
-    search(s)
+def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
+    """Report a silence too long to count its teeth, and search.
+
+    An engine that was too slow can have come to rest in it; then it depends on the teeth that follow
+    (:func:`broken_silence`).
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        out: record of Out.
+        pitches: that have passed at the speed before.
+    """
+    period = best(s.tracker).period
+    proven = s.phase == CONFIRMED
+    if proven:
+        turns = int(pitches / c.wheel.whole)
+        number, slot, span = turns * c.pulses - 1, int(s.index), turns * c.wheel.whole
+        while span + 0.5 * c.wheel.nominal[slot] < pitches:
+            span += c.wheel.nominal[slot]
+            slot = slot + 1 if slot + 1 < c.pulses else 0
+            number += 1
+        _shape(s, c, number, s.index + 1, s.held)
+    search(s, c)
+    if proven and period < c.turning_us:
+        _tell_silence(s, out)
+    elif proven:
+        s.silent_us = period
+        s.silent = SILENT
+
+
+@kernel
+def _tell_silence(s: State, out: Reports) -> None:
+    s.missed += int(s.held.count)
+    s.losses += 1
+    e = report(out, PULSES_LOST, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+    for k in range(RESIDUALS):
+        e.residual[k] = s.held.residual[k]
+
+
+@kernel
+def broken_silence(s: State, y: float, out: Reports) -> None:
+    """Take a tooth soon after a silence: an engine that has its speed at once has not stood still in between."""
+    s.silent -= 1
+    if s.silent_us / SAME < y < SAME * s.silent_us:
+        s.silent = 0
+        _tell_silence(s, out)
 
 
 @kernel
@@ -127,6 +212,7 @@ def confirm(s: State, out: Reports) -> None:
     s.short = 0
     s.widest = 0.0
     s.suspects = 0
+    s.hole = 0
     if s.held_fault >= 0:
         e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
         e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
@@ -141,9 +227,11 @@ def confirm(s: State, out: Reports) -> None:
 
 @kernel
 def _trust(s: State, c: Const) -> None:
-    """Trust the pitches as far as they are learned."""
+    """Trust the pitches as far as they are learned, and as the turns repeat."""
     turns = s.profile.turns
-    s.tracker.wander = c.unlearned if turns < LEARNED else Q3
+    measured = 2.0 * s.profile.rest * (2.0 * np.pi * profile.REST_ORDER / c.wheel.whole) ** 2
+    wander = max(Q3, measured * measured)
+    s.tracker.wander = unlearned(c, best(s.tracker).period) if turns == 0 else wander
     for i in range(c.pulses):
         s.tracker.slack[i] = c.slack[i] / (1 + turns * turns)
 
@@ -154,12 +242,15 @@ def turned(s: State, c: Const, out: Reports) -> None:
     s.revolutions += 1
     us = s.profile.turn_us
     before = s.profile.turns
+    if s.anchor.verified == 0 or s.anchor.wins > 0 or not agreed(s.tracker):
+        s.profile.clean = 0
     clean = profile.turn(s.profile, c.wheel, s.tracker.pitches)
-    if s.profile.turns != before and before <= LEARNED:
+    if s.profile.turns != before or before == 0:
         _trust(s, c)
+    if s.profile.turns != before:
+        runout.take(s.law, 60e6 / us, s.profile.even, s.profile.odd)
     doubled = s.doubled
     s.doubled = 0
-    s.hole = max(s.hole - 1, 0)
     if s.phase != CONFIRMED:
         return
     s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
@@ -178,11 +269,86 @@ def turned(s: State, c: Const, out: Reports) -> None:
     for fault in range(CRANK_FAULTS):
         if fault != RUNOUT:
             report(out, fault, False, 0.0, 0.0)
+    report(out, RELOCATED, False, 0.0, 0.0)
+    report(out, UNWATCHED, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
-        amplitude = s.profile.first
-        r = report(out, RUNOUT, amplitude > c.runout, amplitude, c.runout).runout
-        r.amplitude, r.tooth = amplitude, profile.worst(s.profile, c.wheel)
-        r.speed = s.speed_rpm
+        _judge_wheel(s, c, out)
+
+
+@kernel
+def _judge_wheel(s: State, c: Const, out: Reports) -> None:
+    """Judge the wheel as it was learned: off centre, a tooth out of its place."""
+    amplitude, most = runout.geometry(s.law, s.speed_rpm, s.profile.first, c.runout)
+    r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
+    r.amplitude, r.tooth = amplitude, profile.worst(s.profile, c.wheel)
+    r.speed = s.speed_rpm
+    tooth, off, scatter = profile.bent(s.profile, c.wheel)
+    limit = max(BENT, min(BENT_SIGMAS * scatter, BENT_MOST))
+    d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
+    d.tooth, d.off, d.speed = tooth, off, s.speed_rpm
+
+
+@kernel
+def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
+    """Hold the place on the wheel to the gap: behind it when it comes where it is expected, else once a turn.
+
+    What frames that were lost had hidden is proven by the gap that comes where it is expected, all hypotheses agreeing.
+    """
+    an = s.anchor
+    if s.index == 1 and anchor.seen(an, c.anchor, s.y2, s.y1, y):
+        _witness(s, out)
+    elif an.age >= c.pulses + 2:
+        an.age = 2
+        an.verified = 0
+        found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
+        if found == anchor.HERE:
+            an.wins = 0
+            an.verified = 1
+            _witness(s, out)
+        elif found > 0:
+            an.wins = an.wins + 1 if found == an.shift else 1
+            an.shift = found
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
+                relocate(s, c, out, found)
+
+
+@kernel
+def _witness(s: State, out: Reports) -> None:
+    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
+    h = best(s.tracker)
+    told = agreed(s.tracker) and h.missed == 0 and h.added == 0
+    if told:
+        s.sure = 1
+    if s.phase == TENTATIVE and told and (s.hole == 1 or s.recurring == 1):
+        confirm(s, out)
+
+
+@kernel
+def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
+    """Count pulses that no frame brought; when they are too many to tell anything about the sensor, say so."""
+    s.unseen += number * (1.0 - s.unseen / UNSEEN_PULSES)
+    share = s.unseen / UNSEEN_PULSES
+    if share > MOST_UNSEEN:
+        e = report(out, UNWATCHED, True, share, MOST_UNSEEN).unwatched
+        e.share, e.teeth = share, s.teeth
+
+
+@kernel
+def relocate(s: State, c: Const, out: Reports, found: int) -> None:
+    """Put the index right by a shift that the whole turn proves; what was learned at the wrong place is forgotten."""
+    shift(s.tracker, c.pulses, found)
+    s.index = best(s.tracker).index
+    if s.phase == CONFIRMED:
+        off = found if 2 * found <= c.pulses else found - c.pulses
+        e = report(out, RELOCATED, True, off, 0.0).relocated
+        e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
+        s.corrections += off
+    doubt(s)
+    s.held_fault = -1
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    _trust(s, c)
+    anchor.restart(s.anchor)
 
 
 @kernel

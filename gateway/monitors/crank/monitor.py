@@ -22,6 +22,7 @@ from gateway.monitors.contract import (
     Fault,
     Monitor,
     MonitorParams,
+    Notes,
     Out,
     Readout,
     Signal,
@@ -36,7 +37,10 @@ from gateway.monitors.crank.records import (
     Outputs,
     State,
 )
+from gateway.signals.tooth_codec import LONGEST_LONG_US
 
+#: Longest interval of CTW_FD27: 16 bits of 0.5 us << 7 [us].
+LONGEST_FD_US = 65535 * 64
 #: The engine's speed and angle go out at most so often without a change of synchronisation [ns].
 SYNC_EVERY_NS = 10_000_000
 
@@ -115,6 +119,25 @@ def _connect(p: Params) -> Mapping[str, Connection]:
         **{f"cam_{k}": signal("CTW_CAM", name) if p.cam else None for k, name in of_cam.items()},
         "intervals": [*intervals, *[None] * (MOST_INTERVALS - count)],
     }
+
+
+def lowest_rpm(p: Params) -> float:
+    """Return the speed below which the wheel cannot be followed [rpm].
+
+    Its gap must pass within the time that counts as standstill, and within the longest interval that a frame carries;
+    below ``reversal_rpm`` each tooth may be of an engine that turns back.
+    """
+    longest_ms = min(p.stall_ms, (LONGEST_FD_US if p.frame == "fd" else LONGEST_LONG_US) / 1e3)
+    by_gap = 60e3 / longest_ms * max(p.wheel.pitches) / p.wheel.turn
+    return max(by_gap, p.reversal_rpm)
+
+
+def _facts(p: Params) -> tuple[str, ...]:
+    if p.method != "adaptive":
+        return ()
+    low = lowest_rpm(p)
+    why = "reversal_rpm" if low == p.reversal_rpm else "stall_ms and the gap"
+    return (f"wheel {p.wheel}: followed from {low:.0f} rpm on ({why})",)
 
 
 def _faults(_: Params) -> tuple[Fault, ...]:
@@ -259,6 +282,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=_emits,
     capabilities=(
+        Notes(_facts),
         Readout(
             (
                 "sync",

@@ -7,18 +7,26 @@ from typing import Annotated
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
-from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile
+from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget
 from gateway.fdi.pulse_tracking.tracker import Tracker, best
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway.monitors.crank import anchor
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
+from gateway.monitors.crank.runout import Law
 
 #: Synchronisation: none, a place that one more revolution has to prove, proven.
 SEARCHING, TENTATIVE, CONFIRMED = range(3)
 #: Torsional ripple that an engine may have before it is learned (2 per revolution), and the error of the
 #: pitches at a gap [pitch].
 RIPPLE, GAP_ERROR = 0.05, 0.1
+#: Ripple that has to be followed while it is not learned: amplitude, at the speed [rpm] up to which it is so large (it
+#: falls with the square of the speed, down to RIPPLE), and order per revolution.
+UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
+#: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
+#: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
+BRAKE = 4.0
 
 
 class Const(Record):
@@ -29,10 +37,14 @@ class Const(Record):
     acceleration: f8
     ripple: f8
     unlearned: f8
+    unlearned_us: f8
+    usual: f8
     runout: f8
     slowest_us: f8
     gap: f8
+    turning_us: f8
     wheel: LearnedWheel
+    anchor: anchor.Const
     logs: Annotated[f8s, MOST_TEETH]
     slack: Annotated[f8s, MOST_TEETH]
 
@@ -40,9 +52,12 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since
-    synchronisation was last proven; ``held`` what a tentative place found; ``hole`` revolutions (the present and
-    the next) in which frames were lost.
+    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since synchronisation
+    was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
+    ``suspect_net`` the pulses missed less those added, ``sure`` whether the gap was seen where the place was found;
+    ``hole`` frames were lost, and the gap was not seen since; ``unseen`` pulses that no frame
+    brought, lately; ``silent`` teeth that may still tell whether a silence was one of the
+    sensor, ``silent_us`` the period before it.
     """
 
     phase: i4
@@ -54,6 +69,10 @@ class State(Record):
     teeth: i8
     revolutions: i8
     suspects: i4
+    suspect: i4
+    suspect_net: i4
+    recurring: u1
+    sure: u1
     held_fault: i4
     held: Shape
     residuals: Annotated[f8s, RESIDUALS]
@@ -65,16 +84,22 @@ class State(Record):
     recent_added: i8
     doubled: i8
     doubling: u1
+    silent: i4
+    silent_us: f8
     hole: i4
+    unseen: f8
     decided: i8
     burst_missed: i4
     burst_added: i4
+    burst_tooth: i4
     speed_rpm: f8
     slowest_rpm: f8
     fastest_rpm: f8
     y1: f8
     y2: f8
     reversal: Reversal
+    anchor: anchor.State
+    law: Law
     tracker: Tracker
     search: Search
     profile: Profile
@@ -97,10 +122,14 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.repeats = wheel.repeats
     c.acceleration = acceleration / 60 * wheel.turn
     c.ripple = RIPPLE * 2 * 2 * (2 * np.pi / wheel.turn)
-    c.unlearned = (RIPPLE * 2 * (2 * 2 * np.pi / wheel.turn) ** 2) ** 2
+    c.unlearned = (2 * UNLEARNED * (UNLEARNED_ORDER * 2 * np.pi / wheel.turn) ** 2) ** 2
+    c.usual = (2 * RIPPLE * (2 * 2 * np.pi / wheel.turn) ** 2) ** 2
+    c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
     c.gap = pitches.max()
+    c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
+    anchor.prepare(c.anchor, pitches)
     c.logs[:count] = np.log(pitches)
     gap = (pitches > 1.3) | (pitches < 0.7)
     gap |= np.roll(gap, 1)
@@ -121,8 +150,15 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
 
 
 @kernel
-def search(s: State) -> None:
-    """Give the place on the wheel up and look for it again."""
+def unlearned(c: Const, period: float) -> float:
+    """Return the process noise of the growth that ripple needs while it is not learned, at a pitch time [us]."""
+    share = min(period / c.unlearned_us, 1.0)
+    return float(max(c.unlearned * share * share * share * share, c.usual))
+
+
+@kernel
+def search(s: State, c: Const) -> None:
+    """Give the place on the wheel up, and what was learned at it, and look for it again."""
     if s.phase == CONFIRMED:
         s.unsynced = 0
         s.short = 0
@@ -130,21 +166,28 @@ def search(s: State) -> None:
     s.phase = SEARCHING
     s.since = 0
     s.suspects = 0
+    s.recurring = 0
     s.held_fault = -1
+    s.silent = 0
     s.recent_missed = 0
     s.recent_added = 0
     s.doubled = 0
     s.doubling = 0
     s.hole = 0
-    s.profile.clean = 0
-    s.profile.last_us = 0.0
+    forget(s.profile, c.wheel, s.tracker.pitches)
+    s.tracker.wander = c.unlearned
+    for i in range(c.pulses):
+        s.tracker.slack[i] = c.slack[i]
+    anchor.restart(s.anchor)
     restart(s.search)
 
 
 @kernel
-def stand(s: State) -> None:
+def stand(s: State, c: Const) -> None:
     """The engine stands: no place, no speed, and nothing to wait for."""
-    search(s)
+    search(s, c)
+    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.restart(s.anchor)
     s.unsynced = 0
     s.y1 = 0.0
     s.y2 = 0.0
@@ -161,6 +204,7 @@ def doubt(s: State) -> None:
         s.widest = 0.0
     s.since = 0
     s.suspects = 0
+    s.recurring = 0
     s.profile.clean = 0
 
 

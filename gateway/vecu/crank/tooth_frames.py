@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import FD, Frames, empty, put
-from gateway.signals.tooth_codec import LONGEST_US, encode_intervals
+from gateway.signals.tooth_codec import encode_intervals
 from gateway.vecu.protection import message_of, protect
 
 Format = Literal["classic", "fd"]
@@ -21,6 +21,8 @@ FLUSH_NS = 20_000_000
 ALIVE_NS = 100_000_000
 #: Time on the wire: 8 bytes at 500 kbit/s with typical stuffing; 64 bytes FD at 500 kbit/s / 2 Mbit/s.
 WIRE_NS = {"classic": 242_000, "fd": 354_000}
+#: Longest shift of CTW_FD27's intervals [bits]: 0.5 us << 7 in 16 bits are 4.19 s.
+MOST_SHIFT = 7
 #: Pulses between two CTW_BASE frames.
 BASE_EVERY = 58
 
@@ -128,8 +130,7 @@ def _fd(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int)
     half_us = times_ns // 500
     for number, group in enumerate(groups):
         span = np.diff(half_us[group.first : group.last + 1])
-        longest = min(int(span.max(initial=0)), LONGEST_US * 2)
-        shift = max(0, longest.bit_length() - 16)
+        shift = min(max(0, int(span.max(initial=0)).bit_length() - 16), MOST_SHIFT)
         # Differences to what the receiver decodes, so that rounding does not add up.
         ends = np.rint(np.cumsum(span) / (1 << shift)).astype(np.int64)
         codes = np.minimum(np.diff(ends, prepend=0), 0xFFFF)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import isnan
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
+from gateway_studies.crank import outside as beyond
 from gateway_studies.crank.table import (
     KINDS,
     Alarms,
@@ -66,13 +68,31 @@ def _alarm_table(rows: list[Alarms]) -> Table:
     return table
 
 
-def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -> int:
+def _outside_table(rows: list[beyond.Outcome]) -> Table:
+    """Return the cases outside the regular sweep: runs with a report, and with a wrong tooth that was proven."""
+    table = Table(
+        title="Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
+    )
+    for name in ("group", "case", "runs", *beyond.METHODS, "adaptive reported"):
+        table.add_column(name, justify="right" if name == "runs" else "left")
+    sums = list(beyond.summed(rows))
+    for group, case in dict.fromkeys((row.group, row.case) for row in sums):
+        mine = {row.method: row for row in sums if (row.group, row.case) == (group, case)}
+        shown = [f"{r.reports} / {r.wrong} / {100 * r.unsynced:.1f}" for r in mine.values()]
+        named = ", ".join(f"{name} {count}" for name, count in mine["adaptive"].named.items())
+        table.add_row(group, case, str(mine["adaptive"].runs), *shown, named)
+    return table
+
+
+def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
+    others = beyond.jobs(outside, seed) if outside else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy))
+        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy) + len(others))
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
+        rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
     files: list[Path] = []
     if plot is not None:
         from gateway_studies.crank.figures import draw  # noqa: PLC0415 - slow to load
@@ -84,6 +104,7 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
                 "seed": seed,
                 "faults": [as_dict(score) for score in scores],
                 "healthy": [as_dict(row) for row in alarms],
+                "outside": [asdict(row) for row in rows],
                 "files": [str(file) for file in files],
             }
         )
@@ -93,6 +114,8 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
         console.print(table)
     if alarms:
         console.print(_alarm_table(alarms))
+    if rows:
+        console.print(_outside_table(rows))
     if scores or alarms:
         _explain(console, seed)
     for file in files:
@@ -102,7 +125,7 @@ def crank(*, runs: int, pulses: int, seed: int, json: bool, plot: Path | None) -
 
 def _explain(console: Console, seed: int) -> None:
     console.print(
-        f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as rusEFI and FOME find the gap;"
+        f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as FOME and rusEFI find the gap;"
         " threshold: as Speeduino does, filter 50 %.\n"
         "detected, named (direction and count), labelled (every tooth right from 4 pulses after the"
         " fault for 3 turns), at once: % of runs; delay: pulses from\nthe fault's last pulse to the"

@@ -31,7 +31,8 @@ class Followed:
         proven: shape (n - 1,), whether synchronisation was proven.
         pulse: shape (m,), the pulse at which each report came.
         fault: shape (m,), the fault reported.
-        count: shape (m,), its count.
+        count: shape (m,), its count, the first value of its evidence.
+        tooth: shape (m,), the second one: the tooth, where pulses were missed or added.
         alarms: exceedances that were looked into (paper), losses of synchronisation (peers).
     """
 
@@ -40,6 +41,7 @@ class Followed:
     pulse: NDArray[np.int64]
     fault: NDArray[np.int64]
     count: NDArray[np.int64]
+    tooth: NDArray[np.int64]
     alarms: int
 
 
@@ -49,7 +51,8 @@ def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
     for j in range(out.n):
         r = out.results[j]
         if r.result == FAILED and n < reports.shape[0]:
-            reports[n, 0], reports[n, 1], reports[n, 2] = pulse, r.fault, r.cells[0]
+            reports[n, 0], reports[n, 1] = pulse, r.fault
+            reports[n, 2], reports[n, 3] = r.cells[0], r.cells[1]
             n += 1
     return n
 
@@ -109,7 +112,7 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         y = np.diff(times_us)
         teeth = np.full(len(y), -1, np.int64)
         proven = np.zeros(len(y), np.bool_)
-        reports = np.zeros((MOST_REPORTS, 3))
+        reports = np.zeros((MOST_REPORTS, 4))
         n = alarms = 0
         s: Any
         c: Any
@@ -127,6 +130,6 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
             (_ratio if method == "ratio" else _threshold)(s[0], pulses, gap, y, teeth, proven)
             alarms = int(s[0]["losses"])
         found = reports[:n].astype(np.int64)
-        return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], alarms)
+        return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms)
 
     return follow

@@ -1,0 +1,232 @@
+"""Engines and defects outside the regular sweep: what is reported, and that no wrong index lasts.
+
+The trains are made here. The captures of other origin that they are like lie beside the project where they are
+(``../shared/data/crank/outside``, or the folder that GATEWAY_CRANK_CAPTURES names); elsewhere those tests are passed
+over.
+"""
+
+import json
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from amount import amount
+from gateway_studies.crank.follow import follower
+from typer.testing import CliRunner
+
+from gateway.cli import app
+from gateway.common.resources import shipped
+from gateway.fdi.wheel import Wheel
+from gateway.jit import COMPILED
+from gateway.monitors.crank.faults import FAULTS
+from gateway.vecu.crank.kinematics import tooth_times
+
+compiled = pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
+CAPTURES = Path(
+    os.environ.get("GATEWAY_CRANK_CAPTURES", Path(__file__).parents[3].parent / "shared/data/crank/outside")
+)
+ALL_WHEELS = ("60-2", "36-1", "30-2", "24-1", "12-1", "36-2", "36-2-1", "36-2-2-2", "12+1")
+
+
+def train(wheel="60-2", rpm=1000.0, turns=40, seed=1, ripple=(), jitter=0.01, tooth_error=0.003):
+    """Pulse times [us] of a healthy engine at constant mean speed, and the tooth of each."""
+    w = Wheel.parse(wheel)
+    rng = np.random.default_rng(seed)
+    times = tooth_times(w, [(0, rpm)], turns * 60 / rpm, ripple=ripple, jitter=jitter, tooth_error=tooth_error, rng=rng)
+    return times / 1e3, np.arange(len(times)) % w.pulses
+
+
+def named(result):
+    """How often each fault was reported."""
+    return dict(Counter(FAULTS[k].name for k in result.fault))
+
+
+def wrong(result, teeth, repeats=128):
+    """Pulses with a wrong tooth while synchronisation was proven, as places in the train."""
+    return np.flatnonzero(result.proven & (result.teeth % repeats != teeth[1:] % repeats)) + 1
+
+
+@compiled
+@pytest.mark.parametrize("wheel", ALL_WHEELS)
+def test_no_wrong_index_outlives_two_turns_of_1_to_40_lost_pulses(wheel):
+    """One run for each number of pulses and each of three speeds, at any place: 120 runs a wheel."""
+    w = Wheel.parse(wheel)
+    follow = follower("adaptive", w)
+    for rpm in (300.0, 1000.0, 6000.0):
+        for count in range(1, 41):
+            rng = np.random.default_rng([21, int(rpm), count])
+            times, teeth = train(wheel, rpm, 20, [22, int(rpm), count], [(2, 0.05, rng.uniform(0, 6))])
+            at = 10 * w.pulses + int(rng.integers(w.pulses))
+            gone = np.arange(at, at + count)
+            result = follow(np.delete(times, gone))
+            late = wrong(result, np.delete(teeth, gone), w.repeats) > at + 2 * w.pulses + 4
+            assert not late.any(), (rpm, count)
+            assert result.proven[-1], (rpm, count)
+
+
+@pytest.mark.parametrize(("wheel", "count"), [("36-1", 9), ("24-1", 9), ("60-2", 9), ("60-2", 20), ("36-1", 40)])
+def test_nine_pulses_and_more_are_loss_of_signal(wheel, count):
+    """Eight pulses and a late edge do not explain nine."""
+    w = Wheel.parse(wheel)
+    times, teeth = train(wheel, 2000.0, 14)
+    for place in range(0, w.pulses, amount(1, 3, 9)):
+        gone = 6 * w.pulses + place + np.arange(count)
+        result = follower("adaptive", w)(np.delete(times, gone))
+        assert named(result) == {"pulses_lost": 1}, place
+        assert abs(result.count[0] - count) <= 1, place
+        assert len(wrong(result, np.delete(teeth, gone))) == 0, place
+
+
+@pytest.mark.parametrize("turn", [2, 3, 4, 5])
+def test_a_pulse_missed_beside_the_gap_while_the_wheel_is_learned_does_not_poison_it(turn):
+    """The turn ends at the very pulse that is in doubt; the gap of this wheel is 2.8 pitches."""
+    wheel = Wheel.parse("57*1,2.8")
+    times, teeth = train("57*1,2.8", 1100.0, 30)
+    for gone in range(turn * 58 - 3, turn * 58 + 3):
+        result = follower("adaptive", wheel)(np.delete(times, gone))
+        assert set(named(result)) == {"missed_pulse"}, gone
+        assert result.proven[-58 * 10 :].all(), gone
+        assert len(wrong(result, np.delete(teeth, gone))) == 0, gone
+
+
+@pytest.mark.parametrize("wheel", ["60-2", "36-2"])
+def test_a_tooth_broken_off_before_the_start_is_synchronised_with_and_named(wheel):
+    times, teeth = train(wheel, 1000.0, 30)
+    keep = teeth != 20
+    result = follower("adaptive", Wheel.parse(wheel))(times[keep])
+    assert set(named(result)) == {"missed_pulse"}
+    assert result.proven[-Wheel.parse(wheel).pulses * 20 :].all()
+    assert len(wrong(result, teeth[keep])) == 0
+
+
+@compiled
+@pytest.mark.parametrize("order", [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+@pytest.mark.parametrize(("rpm", "amplitude"), [(250.0, 0.2), (850.0, 0.1), (1200.0, 0.05)])
+def test_an_engine_of_any_number_of_cylinders_makes_no_report(order, rpm, amplitude):
+    """One, two, three, four, five and six cylinders: 4 phases on each of three wheels."""
+    for wheel in ("60-2", "36-1", "36-2-1"):
+        for phase in range(4):
+            times, teeth = train(wheel, rpm, 30, [23, phase], [(order, amplitude, 0.4 + phase * np.pi / 2)])
+            result = follower("adaptive", Wheel.parse(wheel))(times)
+            assert named(result) == {}, (wheel, phase)
+            assert len(wrong(result, teeth)) == 0, (wheel, phase)
+
+
+def test_runout_is_told_from_the_torque_of_two_cylinders_by_its_law_with_speed():
+    """Both have one period a turn; that of the torque falls with the square of the speed."""
+    wheel = Wheel.parse("60-2")
+    low, high, turns = 1000.0, 2200.0, 120
+    found = {}
+    for kind in ("torque", "geometry"):
+        rng = np.random.default_rng(5)
+        places = np.array(wheel.positions) / wheel.turn
+        pieces, at = [], 0.0
+        for turn in range(turns):
+            rpm = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * turn / 60))
+            share = 0.06 * (1.0 if kind == "geometry" else (low / rpm) ** 2)
+            shifted = places + share / (2 * np.pi) * np.sin(2 * np.pi * places)
+            pieces.append(at + shifted * 60e6 / rpm)
+            at += 60e6 / rpm
+        times = np.concatenate(pieces)
+        result = follower("adaptive", wheel)(times + rng.normal(0, 3, len(times)))
+        found[kind] = set(named(result))
+    assert found == {"torque": set(), "geometry": {"runout"}}
+
+
+@pytest.mark.parametrize("off", [0.25, 0.4])
+@pytest.mark.parametrize("wheel", ["60-2", "36-1"])
+def test_a_bent_tooth_is_named_with_its_number(wheel, off):
+    w = Wheel.parse(wheel)
+    times, teeth = train(wheel, 1500.0, 60)
+    pitch = 60e6 / 1500.0 / w.turn
+    bent = times + np.where((teeth == 20) & (np.arange(len(teeth)) > 10 * w.pulses), off * pitch, 0.0)
+    result = follower("adaptive", w)(bent)
+    assert "damaged_tooth" in named(result)
+    assert set(result.count[result.fault == 11].tolist()) == {20}
+    assert result.proven[-1]
+    assert len(wrong(result, teeth)) <= len(times) // w.pulses // 10
+
+
+@compiled
+def test_the_tooth_that_is_told_is_the_one_that_failed():
+    """One pulse missed, or one added, at every tooth of a turn."""
+    follow = follower("adaptive", Wheel.parse("60-2"))
+    for kind in ("missed_pulse", "added_pulse"):
+        right = 0
+        for tooth in range(58):
+            times, _ = train("60-2", 1500.0, 12, [24, tooth], [(2, 0.05, 1.0)])
+            at = 8 * 58 + tooth
+            between = times[at] + 0.45 * (times[at + 1] - times[at])
+            faulty = np.delete(times, at) if kind == "missed_pulse" else np.insert(times, at + 1, between)
+            result = follow(faulty)
+            right += named(result) == {kind: 1} and result.tooth[0] == tooth
+        assert right >= 57, kind
+
+
+def _replayed(capture, wheel, form, folder):
+    """Convert a capture and replay it as a user does; returns the DTCs set and the last GW state."""
+    config = folder / "bench.toml"
+    config.write_text(
+        f'name = "bench"\n[[bus]]\nname = "powertrain"\nuri = "loopback:127.0.0.1:29536"\n'
+        f'database = ["{shipped("dbc/crank.dbc")}"]\n[[monitor]]\nname = "crank"\ntype = "crank_sync"\n'
+        f'bus = "powertrain"\nwheel = "{wheel}"\nframe = "{form}"\n'
+    )
+    log = folder / "capture.log"
+    made = CliRunner().invoke(app, ["convert", "teeth", str(capture), str(log), "--frame", form])
+    assert made.exit_code == 0, made.output
+    played = CliRunner().invoke(app, ["replay", str(log), "-c", str(config), "--json"])
+    assert played.exit_code == 0, played.output
+    events = [json.loads(line) for line in played.stdout.splitlines()]
+    return Counter(e["dtc"] for e in events if e["event"] == "dtc")
+
+
+def write_capture(path, times_us):
+    """Write pulse times as a logic analyser's capture, falling edges."""
+    rows = ["time_s,level", "-0.001,1"]
+    for t, following in zip(times_us, np.append(times_us[1:], times_us[-1] + 500), strict=True):
+        rows += [f"{t / 1e6:.6f},0", f"{(t + 0.4 * (following - t)) / 1e6:.6f},1"]
+    path.write_text("\n".join(rows) + "\n")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", ["classic", "fd"])
+def test_silence_while_turning_is_loss_of_signal_in_either_frame(form, tmp_path):
+    """80, 200 and 450 ms without a pulse at 800 rpm, through convert and replay."""
+    times, _ = train("60-2", 800.0, 60, jitter=0.0, tooth_error=0.0)
+    for at_ms, silent_ms in ((1000, 80), (2000, 200), (3000, 450)):
+        times = times[(times < at_ms * 1e3) | (times > (at_ms + silent_ms) * 1e3)]
+    write_capture(tmp_path / "f.csv", times)
+    assert set(_replayed(tmp_path / "f.csv", "60-2", form, tmp_path)) == {"P0339-1F"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", ["classic", "fd"])
+def test_a_gap_longer_than_65_ms_is_carried(form, tmp_path):
+    """12-1 at 70 rpm: its gap takes 143 ms; nothing is reported and the index is known."""
+    times, _ = train("12-1", 70.0, 14, [2], [(2, 0.05, 0.0)])
+    write_capture(tmp_path / "slow.csv", times)
+    assert _replayed(tmp_path / "slow.csv", "12-1", form, tmp_path) == {}
+
+
+#: Capture -> wheel, DTCs that it must set.
+WANTED = {
+    "A": ("36-1", {"P0339-1F"}),
+    "B": ("60-2", {"P0336-39"}),
+    "Bhealthy": ("60-2", set()),
+    "D250": ("60-2", set()),
+    "D850": ("60-2", set()),
+    "E": ("60-2", set()),
+    "F": ("60-2", {"P0339-1F"}),
+    "G": ("60-2", {"P0336-39"}),
+}
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason=f"no captures in {CAPTURES}")
+@pytest.mark.parametrize("form", ["classic", "fd"])
+@pytest.mark.parametrize("name", WANTED)
+def test_captures_of_other_origin(name, form, tmp_path):
+    wheel, dtcs = WANTED[name]
+    assert set(_replayed(CAPTURES / f"{name}.csv", wheel, form, tmp_path)) == dtcs
