@@ -9,16 +9,14 @@ import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from gateway.errors import InputError
-from gateway.learn.claims import Claim, proven
+from gateway.learn.claims import Claim, fitting, proven
 from gateway.learn.columns import bits_of
-from gateway.learn.counters import CounterFound
+from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.protection.crc import KNOWN
-from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
-from gateway.signals.protection.protection import Protection
+from gateway.signals.protection.params import CHECKSUMS
 from gateway.signals.protection.rules import RULES
 
 Keys = dict[str, Any]
@@ -71,7 +69,7 @@ def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFo
         return False
     own = mask_of(field_of(signal))
     if counter is not None:
-        own |= mask_of(field_of(next(each for each in message.signals if each.name == counter.signal)))
+        own |= mask_of(field_of(signal_of(message, counter)))
     changing = (frames.bytes != frames.bytes[0]).any(axis=0)
     return sum(bool(moved) and not own >> (8 * k) & 0xFF for k, moved in enumerate(changing)) >= LEAST_BYTES
 
@@ -124,16 +122,8 @@ def _unnamed(
     yield from crcs(message, signal, counter, frames, _ranges(message, signal))
 
 
-def _protection(message: Message, keys: Keys) -> Protection | None:
-    """Return the protection of keys, None where they do not fit the message."""
-    try:
-        return protection_for(message, ProtectionParams.model_validate(keys))
-    except InputError:
-        return None
-
-
 def _fits(message: Message, keys: Keys, frames: Payloads) -> bool:
-    asked = _protection(message, keys)
+    asked = fitting(message, keys)
     if asked is None or not judged(frames[:FIRST_LOOK], asked).good.all():
         return False
     return bool(judged(frames, asked).good.mean() > 0.98)
@@ -143,8 +133,7 @@ def _rules(message: Message, signal: Signal, counter: CounterFound | None, frame
     """Yield the carmakers' rules that fit; those that go by the counter's value with its name."""
     alive: Keys = {}
     if counter is not None:
-        bits = next(each.length for each in message.signals if each.name == counter.signal)
-        alive = {"counter": counter.keys(bits)}
+        alive = {"counter": counter.keys(signal_of(message, counter).length)}
     for rule in RULES:
         keys = {"checksum": {"rule": rule, "signal": signal.name}}
         if _fits(message, keys, frames):
@@ -171,9 +160,8 @@ def _ranges(message: Message, signal: Signal) -> Iterator[Keys]:
     yield {}
     own = mask_of(field_of(signal))
     bytes_ = [k for k in range(message.length) if own >> (8 * k) & 0xFF]
-    if bytes_[-1] + 1 < message.length and bytes_[0] > 0:
+    if bytes_[0] > 0 and bytes_[-1] + 1 < message.length:  # else one of these is the whole payload
         yield {"over": (bytes_[-1] + 1, message.length)}
-    if bytes_[0] > 0 and bytes_[-1] + 1 < message.length:
         yield {"over": (0, bytes_[0])}
 
 
@@ -187,7 +175,7 @@ def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
                     keys: Keys = {"rule": rule, "signal": signal.name, "of": of, **over}
                     if negative:
                         keys["negative"] = True
-                    asked = _protection(message, {"checksum": keys})
+                    asked = fitting(message, {"checksum": keys})
                     if asked is None:
                         continue
                     first = judged(frames[:1], asked)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from cantools.database.can import Message
 
+from gateway.errors import InputError
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import mask_of
 from gateway.signals.protection.params import ProtectionParams, protection_for
@@ -37,6 +38,14 @@ class Claim:
     frames: int
     matched: int
     note: str = ""
+
+
+def fitting(message: Message, keys: Mapping[str, Any]) -> Protection | None:
+    """Return the protection of keys of [[bus.check]], None where they do not fit the message."""
+    try:
+        return protection_for(message, ProtectionParams.model_validate(dict(keys)))
+    except InputError:
+        return None
 
 
 def evidence(payloads: Payloads, asked: Protection, free_bits: int, hypotheses: int) -> float:
@@ -79,7 +88,7 @@ def proven(
     if len(proof) < LEAST_PROOF or evidence(proof, asked, free_bits, hypotheses) < LEAST_EVIDENCE:
         return None
     good = int(judged(proof, asked).good.sum())
-    # A frame that the bus disturbed and the recorder kept is no proof against it; every tenth would be.
+    # A frame that the bus disturbed and the recorder kept is no proof against it; one in a hundred is.
     if good < 0.99 * len(proof):
         return None
     return Claim(keys, asked, len(proof), good, note)

@@ -52,6 +52,11 @@ class CounterFound:
         return keys
 
 
+def signal_of(message: Message, counter: CounterFound) -> Signal:
+    """Return the signal that counts."""
+    return next(signal for signal in message.signals if signal.name == counter.signal)
+
+
 def called_counter(name: str) -> bool:
     """Tell whether a signal is called as counters are."""
     return name.upper().rstrip("0123456789_").endswith(COUNTERS)

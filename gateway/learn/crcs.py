@@ -14,15 +14,13 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.errors import InputError
+from gateway.learn.claims import fitting
 from gateway.learn.columns import bits_of
-from gateway.learn.counters import CounterFound
+from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import polynomial_of, solved
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.protection.checksum import LIST
-from gateway.signals.protection.params import ProtectionParams, protection_for
-from gateway.signals.protection.protection import Protection
 
 Keys = dict[str, Any]
 
@@ -50,7 +48,7 @@ def crcs(
     same = np.arange(len(frames))
     groups = [(same, after) for after in range(MOST_AFTER + 1)]
     if counter is not None:  # frames of one value: what goes in by the counter is the same for them
-        values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
+        values = bits_of(frames.words, field_of(signal_of(message, counter)))
         each, count = np.unique(values, return_counts=True)
         groups.append((np.flatnonzero(values == each[count.argmax()]), 1))
     for over in ranges:
@@ -85,21 +83,13 @@ def _covered(message: Message, signal: Signal, frames: Payloads, over: Mapping[s
     return whole[:, kept]
 
 
-def _protection(message: Message, keys: Keys) -> Protection | None:
-    """Return the protection of keys, None where they do not fit the message."""
-    try:
-        return protection_for(message, ProtectionParams.model_validate(keys))
-    except InputError:
-        return None
-
-
 def _constants(
     message: Message, crc: Keys, after: int, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
     """Yield a CRC with the constant, or the list by the counter's value, that makes it that of the frames."""
     width = int(crc["width"])
     behind = {} if not after else {"data_id": {"bytes": [0] * after, "place": "after"}}
-    asked = _protection(message, {"crc": crc | behind})
+    asked = fitting(message, {"crc": crc | behind})
     if asked is None:
         return
     difference = judged(frames, asked).difference
@@ -112,7 +102,7 @@ def _constants(
     found = _by_counter(message, crc, counter, frames)
     if found is not None:
         listed, constant = found
-        alive = counter.keys(_signal(message, counter.signal).length)
+        alive = counter.keys(signal_of(message, counter).length)
         by_counter = crc | {"data_id": {"bytes": listed, "place": "by_counter"}}
         yield {"crc": by_counter | ({"xorout": constant} if constant else {}), "counter": alive}, 2 * width + 8 * LIST
 
@@ -125,11 +115,11 @@ def _by_counter(
     What is common to all bytes and what is constant cannot be told apart: the first one is called 0.
     """
     plain = {"signal": counter.signal}
-    values = bits_of(frames.words, field_of(_signal(message, counter.signal)))
+    values = bits_of(frames.words, field_of(signal_of(message, counter)))
 
     def difference(byte: int, some: Payloads) -> NDArray[np.uint64]:
         keys = {"crc": crc | {"data_id": {"bytes": [byte] * LIST, "place": "by_counter"}}, "counter": plain}
-        asked = _protection(message, keys)
+        asked = fitting(message, keys)
         assert asked is not None
         return judged(some, asked).difference
 
@@ -152,7 +142,3 @@ def _by_counter(
             return None
         listed.append(byte)
     return listed, constant or 0
-
-
-def _signal(message: Message, name: str) -> Signal:
-    return next(signal for signal in message.signals if signal.name == name)

@@ -23,7 +23,7 @@ from gateway.learn.lines import Learned
 from gateway.learn.merge import merged
 from gateway.learn.observe import Observation, Observer
 from gateway.learn.proof import Replayed, replayed
-from gateway.learn.state import Kept, load_state, merge, state_of
+from gateway.learn.state import Kept, Refused, load_state, merge, state_of
 from gateway.learn.trial import MOST, Outcome, chosen, trials, tried
 from gateway.learn.update import add_before, read_file
 from gateway.learn.widen import owner, widened
@@ -77,6 +77,7 @@ class Result:
         possible: how many faults a limit can show; those tried were drawn from them.
         state: what is kept for another drive.
         kept: lines that a person changed, took out or added; they stay.
+        refused: place and key of what healthy frames broke until it was taken out.
     """
 
     learned: Learned
@@ -91,6 +92,7 @@ class Result:
     possible: int = 0
     state: dict[str, Any] = field(default_factory=dict)
     kept: int = 0
+    refused: set[Refused] = field(default_factory=set)
 
 
 def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
@@ -113,7 +115,7 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
     databases = load_databases(config)
     observer = Observer(config, databases)
     for path in asked.logs:
-        observer.read(path, asked.maps, asked.hold_out, _of_logs(progress, "reading"))
+        observer.read(path, asked.maps, asked.hold_out, _by_log(progress, "reading"))
     observation = observer.result()
     if not observation.seen:
         files = ", ".join(file for bus in asked.buses for file in bus.files or bus.databases)
@@ -150,7 +152,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
         result.kept = len(kept)
         settle(asked, result, databases, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
     seconds = before.seconds + sum(log.seconds for log in observation.logs)
-    result.state = state_of(observation, learned, names, seconds, logs, before, kept)
+    result.state = state_of(observation, learned, names, seconds, logs, before, kept, result.refused)
     return result
 
 
@@ -168,7 +170,7 @@ def settle(
         result.text = compose()
         said = f"proof {number + 1}"
         with _beside(asked.out, result.text) as path:
-            proof = replayed(path, result.observation.logs, asked.maps, _of_logs(progress, said))
+            proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
         own = {fault for fault in proof.alarms if _of_log(fault, [bus.name for bus in asked.buses])}
         result.alarms = tuple(sorted(set(proof.alarms) - own))
@@ -186,7 +188,7 @@ def _of_log(fault: str, buses: Sequence[str]) -> bool:
     return owner_ == OWNER or (owner_ in buses and "." not in rest)
 
 
-def _of_logs(progress: Progress, said: str) -> Callable[[Path, int, float], None]:
+def _by_log(progress: Progress, said: str) -> Callable[[Path, int, float], None]:
     return lambda path, _frames, done: progress(said, path.name, done)
 
 
@@ -200,6 +202,8 @@ def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[
         line, kind = owned
         new, said = widened(line, kind, alarm, before[line.place, kind] >= WIDENED)
         before[line.place, kind] += 1
+        left = {} if new is None else new.keys
+        result.refused |= {(line.place, key) for key in line.keys if key not in left}
         if new is None:
             del result.learned.lines[line.place]
             result.learned.notes.append(f"{line.bus}: {line.name}: {said}")

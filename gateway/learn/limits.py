@@ -15,7 +15,7 @@ from cantools.database.can.signal import Signal
 
 from gateway.learn import gaps
 from gateway.learn.checksums import called_checksum
-from gateway.learn.counters import called_counter
+from gateway.learn.counters import called_counter, signal_of
 from gateway.learn.course import Course
 from gateway.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
 from gateway.learn.observe import Observation, Seen
@@ -67,8 +67,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
         why.append(f"{name} right in {found.claim.matched} of {found.claim.frames}")
         why += [found.claim.note] if found.claim.note else []
     if found.counter is not None:
-        bits = next(signal.length for signal in message.signals if signal.name == found.counter.signal)
-        keys["counter"] = found.counter.keys(bits)
+        keys["counter"] = found.counter.keys(signal_of(message, found.counter).length)
         why.append(f"counts in {found.counter.ones} of {found.counter.steps} steps")
         if not found.counter.wraps:
             why.append("not seen to come round")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,9 @@ from gateway.learn.course import Course
 from gateway.learn.gaps import Gaps
 from gateway.learn.lines import Learned, Line
 from gateway.learn.observe import Observation, Seen
+
+#: Place of a line, and a key of it.
+Refused = tuple[tuple[str, str, str], str]
 
 #: Form of the file; another one cannot be read.
 FORM = 1
@@ -26,15 +29,15 @@ class Kept:
         seconds: their length [s].
         logs: what was read, for people.
         messages: (bus, message) -> what was seen of it.
-        protections: (bus, message) -> keys of its protection and counter.
         written: lines as they were written, by place.
+        refused: place and key of what healthy logs broke until it was taken out: it stays out.
     """
 
     seconds: float = 0.0
     logs: list[str] = field(default_factory=list)
     messages: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
-    protections: dict[tuple[str, str], dict[str, Any]] = field(default_factory=dict)
     written: dict[tuple[str, str, str], Line] = field(default_factory=dict)
+    refused: set[Refused] = field(default_factory=set)
 
 
 def state_path(out: Path) -> Path:
@@ -57,8 +60,8 @@ def load_state(out: Path) -> Kept:
             data["seconds"],
             data["logs"],
             {(bus, name): entry for bus, name, entry in data["messages"]},
-            {(bus, name): keys for bus, name, keys in data["protections"]},
             {(bus, table, name): Line(bus, table, name, keys, why) for bus, table, name, keys, why in data["written"]},
+            {((bus, table, name), key) for bus, table, name, key in data["refused"]},
         )
     except FileNotFoundError as error:
         text = "what was learned before is not there: --update goes on from a file that gateway learn has made"
@@ -75,8 +78,20 @@ def state_of(
     logs: Sequence[str],
     before: Kept,
     by_hand: Collection[tuple[str, str, str]],
+    refused: Set[Refused],
 ) -> dict[str, Any]:
-    """Return what is to be kept, after :func:`merge`; of a person's places, what we wrote there last."""
+    """Return what is to be kept, after :func:`merge`; of a person's places, what we wrote there last.
+
+    Args:
+        observation: of the new logs, with the earlier ones added.
+        learned: lines as they are written now.
+        buses: names, by index.
+        seconds: length of all logs [s].
+        logs: all of them, for people.
+        before: what earlier logs gave.
+        by_hand: places that a person changed, took out or added.
+        refused: what was taken out now.
+    """
     messages = dict(before.messages)
     for (bus, name), seen in observation.seen.items():
         messages[buses[bus], name] = {
@@ -89,19 +104,14 @@ def state_of(
                 signal.name: course.data() for signal, course in zip(seen.signals, seen.courses.each, strict=True)
             },
         }
-    protections = dict(before.protections)
-    for line in learned.lines.values():
-        keys = {name: line.keys[name] for name in ("e2e", "crc", "checksum", "counter") if name in line.keys}
-        if line.table == "check" and keys:
-            protections[line.bus, line.name] = keys
     written = [*learned.lines.values(), *(before.written[place] for place in by_hand if place in before.written)]
     return {
         "form": FORM,
         "seconds": seconds,
         "logs": list(logs),
         "messages": [[bus, name, entry] for (bus, name), entry in messages.items()],
-        "protections": [[bus, name, keys] for (bus, name), keys in protections.items()],
         "written": [[line.bus, line.table, line.name, line.keys, line.why] for line in written],
+        "refused": sorted([*place, key] for place, key in before.refused | refused),
     }
 
 

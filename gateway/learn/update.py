@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,8 @@ from gateway.errors import InputError
 from gateway.learn.document import BusAsked
 from gateway.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, short
 from gateway.learn.merge import File, of_a_person, read
-from gateway.learn.state import Kept
+from gateway.learn.state import Kept, Refused
+from gateway.learn.widen import asks
 
 
 def read_file(out: Path) -> File:
@@ -39,10 +42,24 @@ def add_before(learned: Learned, before: Kept, file: File, buses: tuple[BusAsked
             continue
         new = learned.lines.get(place)
         learned.lines[place] = line if new is None else _joined(line, new)
+    _refuse(learned, before.refused)
     _in_order(learned)
     for place in kept:
         learned.lines.pop(place, None)
     return kept
+
+
+def _refuse(learned: Learned, refused: Set[Refused]) -> None:
+    """Take out what earlier logs broke: that the new ones keep it says nothing against them."""
+    for place, key in refused:
+        line = learned.lines.get(place)
+        if line is None or key not in line.keys:
+            continue
+        keys = {name: value for name, value in line.keys.items() if name != key}
+        if asks(line.table, keys):
+            learned.lines[place] = replace(line, keys=keys, why=f"{line.why}; no {key}: earlier logs broke it")
+        else:
+            del learned.lines[place]
 
 
 def _joined(old: Line, new: Line) -> Line:

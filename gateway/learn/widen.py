@@ -47,17 +47,17 @@ def widened(line: Line, kind: str, alarm: Alarm, again: bool) -> tuple[Line | No
     where = "in what was held out" if alarm.held_out else "in what was learned from"
     change = _changed(keys, kind, alarm, again)
     said = f"{kind} alarmed {where}: {change}"
-    left = _left(line, keys)
+    left = asks(line.table, keys)
     return (replace(line, keys=keys, why=f"{line.why}; {said}") if left else None), said
 
 
-def _left(line: Line, keys: Mapping[str, Any]) -> bool:
-    """Tell whether a line still asks for something."""
-    if line.table == SIGNAL:
+def asks(table: str, keys: Mapping[str, Any]) -> bool:
+    """Tell whether a line of a table asks for something, by its keys."""
+    if table == SIGNAL:
         return (bool(set(keys) - {"signal", "name", "failed_ms", "passed_ms"}) and keys.get("invalid") != []) or bool(
             set(keys) & {"plausible", "gradient", "stuck", "undefined"}
         )
-    return line.table != RULE or "holds" in keys
+    return table != RULE or "holds" in keys
 
 
 def _changed(keys: dict[str, Any], kind: str, alarm: Alarm, again: bool) -> str:

@@ -1,0 +1,120 @@
+"""What logs are looked at for: how messages are sent, how long signals rest, which of them follow each other."""
+
+import numpy as np
+import pytest
+
+from gateway.learn.course import Courses
+from gateway.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
+from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
+from gateway.learn.relations import relations
+from gateway.learn.state import Kept
+from gateway.learn.update import _refuse
+
+MS = 1_000_000
+
+
+def gaps_of(steps_ms):
+    gaps = Gaps()
+    stamps = np.rint(np.cumsum([0.0, *steps_ms]) * MS).astype(np.int64) + 10**15
+    for part in np.array_split(stamps, 7):
+        if len(part):
+            gaps.add(part)
+    return gaps
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("kind", "steps"),
+    [
+        (CYCLIC, lambda rng: rng.uniform(9, 13, 2000)),
+        (MIXED, lambda rng: rng.choice([3.0, 100.0], 2000, p=[0.6, 0.4])),
+        (ON_CHANGE, lambda rng: rng.exponential(200.0, 2000)),
+        (TOO_FEW, lambda rng: rng.uniform(9, 13, 6)),
+    ],
+)
+def test_how_a_message_is_sent(kind, steps, seed):
+    gaps = gaps_of(steps(np.random.default_rng(seed)))
+    assert sending(gaps) == kind
+    limit = timeout_ms(gaps)
+    assert (limit is None) == (kind in (ON_CHANGE, TOO_FEW))
+    if limit is not None:
+        assert 2 * gaps.largest_ns <= limit * MS <= 10 * gaps.largest_ns
+    assert Gaps.of(gaps.data()).quantile_ns(0.5) == gaps.quantile_ns(0.5)
+
+
+def test_a_gap_between_two_logs_is_none():
+    gaps = gaps_of([10.0] * 50)
+    gaps.begin()
+    gaps.add(np.array([10**18, 10**18 + 10 * MS]))
+    assert gaps.count == 51
+    assert gaps.largest_ns == 10 * MS
+
+
+@pytest.mark.parametrize("batch", [1, 7, 1000])
+def test_a_course_beside_its_values(batch):
+    """Whatever the batches: extremes and steepness without the first second, changes, the longest rest and no value."""
+    t = np.arange(1000, dtype=np.int64) * 10 * MS
+    x = np.repeat(np.arange(100.0), 10)
+    x[:50], x[300:400], x[600:650] = 900.0, 30.0, 255.0
+    courses = Courses([(255.0,)])
+    courses.begin(0)
+    for k in range(0, 1000, batch):
+        courses.add(t[k : k + batch], x[k : k + batch, None].copy())
+    (course,) = courses.each
+    assert (course.lowest, course.highest) == (10.0, 99.0)
+    assert course.none == 50
+    assert course.none_s == pytest.approx(0.5, abs=0.011)
+    assert course.rest_s == pytest.approx(1.0, abs=0.011)
+    assert course.steepest == pytest.approx(1000.0), "40 - 30 behind the rest, in 10 ms"
+    assert not course.states
+
+
+def road(seed, count=3000):
+    """Speeds with hills, as no two waves have them by chance."""
+    rng = np.random.default_rng(seed)
+    return 60.0 + np.cumsum(np.convolve(rng.normal(0, 0.4, count + 40), np.ones(41) / 6.4, "valid"))[:count] * 0.3
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_what_follows_another_and_what_only_seems_to(seed):
+    rng = np.random.default_rng(seed)
+    v, turn = road(seed), road(seed + 100) - 60.0
+    turn *= 0.02 * v.std() / turn.std()
+    left, right = v - turn, v + turn
+    t = np.arange(len(v)) * 0.05
+    signals = {
+        "left": left,
+        "right": right,
+        "speed": 3.6 * v + 2.0,
+        "copy": 1.8 * v - 5.0,
+        "yaw": 40.0 * (right - left) - 1.0,
+        "wave": np.sin(t / 60.0),
+        "like": 2.0 * np.sin(t / 60.5) + 0.1,
+        "grows": t,
+        "wears": 100.0 - 0.01 * t - 1e-7 * t**2,
+        "noise": rng.normal(0, 1, len(v)),
+    }
+    names = list(signals)
+    values = np.column_stack(list(signals.values())) + rng.normal(0, 1e-3, (len(v), len(names)))
+    values[::17, 0] = np.nan
+    found = {(names[r.of], tuple(names[k] for k in r.by)): r for r in relations(values, [True] * len(names))}
+    pairs = {frozenset({of, *by}) for of, by in found if len(by) == 1}
+    assert all(pair <= {"left", "right", "speed", "copy"} for pair in pairs)
+    assert any("copy" in pair for pair in pairs)
+    (yaw,) = [relation for (of, by), relation in found.items() if len(by) == 2 and of == "yaw"]
+    assert abs(yaw.slope) > 1.0
+    assert {of for of, by in found if len(by) == 2} == {"yaw"}
+
+
+def test_what_healthy_logs_broke_stays_out_when_others_are_added():
+    """The new drive keeps to the limit: that says nothing against the one that did not."""
+    lines = [
+        Line("b", CHECK, "M", {"message": "M", "timeout_ms": 50.0}, ""),
+        Line("b", SIGNAL, "M.X", {"signal": "M.X", "gradient": 3.0}, ""),
+        Line("b", RULE, "r", {"name": "r", "holds": "M.X == M.Y", "tolerance": 1.0}, ""),
+    ]
+    learned = Learned({line.place: line for line in lines})
+    kept = Kept(refused={(lines[0].place, "timeout_ms"), (lines[1].place, "gradient"), (lines[2].place, "holds")})
+    _refuse(learned, kept.refused)
+    assert [line.keys for line in learned.lines.values()] == [{"message": "M"}]
+    assert "earlier logs broke it" in learned.lines[lines[0].place].why
