@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from gateway.learn.course import Courses
+from gateway.learn.document import BusAsked
 from gateway.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
 from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
+from gateway.learn.merge import File
 from gateway.learn.relations import relations
 from gateway.learn.state import Kept
-from gateway.learn.update import _refuse
+from gateway.learn.update import add_before
 
 MS = 1_000_000
 
@@ -115,6 +117,7 @@ def test_what_healthy_logs_broke_stays_out_when_others_are_added():
     ]
     learned = Learned({line.place: line for line in lines})
     kept = Kept(refused={(lines[0].place, "timeout_ms"), (lines[1].place, "gradient"), (lines[2].place, "holds")})
-    _refuse(learned, kept.refused)
+    nothing = File([], {}, {})
+    assert add_before(learned, kept, nothing, (BusAsked("b", "virtual:x", ()),)) == set()
     assert [line.keys for line in learned.lines.values()] == [{"message": "M"}]
     assert "earlier logs broke it" in learned.lines[lines[0].place].why

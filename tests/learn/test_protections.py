@@ -12,6 +12,7 @@ from e2e_frames import CASES, DATABASES, E2E, drawn
 from opendbc.can.dbc import DBC
 from opendbc.can.packer import CANPacker
 
+from gateway.learn.claims import proven
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.protections import protection_found
 from gateway.signals.bits import field_of
@@ -189,6 +190,16 @@ def test_frames_that_do_not_change_prove_nothing():
     found = protection_found(message, NOWHERE, [payloads([bytes(8)] * 500)])
     assert found.claim is None
     assert found.counter is None
+
+
+def test_a_claim_needs_more_evidence_than_was_free_to_be_chosen():
+    """Twenty different frames of 8 bits say 152 bits: 112 of them may have been chosen, not one more."""
+    message = message_of(4, Signal("CHECKSUM", 24, 8))
+    frames = payloads([bytes([k, 7, 9, (k + 16 + 4 + 0x24) & 0xFF]) for k in range(20)])
+    keys = {"checksum": {"rule": "toyota", "signal": "CHECKSUM"}}
+    assert proven(message, keys, frames, free_bits=112).matched == 20
+    assert proven(message, keys, frames, free_bits=113) is None
+    assert proven(message, keys, frames[:15]) is None, "too few, whatever they say"
 
 
 def test_what_a_database_says_is_believed_only_with_proof(tmp_path):

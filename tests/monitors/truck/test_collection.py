@@ -91,3 +91,17 @@ def test_frames_that_come_up_to_two_periods_late_are_used(most_ms):
     assert "P1A13-64" in [dtc for _, dtc, failed in events if failed]
     others = {"P1A10-01", "P1A11-64", "P1A12-64", "P1A14-64"}
     assert not others & {dtc for _, dtc, _ in events}
+
+
+@pytest.mark.skipif(not COMPILED, reason="minutes of driving")
+@pytest.mark.parametrize("missing", [257, 1000])
+def test_a_gap_is_one_though_the_counter_has_come_round(missing):
+    """Behind 257 sets the counter is two ahead, as behind one: the dynamic tests begin anew all the same."""
+
+    def silent(frames):
+        return np.concatenate([frames[: 4 * 3000], frames[4 * (3000 + missing) :]])
+
+    peak, sets, events = run(driven(seconds=90.0), 7, change=silent)
+    assert sets == 9000 - missing
+    assert {code[0] for _, code, _ in events} == {"U"}, "missing messages, and no part of the truck"
+    assert max(peak.values()) < 1.0
