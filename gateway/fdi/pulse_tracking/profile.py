@@ -66,9 +66,10 @@ class LearnedWheel(Record):
 class Profile(Record):
     """Profile.
 
-    ``intervals`` of this revolution [us], ``before`` ln(pitch / nominal) of the last one if it is ``paired``,
-    ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders, ``clean`` this revolution so far, ``turns``
-    pairs learned from, ``period`` [us] at which it was learned ``first`` amplitude of the first order, ``even`` and
+    ``intervals`` of this revolution [us], ``turn_us`` their sum, ``clean`` this revolution so far. While the revolution
+    before has ``ended`` and is not decided, those are of ``ahead``; of it are ``ended_clean`` and ``ended_us``.
+    ``before`` ln(pitch / nominal) of the last one if it is ``paired``,
+    ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders, ``turns`` pairs learned from, ``period`` [us] at which it was learned ``first`` amplitude of the first order, ``even`` and
     ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple that the last turn had and the profile did
     not expect, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
     """
@@ -77,7 +78,9 @@ class Profile(Record):
     before: Annotated[f8s, MOST_TEETH]
     logs: Annotated[f8s, MOST_TEETH]
     ripple: Annotated[f8s, MOST_TEETH]
+    ahead: Annotated[f8s, MOST_TEETH]
     turn_us: f8
+    ended_us: f8
     last_us: f8
     trend: f8
     period: f8
@@ -91,6 +94,8 @@ class Profile(Record):
     odds: Annotated[f8s, MOST_ORDERS]
     share: f8
     clean: u1
+    ended: u1
+    ended_clean: u1
     paired: u1
     resting: i4
     turns: i8
@@ -101,6 +106,7 @@ def forget(pr: Profile, wh: LearnedWheel, pitches: f8s) -> None:
     """Forget what was learned: the pitches are the nominal ones again."""
     pr.turns = 0
     pr.clean = 0
+    pr.ended = 0
     pr.paired = 0
     pr.resting = 0
     pr.turn_us = 0.0
@@ -117,50 +123,67 @@ def forget(pr: Profile, wh: LearnedWheel, pitches: f8s) -> None:
 @kernel
 def note(pr: Profile, slot: int, y: float) -> None:
     """Note the interval of one slot [us]."""
-    pr.intervals[slot] = y
+    if pr.ended == 1:
+        pr.ahead[slot] = y
+    else:
+        pr.intervals[slot] = y
     pr.turn_us += y
 
 
 @kernel
-def turn(pr: Profile, wh: LearnedWheel, pitches: f8s) -> bool:
-    """End a revolution; returns whether it was clean.
+def end(pr: Profile) -> None:
+    """End a revolution. What follows is noted beside it, until it is decided and :func:`turn` takes it."""
+    pr.ended = 1
+    pr.ended_clean = pr.clean
+    pr.ended_us = pr.turn_us
+    pr.clean = 1
+    pr.turn_us = 0.0
+
+
+@kernel
+def turn(pr: Profile, wh: LearnedWheel, pitches: f8s, index: int) -> bool:
+    """Take the revolution that has ended; returns whether it was clean, which the pulses behind it have to be too.
 
     Args:
         pr: record of Profile.
-        wh: record of WHEEL.
+        wh: record of LearnedWheel.
         pitches: takes the learned ones.
+        index: of the latest tooth, in the revolution after it.
     """
-    clean = pr.clean == 1
+    clean = pr.ended_clean == 1 and pr.clean == 1
+    us = pr.ended_us
+    pr.ended = 0
     if clean and pr.last_us > 0.0:
-        ratio = pr.turn_us / pr.last_us
+        ratio = us / pr.last_us
         trend = 1.0 - ratio * ratio
         pr.resting = pr.resting - 1 if pr.resting > 0 else 0
         if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE and pr.resting == 0:
-            if _learn(pr, wh, trend / wh.whole):
-                apply(pr, wh, pr.turn_us / wh.whole, pitches)
+            if _learn(pr, wh, us, trend / wh.whole):
+                apply(pr, wh, us / wh.whole, pitches)
                 if pr.turns >= SETTLED:
                     pr.resting = REST
                     pr.paired = 0
             elif pr.turns > 0:
-                follow(pr, wh, pr.turn_us / wh.whole, pitches)
+                follow(pr, wh, us / wh.whole, pitches)
         else:
             pr.paired = 0
         pr.trend = trend
     else:
         pr.paired = 0
-    pr.last_us = pr.turn_us if clean else 0.0
-    pr.turn_us = 0.0
-    pr.clean = 1
+    pr.last_us = us if clean else 0.0
+    for slot in range(index):
+        pr.intervals[slot] = pr.ahead[slot]
     return bool(clean)
 
 
 @kernel
-def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> bool:
-    """Learn from this turn and the one before; returns whether there was one.
+def _learn(pr: Profile, wh: LearnedWheel, us: float, growth: float) -> bool:
+    """Learn from the turn that has ended and the one before; returns whether there was one.
 
     Args:
         pr: record of Profile.
         wh: record of LearnedWheel.
+        us: time of the turn [us].
         growth: of the squared speed per pitch, over the turn.
     """
     angle = -wh.whole / 2
@@ -185,7 +208,7 @@ def _learn(pr: Profile, wh: LearnedWheel, growth: float) -> bool:
         return False
     pr.turns += 1
     share = max(SHARE, 1.0 / pr.turns)
-    period = pr.turn_us / wh.whole
+    period = us / wh.whole
     # What was learned at another speed is brought to this one first.
     fallen = min((period / pr.period) ** 2, 1.0) if pr.turns > 1 else 1.0
     pr.period = period

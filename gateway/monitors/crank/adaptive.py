@@ -29,10 +29,12 @@ from gateway.monitors.crank.isolation import (
     broken_silence,
     confirm,
     decide,
+    decided,
     fall_silent,
     hold_to_gap,
     lose,
     turned,
+    turned_back,
     unwatched,
     wait,
 )
@@ -100,7 +102,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         y: interval [us].
         out: record of Out.
     """
-    if s.phase == CONFIRMED and s.index > 1 and s.index + 2 < c.pulses and _regular(s, c, y):
+    if s.phase == CONFIRMED and s.index > 1 and s.index + 2 < c.pulses and s.profile.ended == 0 and _regular(s, c, y):
         return
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
@@ -221,9 +223,11 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
         if s.phase == SEARCHING:
             return
     if s.index < before and before - s.index > c.pulses // 2:
-        turned(s, c, out)
+        turned(s)
     elif s.index > before and s.index - before > c.pulses // 2:
-        s.revolutions -= 1
+        turned_back(s)
+    if s.profile.ended == 1:
+        decided(s, c, out)
     new_behind = profile.smooth(s.profile, behind)
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:

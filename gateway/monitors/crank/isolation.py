@@ -46,6 +46,8 @@ RUNOUT_RPM = 800.0
 #: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
 #: other teeth, but at the most by this.
 BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
+#: Tooth of the next revolution by which one has to be decided to count.
+DECIDED_BY = 4
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -123,7 +125,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
         search(s, c)
         return
     s.since = 0
-    if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and _beside_gap(c, tooth):
+    if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
         # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
         s.suspects = 0
         s.sure = 1
@@ -237,14 +239,41 @@ def _trust(s: State, c: Const) -> None:
 
 
 @kernel
-def turned(s: State, c: Const, out: Reports) -> None:
-    """End a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
+def turned(s: State) -> None:
+    """End a revolution, which :func:`decided` takes when its gap is."""
     s.revolutions += 1
-    us = s.profile.turn_us
-    before = s.profile.turns
-    if s.anchor.verified == 0 or s.anchor.wins > 0 or not agreed(s.tracker):
+    if s.anchor.verified == 0 or s.anchor.wins > 0:
         s.profile.clean = 0
-    clean = profile.turn(s.profile, c.wheel, s.tracker.pitches)
+    profile.end(s.profile)
+
+
+@kernel
+def turned_back(s: State) -> None:
+    """Take the end of a revolution back: the gap had not come yet, after all."""
+    s.revolutions -= 1
+    s.profile.ended = 0
+    s.profile.clean = 0
+
+
+@kernel
+def decided(s: State, c: Const, out: Reports) -> None:
+    """Take a revolution that has ended, once the hypotheses agree, at the latest at tooth :data:`DECIDED_BY`.
+
+    A gap that real sensors make longer or shorter than it is leaves a doubt for a pulse or two.
+    """
+    if not agreed(s.tracker):
+        if s.index < min(DECIDED_BY, c.pulses // 2):
+            return
+        s.profile.ended_clean = 0
+    _take_turn(s, c, out)
+
+
+@kernel
+def _take_turn(s: State, c: Const, out: Reports) -> None:
+    """Take a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
+    us = s.profile.ended_us
+    before = s.profile.turns
+    clean = profile.turn(s.profile, c.wheel, s.tracker.pitches, s.index)
     if s.profile.turns != before or before == 0:
         _trust(s, c)
     if s.profile.turns != before:

@@ -144,7 +144,8 @@ def test_ripple_learned_at_another_speed_is_brought_to_this_one():
         for _ in range(count):
             for slot in range(wheel.pulses):
                 profile.note(pr, slot, float(period * nominal[slot] * np.exp(share * ripple[slot])))
-            profile.turn(pr, wh, pitches)
+            profile.end(pr)
+            profile.turn(pr, wh, pitches, 0)
 
     turns(12, 8000.0, 1.0)
     plain = slice(3, 30)
