@@ -68,10 +68,11 @@ class Profile(Record):
 
     ``intervals`` of this revolution [us], ``turn_us`` their sum, ``clean`` this revolution so far. While the revolution
     before has ``ended`` and is not decided, those are of ``ahead``; of it are ``ended_clean`` and ``ended_us``.
-    ``before`` ln(pitch / nominal) of the last one if it is ``paired``,
-    ``logs`` the learned ln(pitch / nominal), ``ripple`` its low orders, ``turns`` pairs learned from, ``period`` [us] at which it was learned ``first`` amplitude of the first order, ``even`` and
-    ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple that the last turn had and the profile did
-    not expect, ``share`` of the ripple applied, ``slow``, ``fast`` between which the pitches hold, as they are.
+    ``before`` ln(pitch / nominal) of the last one if it is ``paired``, ``logs`` the learned ln(pitch / nominal),
+    ``ripple`` its low orders, ``turns`` pairs learned from, ``period`` [us] at which it was learned, ``first``
+    amplitude of the first order, ``even`` and ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple
+    that the last turn had and the profile did not expect, ``share`` of the ripple applied, ``slow``, ``fast``
+    between which the pitches hold, as they are.
     """
 
     intervals: Annotated[f8s, MOST_TEETH]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 from typing import Annotated
 
-from gateway.fdi.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis
+from gateway.fdi.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis, copy
 from gateway.fdi.wheel import MOST_TEETH
 from gateway.jit import Record, f8, f8s, i4, i8, kernel
 
@@ -91,8 +91,34 @@ def agreed(tr: Tracker) -> bool:
 
 
 @kernel
-def keep_best(tr: Tracker) -> None:
-    """Drop all hypotheses but the best."""
+def unanimous(tr: Tracker) -> bool:
+    """Tell whether all hypotheses that are credible have the same tooth for the latest pulse."""
+    first = tr.bank * MOST
+    h = tr.banks[first]
+    for k in range(1, tr.count):
+        other = tr.banks[first + k]
+        if other.cost < DECISION and other.index != h.index:
+            return False
+    return True
+
+
+@kernel
+def keep_reported(tr: Tracker) -> None:
+    """Drop all hypotheses but one without missed and added pulses, where no pulse for long has told between them.
+
+    Not the best one: of two that are as likely, that with missed or added pulses would accuse the sensor of nothing
+    that was seen.
+    """
+    first = tr.bank * MOST
+    kept = first
+    for k in range(tr.count):
+        other = tr.banks[first + k]
+        if other.cost < DECISION and other.associated == 1 and other.missed == 0 and other.added == 0:
+            kept = first + k
+            break
+    if kept != first:
+        copy(tr.banks[first], tr.banks[kept])
+        tr.banks[first].cost = 0.0
     tr.count = 1
     tr.open = 0
 

@@ -16,23 +16,23 @@ from gateway.fdi.pulse_tracking.tracker import (
     begin,
     best,
     jump,
-    keep_best,
+    keep_reported,
     reported,
     shift,
     transfer_ripple,
 )
 from gateway.jit import kernel
-from gateway.monitors.crank import anchor, reversal
+from gateway.monitors.crank import anchor, reversal, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
     broken_silence,
-    confirm,
     decide,
     decided,
     fall_silent,
     hold_to_gap,
     lose,
+    prove,
     turned,
     turned_back,
     unwatched,
@@ -74,7 +74,7 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
         s.index = best(s.tracker).index
         doubt(s)
         s.hole = 1
-    s.unsynced = 0  # what the bus lost is no reason to blame the sensor
+    waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
@@ -203,7 +203,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
         lose(s, c, out, cost)
         return
     if tr.open > 5 * c.pulses // 2:
-        keep_best(tr)
+        keep_reported(tr)
     h = reported(tr)
     s.index = h.index
     s.since += 1
@@ -232,7 +232,5 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
         transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
-    # Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
-    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.phase == TENTATIVE and s.since >= proof and s.hole == 0 and agreed(tr):
-        confirm(s, out)
+    if s.phase == TENTATIVE and s.hole == 0 and agreed(tr):
+        prove(s, c, out)

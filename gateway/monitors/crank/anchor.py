@@ -42,9 +42,14 @@ UNDECIDED, HERE = -1, 0
 
 
 class Const(Record):
-    """Contrasts of the wheel's slots, and the squared ratio of the largest gap (0: not distinct)."""
+    """Contrasts of the wheel's slots, the ``largest`` of them, and the ``width`` of the largest gap [pitch].
+
+    ``ratio``: that gap squared over its neighbours (0: not distinct).
+    """
 
     ratio: f8
+    width: f8
+    largest: f8
     contrast: Annotated[f8s, MOST_TEETH]
 
 
@@ -74,6 +79,8 @@ def prepare(c: Const, pitches: NDArray[np.float64]) -> None:
     """
     logs = np.log(pitches)
     c.contrast[: len(logs)] = logs - (np.roll(logs, 1) + np.roll(logs, -1)) / 2
+    c.largest = np.abs(c.contrast[: len(logs)]).max()
+    c.width = pitches.max()
     ratio = float(np.exp(2 * (logs[-1] - (logs[-2] + logs[0]) / 2)))
     c.ratio = ratio if ratio >= DISTINCT else 0.0
 
@@ -142,7 +149,7 @@ def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
 
 
 @kernel
-def _squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
+def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
     """Return S of a shift; the contrasts are in ``logs``, that of the interval k pulses ago at k, NaN: not known."""
     total = 0.0
     slot = index - 2 + shift
@@ -159,7 +166,7 @@ def _squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
 
 
 @kernel
-def _contrasts(an: State, pulses: int) -> int:
+def contrasts(an: State, pulses: int) -> int:
     """Compute the contrasts; returns how many are known."""
     known = 0
     at = int(an.at)
@@ -177,8 +184,19 @@ def _contrasts(an: State, pulses: int) -> int:
 
 
 @kernel
+def plain(an: State, pulses: int) -> float:
+    """Return S of a wheel without a gap; the contrasts are in ``logs``."""
+    total = 0.0
+    for k in range(1, pulses - 1):
+        d = an.logs[k]
+        if d == d:  # noqa: PLR0124 - NaN: not known
+            total += min(d * d, MOST)
+    return total
+
+
+@kernel
 def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
-    """Test the last turn against every shift.
+    """Test the last turn against every shift, and against a wheel without a gap.
 
     Args:
         an: record of State.
@@ -190,19 +208,19 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     Returns:
         the shift that is likelier than the present place, HERE or UNDECIDED.
     """
-    known = _contrasts(an, pulses)
+    known = contrasts(an, pulses)
     if known < 4 or 2 * known < pulses:
         return UNDECIDED
-    present = _squares(an, c, pulses, index, 0)
+    present = squares(an, c, pulses, index, 0)
     first, second, shift = present, 1e9, 0
     for d in range(1, repeats):
-        rest = _squares(an, c, pulses, index, d)
+        rest = squares(an, c, pulses, index, d)
         if rest < first:
             second, first, shift = first, rest, d
         elif rest < second:
             second = rest
     variance = max(first / (known - 1), LEAST_VARIANCE)
-    if second - first < 2.0 * UNIQUE * variance:
+    if second - first < 2.0 * UNIQUE * variance or plain(an, pulses) - first < 2.0 * ODDS * variance:
         return UNDECIDED
     if shift == 0:
         return HERE

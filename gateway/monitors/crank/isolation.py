@@ -10,7 +10,7 @@ from gateway.fdi.pulse_tracking.motion import Q3
 from gateway.fdi.pulse_tracking.tracker import agreed, best, marginalise_decided, shift
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import anchor, runout
+from gateway.monitors.crank import anchor, runout, waiting
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -34,7 +34,7 @@ LOSS = 3
 #: Pulses within which missed (or added) ones are one disturbance, its count their sum.
 TOGETHER = 8
 #: Revolutions, and pulses beyond, without synchronisation after which the reason is named.
-PATIENCE, PATIENCE_PULSES = 4, 100
+PATIENCE, PATIENCE_PULSES, LONG_PATIENCE = 4, 100, 10
 #: Share of the teeth with a second pulse from which on the edges are doubled.
 DOUBLE_SHARE = 0.25
 #: Revolutions that the pitches must have been learned from before they are believed.
@@ -46,6 +46,8 @@ RUNOUT_RPM = 800.0
 #: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
 #: other teeth, but at the most by this.
 BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
+#: A decision that took more pulses than this is held until the next gap has proven it.
+LATE = 8
 #: Tooth of the next revolution by which one has to be decided to count.
 DECIDED_BY = 4
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
@@ -121,6 +123,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
+    if s.phase == CONFIRMED and s.tracker.open > LATE:
+        doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         search(s, c)
         return
@@ -136,6 +140,9 @@ def decide(s: State, c: Const, out: Reports) -> None:
     s.recent_added += added
     if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
         lose(s, c, out, s.tracker.mean_cost)
+        return
+    if missed == added:
+        # One missed and one too many: an edge far off. Only when it comes again it says that nothing fits (above).
         return
     if s.teeth - s.decided > TOGETHER:
         s.burst_missed = 0
@@ -207,12 +214,23 @@ def broken_silence(s: State, y: float, out: Reports) -> None:
 
 
 @kernel
+def prove(s: State, c: Const, out: Reports) -> None:
+    """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
+
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
+    """
+    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.since < proof:
+        return
+    if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
+        confirm(s, out)
+
+
+@kernel
 def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
     s.phase = CONFIRMED
-    s.unsynced = 0
-    s.short = 0
-    s.widest = 0.0
+    waiting.clear(s.waiting)
     s.suspects = 0
     s.hole = 0
     if s.held_fault >= 0:
@@ -382,21 +400,24 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
 
 @kernel
 def wait(s: State, c: Const, y: float, out: Reports) -> None:
-    """Count pulses without a proven place on the wheel, and name the reason in the end."""
-    s.unsynced += 1
-    if y < 0.45 * s.y1:
-        s.short += 1
-    if s.y1 > 0.0 and s.y2 > 0.0:
-        s.widest = max(s.widest, s.y1 / (y * s.y2) ** 0.5)
-    if s.unsynced < PATIENCE * c.pulses + PATIENCE_PULSES:
+    """Count pulses without a proven place on the wheel, and name the reason in the end.
+
+    There may be none: an engine whose ripple hides the gap is no defect, so that only what speaks against the wheel
+    counts, for :data:`LONG_PATIENCE` times as long.
+    """
+    wa = s.waiting
+    waiting.note(wa, s.y2, s.y1, y)
+    waiting.look(wa, s.anchor, c.anchor, c.pulses, c.repeats)
+    patience = PATIENCE * c.pulses + PATIENCE_PULSES
+    if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
-    share = s.short / s.unsynced
+    share = wa.short / wa.pulses
     if share > DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
+    elif waiting.contradicts(wa) or wa.pulses >= LONG_PATIENCE * patience:
+        g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
+        g.teeth, g.widest = s.teeth, wa.widest
     else:
-        g = report(out, NO_GAP, True, s.widest, c.gap).no_gap
-        g.teeth, g.widest = s.teeth, s.widest
-    s.unsynced = 0
-    s.short = 0
-    s.widest = 0.0
+        return
+    waiting.clear(wa)

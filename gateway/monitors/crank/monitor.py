@@ -170,7 +170,7 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
     s.cam.counter = int(u.cam_counter)
     f = s.fast
-    if f.phase != place.CONFIRMED or s.counted == 0:
+    if not place.proven(f) or s.counted == 0:
         return
     pulses = c.fast.pulses
     since = frames.wrapped(int(u.cam_pulse) - s.count)
@@ -192,7 +192,7 @@ def _show(s: State, c: Const) -> float:
     """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
     if c.adaptive == 1:
         f = s.fast
-        s.sync = f.phase
+        s.sync = place.TENTATIVE if f.phase == place.CONFIRMED and not place.proven(f) else f.phase
         s.revolutions = f.revolutions
         s.speed_rpm = f.speed_rpm
         s.slowest_rpm = f.slowest_rpm

@@ -8,10 +8,10 @@ import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget
-from gateway.fdi.pulse_tracking.tracker import Tracker, best
+from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor
+from gateway.monitors.crank import anchor, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
 from gateway.monitors.crank.runout import Law
@@ -52,20 +52,16 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``unsynced`` pulses since synchronisation
-    was last proven; ``held`` what a tentative place found, ``suspects`` how often, ``suspect`` the tooth and
-    ``suspect_net`` the pulses missed less those added, ``sure`` whether the gap was seen where the place was found;
-    ``hole`` frames were lost, and the gap was not seen since; ``unseen`` pulses that no frame
-    brought, lately; ``silent`` teeth that may still tell whether a silence was one of the
-    sensor, ``silent_us`` the period before it.
+    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``held`` what a tentative place found,
+    ``suspects`` how often, ``suspect`` the tooth and ``suspect_net`` the pulses missed less those added, ``sure``
+    whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
+    ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
+    the sensor, ``silent_us`` the period before it.
     """
 
     phase: i4
     index: i4
     since: i8
-    unsynced: i8
-    short: i8
-    widest: f8
     teeth: i8
     revolutions: i8
     suspects: i4
@@ -99,6 +95,7 @@ class State(Record):
     y2: f8
     reversal: Reversal
     anchor: anchor.State
+    waiting: waiting.Waiting
     law: Law
     tracker: Tracker
     search: Search
@@ -152,7 +149,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
 @kernel
 def unlearned(c: Const, period: float) -> float:
     """Return the process noise of the growth that ripple needs while it is not learned, at a pitch time [us]."""
-    share = min(period / c.unlearned_us, 1.0)
+    share = min(period / c.unlearned_us, 3.5)
     return float(max(c.unlearned * share * share * share * share, c.usual))
 
 
@@ -160,9 +157,7 @@ def unlearned(c: Const, period: float) -> float:
 def search(s: State, c: Const) -> None:
     """Give the place on the wheel up, and what was learned at it, and look for it again."""
     if s.phase == CONFIRMED:
-        s.unsynced = 0
-        s.short = 0
-        s.widest = 0.0
+        waiting.clear(s.waiting)
     s.phase = SEARCHING
     s.since = 0
     s.suspects = 0
@@ -188,7 +183,7 @@ def stand(s: State, c: Const) -> None:
     search(s, c)
     anchor.skip(s.anchor, c.pulses, c.pulses)
     anchor.restart(s.anchor)
-    s.unsynced = 0
+    waiting.clear(s.waiting)
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
@@ -199,13 +194,17 @@ def doubt(s: State) -> None:
     """Ask for one more revolution as a proof of the place on the wheel."""
     if s.phase == CONFIRMED:
         s.phase = TENTATIVE
-        s.unsynced = 0
-        s.short = 0
-        s.widest = 0.0
+        waiting.clear(s.waiting)
     s.since = 0
     s.suspects = 0
     s.recurring = 0
     s.profile.clean = 0
+
+
+@kernel
+def proven(s: State) -> bool:
+    """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another."""
+    return bool(s.phase == CONFIRMED and unanimous(s.tracker))
 
 
 @kernel

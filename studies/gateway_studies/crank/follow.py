@@ -64,7 +64,7 @@ def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports
         out.n = 0
         adaptive.tooth(s, c, y[k], out)
         teeth[k] = s.index if s.phase != place.SEARCHING else -1
-        proven[k] = s.phase == place.CONFIRMED
+        proven[k] = place.proven(s)
         n = _collect(out, n, k + 1, reports)
     return n
 

@@ -14,6 +14,7 @@ from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED
 from gateway.monitors.contract import FAILED
 from gateway.monitors.crank import MONITOR
+from gateway.monitors.crank.faults import FAULTS
 from gateway.monitors.crank.monitor import Params
 from gateway.monitors.crank.place import CONFIRMED
 from gateway.signals.database import load_database
@@ -74,6 +75,20 @@ def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     # Interval k of the train is interval k % 58 of the wheel, lost frames or not.
     sent = len(times) - 1
     assert state["index"] == sent % w.pulses
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("form", ["classic", "fd"])
+@pytest.mark.parametrize(("share", "told"), [(0.2, False), (0.6, True)])
+def test_above_the_loss_where_diagnosis_ends_the_monitor_says_so(form, share, told):
+    """Of six frames in ten nothing is known: the bus is told of, and nothing of the sensor."""
+    times = tooth_times(Wheel.parse("60-2"), [(0, 3000)], 8.0, rng=np.random.default_rng(4))
+    frames = tooth_frames(times, form)
+    lost = np.random.default_rng(8).random(len(frames)) < share
+    print("seeds 4, 8")
+    lost[: len(frames) // 10] = lost[-1] = False
+    failed, _ = feed(engine_of(form), frames[~lost])
+    assert {FAULTS[k].name for k in failed} == ({"frames_lost"} if told else set())
 
 
 @pytest.mark.long
