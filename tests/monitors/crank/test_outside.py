@@ -81,6 +81,7 @@ def test_nine_pulses_and_more_are_loss_of_signal(wheel, count):
         assert len(wrong(result, np.delete(teeth, gone))) == 0, at
 
 
+@compiled
 @pytest.mark.parametrize("turn", [2, 3, 4, 5])
 def test_a_pulse_missed_beside_the_gap_while_the_wheel_is_learned_does_not_poison_it(turn):
     """The turn ends at the very pulse that is in doubt; the gap of this wheel is 2.8 pitches."""
@@ -129,6 +130,7 @@ def test_ripple_that_hides_the_gap_is_not_a_gap_that_is_missing(wheel, order, am
         assert len(wrong(result, teeth, w.repeats)) == 0, phase
 
 
+@compiled
 @pytest.mark.parametrize("wheel", ["12-1", "24-1", "36-1", "60-2"])
 def test_no_gap_is_told_of_a_wheel_without_one_and_of_another_wheel(wheel):
     other, _ = train("60-2" if wheel != "60-2" else "36-1", 1000.0, 60, [26], [(2, 0.05, 0.0)])
@@ -171,6 +173,7 @@ def test_an_index_that_slipped_by_a_tooth_is_relocated_within_two_turns(wheel):
     assert result.proven[-w.pulses :].any()
 
 
+@compiled
 def test_runout_is_told_from_the_torque_of_two_cylinders_by_its_law_with_speed():
     """Both have one period a turn; that of the torque falls with the square of the speed."""
     wheel = Wheel.parse("60-2")
