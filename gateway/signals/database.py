@@ -8,11 +8,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gateway.common.log import get_logger
 from gateway.errors import InputError, nearest
+from gateway.signals.dialect import mended
 
 if TYPE_CHECKING:
+    from cantools.database.can import Database as CanDatabase
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
+
+_log = get_logger(__name__)
 
 _LINE = re.compile(r"line (\d+)")
 #: Of files that hold a database.
@@ -113,6 +118,9 @@ def _load(path: Path) -> list[Message]:
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except Exception as error:  # the parsers let any exception of theirs through
+        again = _mended(path, suffix)
+        if again is not None:
+            return list(again.messages)
         text = " ".join(str(error).split()) or type(error).__name__
         found = _LINE.search(text)
         line = int(found[1]) if found else None
@@ -120,3 +128,22 @@ def _load(path: Path) -> list[Message]:
     if not isinstance(loaded, cantools.database.can.Database) or not loaded.messages:
         raise InputError("the file holds no CAN messages", file=path)
     return list(loaded.messages)
+
+
+def _mended(path: Path, suffix: str) -> CanDatabase | None:
+    """Read a DBC file that departs from the format in ways that are known, and say so; None: in others."""
+    import cantools  # noqa: PLC0415
+
+    if suffix != ".dbc":
+        return None
+    text, said = mended(path.read_bytes().decode("cp1252", "replace"))
+    if not said:
+        return None
+    try:
+        loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
+    except Exception:  # the first error is the one to tell
+        return None
+    if not isinstance(loaded, cantools.database.can.Database) or not loaded.messages:
+        return None
+    _log.warning("this database departs from DBC; put right", file=str(path), what=said)
+    return loaded

@@ -1,0 +1,65 @@
+"""DBC files as people write them: what community databases (opendbc) have that the format does not.
+
+A file that is not DBC is first read as it stands; only if that fails are these put right, and said.
+"""
+
+from __future__ import annotations
+
+import re
+
+#: Largest identifier of 11 bits, of 29 bits; the flag by which DBC tells the latter.
+_STANDARD, _EXTENDED, _FLAG = 0x7FF, 0x1FFF_FFFF, 1 << 31
+
+_NAMELESS = re.compile(r'^CM_ +(?:(?:SG_ +\d+|BO_|BU_|EV_) *"[^"]*" *;|"[^"\n]*"(?=[ \t]*\n))[ \t]*\n?', re.MULTILINE)
+_POINT = re.compile(r"(?<=[(\[,|])(-?)\.(?=\d)")
+_SIGNAL_LINE = re.compile(r"^ *SG_ .*$", re.MULTILINE)
+_ENDLESS = re.compile(r'^VAL_ +\d+ +\w+(?: +-?\d+ +"[^"\n]*")+(?=[ \t]*\r?\n)', re.MULTILINE)
+_IDENTIFIED = re.compile(
+    r"^((?:BO_|BO_TX_BU_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|CM_ +BO_|CM_ +SG_"
+    r'|BA_ +"[^"]*" +BO_|BA_ +"[^"]*" +SG_) +)(\d+)\b',
+    re.MULTILINE,
+)
+_MESSAGE = re.compile(r"^BO_ +(\d+) ")
+_SIGNAL = re.compile(r"^ *SG_ +(\w+)")
+_TEXTS = re.compile(r"^VAL_ +(\d+) +(\w+) ")
+
+
+def mended(text: str) -> tuple[str, list[str]]:
+    """Return a database's text as the format has it, and what was put right in it, for people.
+
+    Args:
+        text: of a DBC file.
+    """
+    said = []
+    for what, change in (
+        ("comments of no name or without an end left out", lambda now: _NAMELESS.sub("", now)),
+        ("texts of values without an end", lambda now: _ENDLESS.sub(r"\g<0> ;", now)),
+        ("numbers without a digit before their point", _numbers),
+        ("29-bit identifiers without their flag", lambda now: _IDENTIFIED.sub(_flagged, now)),
+        ("texts of signals that are not there left out", _texts),
+    ):
+        before, text = text, change(text)
+        if text != before:
+            said.append(what)
+    return text, said
+
+
+def _numbers(text: str) -> str:
+    return _SIGNAL_LINE.sub(lambda line: _POINT.sub(r"\g<1>0.", line[0]), text)
+
+
+def _flagged(found: re.Match[str]) -> str:
+    number = int(found[2])
+    return f"{found[1]}{number | _FLAG if _STANDARD < number <= _EXTENDED else number}"
+
+
+def _texts(text: str) -> str:
+    """Leave out the texts of values whose signal the database does not have."""
+    known, message = set(), ""
+    lines = text.splitlines(keepends=True)
+    for line in lines:
+        if found := _MESSAGE.match(line):
+            message = found[1]
+        elif found := _SIGNAL.match(line):
+            known.add((message, found[1]))
+    return "".join(line for line in lines if (found := _TEXTS.match(line)) is None or (found[1], found[2]) in known)

@@ -1,0 +1,48 @@
+"""Databases as the community writes them: opendbc's are read with all that they have; what was put right is said."""
+
+import re
+
+import pytest
+from opendbc.dbc.generator.generator import generate_all
+
+from gateway.errors import InputError
+from gateway.signals.database import load_database
+from gateway.signals.dialect import mended
+
+DATABASES = generate_all()
+
+
+@pytest.mark.parametrize("name", sorted(DATABASES))
+def test_every_generated_database_of_opendbc_is_read_whole(name, tmp_path):
+    file = tmp_path / f"{name}.dbc"
+    file.write_text(DATABASES[name], encoding="cp1252", errors="replace")
+    database = load_database([file])
+    messages = re.findall(r"^BO_ (\d+) (\w+)", DATABASES[name], re.MULTILINE)
+    assert {message.name for message in database} >= {
+        text for _, text in messages if sum(other == text for _, other in messages) == 1
+    }
+    for message in database:
+        assert message.is_extended_frame or message.frame_id <= 0x7FF
+
+
+def test_what_is_put_right_is_said_and_nothing_else_is_touched():
+    text = (
+        'BO_ 419361024 Far: 8 A\n SG_ X : 0|8@1+ (.25,-.5) [0|.5] "" A\n'
+        'CM_ SG_ 304 "of no signal";\nCM_ BO_ 419361024 "far .5";\nVAL_ 419361024 X 0 "off" ;\nVAL_ 7 Y 0 "gone" ;\n'
+        'VAL_ 419361024 X 1 "on"\n'
+    )
+    made, said = mended(text)
+    assert len(said) == 5
+    assert made == (
+        'BO_ 2566844672 Far: 8 A\n SG_ X : 0|8@1+ (0.25,-0.5) [0|0.5] "" A\n'
+        'CM_ BO_ 2566844672 "far .5";\nVAL_ 2566844672 X 0 "off" ;\nVAL_ 2566844672 X 1 "on" ;\n'
+    )
+    assert mended(made) == (made, [])
+
+
+def test_a_file_that_is_wrong_otherwise_has_the_error_that_it_had(tmp_path):
+    file = tmp_path / "car.dbc"
+    file.write_text('BO_ 1 M: 8 A\n SG_ X : 0|8@ what\nCM_ SG_ 304 "of no signal";\n')
+    with pytest.raises(InputError) as told:
+        load_database([file])
+    assert told.value.line == 2
