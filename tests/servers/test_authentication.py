@@ -51,10 +51,15 @@ def signed(key, data):
     return key.sign(data, padding.PSS(padding.MGF1(hashes.SHA256()), padding.PSS.MAX_LENGTH), hashes.SHA256())
 
 
+def certificates(folder):
+    """Write the root's certificate into a folder."""
+    root = x509.load_der_x509_certificate(issue(ROOT_KEY, ROOT, ROOT, ROOT_KEY, ca=True))
+    (folder / "root.pem").write_bytes(root.public_bytes(serialization.Encoding.PEM))
+
+
 @pytest.fixture
 def make(tmp_path):
-    root = x509.load_der_x509_certificate(issue(ROOT_KEY, ROOT, ROOT, ROOT_KEY, ca=True))
-    (tmp_path / "root.pem").write_bytes(root.public_bytes(serialization.Encoding.PEM))
+    certificates(tmp_path)
     rigs = []
 
     def build(uds=AUTH, more=""):
