@@ -29,8 +29,8 @@ name = "setting"
 hex = "0102"
 writable = true
 """
-#: Frames of the monitored messages between two requests: 2 ms of 4000 a second.
-BETWEEN = 8
+#: Frames of the monitored messages in a millisecond, and between two requests at least; what idle time is made up for.
+EACH_MS, BETWEEN, MOST_MS = 4, 8, 50
 
 DTCS = [bytes(Dtc.parse(dtc_text(k))) for k in range(MESSAGES)] + [b"\xff\xff\xff", b"\xff\xff\x33", b"\x40\0\0"]
 
@@ -119,16 +119,32 @@ class Traffic:
         self.rig, self.rng = rig, rng
         self.cpu_s = np.zeros(most)  # not a list: what grows is looked at
         self.asked = 0
+        self.fed = 0
+        self._rounds = {}
+        self._monitored_ns = rig.now
+        self._seen = 0  # of what was sent
 
     def monitored(self, failing=()):
-        """Feed so many frames of the messages, good but for some."""
-        frames = empty(BETWEEN)
-        for k in range(BETWEEN):
-            self.rig.now += MS // 4
+        """Feed the messages of 2 ms and of what has passed since the last call, good but for some: 4000 a second."""
+        rig = self.rig
+        passed = min((rig.now - self._monitored_ns) // MS, MOST_MS)
+        key = BETWEEN + EACH_MS * passed, failing
+        if key not in self._rounds:
+            self._rounds[key] = self._round(*key)
+        frames = self._rounds[key].copy()
+        frames["t_ns"] += rig.now
+        rig.now += BETWEEN // EACH_MS * MS
+        self._monitored_ns = rig.now
+        self.fed += len(frames)
+        return rig._keep([rig.gateway.feed(frames)])
+
+    def _round(self, count, failing):
+        frames = empty(count)
+        for k in range(count):
             message = k % MESSAGES
-            data = b"\x01" if message in failing else bytes(8)
-            put(frames, k, self.rig.now, 256 + message, data)
-        return self.rig._keep([self.rig.gateway.feed(frames)])
+            at = (k + 1) * BETWEEN * MS // (EACH_MS * count)
+            put(frames, k, at, 256 + message, b"\x01" if message in failing else bytes(8))
+        return frames
 
     def ask(self, request, can_id=REQUEST):
         """Send a request as its frames; returns what was sent with the last one."""
@@ -147,6 +163,13 @@ class Traffic:
 
     def settle(self):
         """Take what is owed of segmented answers, and let transfers end."""
-        for can_id in (REQUEST, 0x7E4):
-            self.rig.feed((can_id, bytes.fromhex("300000")))
+        for request, response in ((REQUEST, RESPONSE), (0x7E4, 0x7EC)):
+            if any(found == response and data[0] >> 4 == 1 for found, data in self.rig.sent[self._seen :]):
+                self.rig.feed((request, bytes.fromhex("300000")))
         self.rig.wait(1, step=1)
+        self._seen = len(self.rig.sent)
+
+    def forget(self):
+        """Forget what was sent by now."""
+        self.rig.sent.clear()
+        self._seen = 0
