@@ -12,6 +12,7 @@ from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.records import Record
 from gateway.faults.status import CLEARED
 from gateway.faults.store import StoreError
+from gateway.faults.usage import Usage
 
 
 class Clearing:
@@ -23,6 +24,7 @@ class Clearing:
         catalogue: the faults that are monitored.
         entries: of those that have failed.
         before: called before anything is cleared.
+        usage: what is counted since a clear.
     """
 
     def __init__(
@@ -32,9 +34,10 @@ class Clearing:
         catalogue: Catalogue,
         entries: EventMemory,
         before: Callable[[], None],
+        usage: Usage,
     ) -> None:
         self._held, self._definitions, self._catalogue, self._entries = held, definitions, catalogue, entries
-        self._before = before
+        self._before, self._usage = before, usage
         self._asked = held.store.watch()
 
     def clear(self, group: int, t_ns: int) -> list[str]:
@@ -52,6 +55,7 @@ class Clearing:
         Raises:
             StoreError: it could not be written; nothing was cleared.
         """
+        self._usage.flush()
         with self._held.undoing():
             cleared = self._clear(group)
             self._held.write(t_ns)
@@ -78,6 +82,7 @@ class Clearing:
                     # No test is left that could pass.
                     self._held.note_permanent(self._held.permanent.give_up(record.id))
         self._held.drop_recordings(cleared)
+        self._usage.on_clear(group)
         if group == ALL_DTCS and self._held.fact(OVERFLOW):
             self._held.set_fact(OVERFLOW, 0)
         return cleared
@@ -99,6 +104,7 @@ class Clearing:
             if not self._held.store.requests():  # something else was written
                 return []
             before()
+            self._usage.flush()
             with self._held.undoing(), self._held.store.transaction():
                 # Within it nobody can withdraw a request that is being done.
                 for request, kind, argument in self._held.store.requests():

@@ -26,11 +26,13 @@ from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import Ledger
 from gateway.faults.operation_cycles import OperationCycles
 from gateway.faults.outage import Outage
+from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
 from gateway.faults.records import Description, FreezeFrame, Record, Recording
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
+from gateway.faults.usage import Usage, UsageParams
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
@@ -48,6 +50,11 @@ class FaultMemory(Readable):
         size: entries there is room for; None: for all.
         recordings: recordings kept of each fault.
         statistics: of the faults' debounce.
+        usage: how the vehicle's use is told; None: nobody does.
+
+    Attributes:
+        performance: how often monitors have run.
+        usage: how far and how long the vehicle was driven.
     """
 
     def __init__(
@@ -58,6 +65,7 @@ class FaultMemory(Readable):
         size: int | None = None,
         recordings: int = 1,
         statistics: Statistics | None = None,
+        usage: UsageParams | None = None,
     ) -> None:
         self.catalogue = catalogue
         self._statistics = statistics
@@ -69,7 +77,12 @@ class FaultMemory(Readable):
         self.identifiers = self._held.identifiers
         self._entries = EventMemory(self._held, self._definitions, catalogue, size)
         self._cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
-        self._clearing = Clearing(self._held, self._definitions, catalogue, self._entries, self.fold_statistics)
+        asked = usage or UsageParams()
+        self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
+        self.performance = Performance(self._held, self._cycles, catalogue, asked.counted_cycle)
+        self._clearing = Clearing(
+            self._held, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
+        )
 
     def _define(self) -> None:
         """Have a definition and a record of every fault, monitored or only stored."""
@@ -86,6 +99,7 @@ class FaultMemory(Readable):
         """Go on with what another memory of the same store knows, written or not."""
         self._held.succeed(old._held)
         self._entries.succeed(old._entries)
+        self.usage.succeed(old.usage)
         self._now_ns = old._now_ns
         self._define()
 
@@ -97,6 +111,7 @@ class FaultMemory(Readable):
         The start of the power cycle ends whatever the last process left open.
         """
         self._cycles.start(t_ns, name)
+        self.performance.began(name)
         self.commit()
 
     def end_cycle(self, t_ns: int, name: str = POWER) -> None:
@@ -131,6 +146,8 @@ class FaultMemory(Readable):
             return []
         record = self._records[definition.id]
         old = STATUS[record.status]
+        if kind != FDC_REACHED:
+            self.performance.completed(definition)
         if kind == FDC_REACHED:
             content = finite(snapshot(definition).frame)
             self._entries.prestore(definition.id, FreezeFrame(0, int(event["t_ns"]), content))

@@ -49,6 +49,7 @@ from gateway.runtime.told import (
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.runtime.usage_meter import UsageMeter
 from gateway.servers.access import signals_of
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
@@ -101,6 +102,7 @@ class Gateway:
             size=config.memory.entries,
             recordings=1 if recording is None else recording.most_per_fault,
             statistics=self.engine.fold_statistics,
+            usage=config.usage,
         )
         self.controls = Controls(
             self.engine,
@@ -113,6 +115,7 @@ class Gateway:
             self._after_clear,
             self._note_intervention,
         )
+        self._meter = UsageMeter(config.usage, self.memory, self.controls)
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
             servers_of(config, self._parts, self.memory, self.controls, self.identifiers),
@@ -168,6 +171,7 @@ class Gateway:
         self.memory.succeed(old.memory)
         self._upkeep.succeed(old._upkeep)
         self._doubts.succeed(old._doubts)
+        self._meter.succeed(old._meter)
         self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
@@ -196,6 +200,7 @@ class Gateway:
         """End the operation cycle and keep everything."""
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
+        self._meter.stop()
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._settle(t_ns, final=True)
         if self.memory.unsaved:
@@ -356,6 +361,7 @@ class Gateway:
         """
         now = self.engine.now_ns
         self._doubts.poll()
+        self._meter.on_time(now)
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:

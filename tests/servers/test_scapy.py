@@ -58,6 +58,8 @@ security = [{{ level = 1, secret = "{SECRET}" }}]
 authentication = {{ roots = ["root.pem"], roles = ["workshop"] }}
 [access]
 clear = {{ sessions = ["extended"] }}
+[usage]
+denominator = [{{ signal = "M0.Value", min = 400.0 }}]
 [output.obd]
 vin = "{VIN}"
 calibration = "GW-1"
@@ -267,5 +269,7 @@ def test_obd_test_results_and_information(rig, scapy):
         (record,) = scapy.ask(OBD() / OBD_S09(iid=[number])).data_records
         (name,) = [field.name for field in record.payload.fields_desc if field.name != "count"]
         assert (record.count, getattr(record, name)) == (1, [expected])
+    (record,) = scapy.ask(OBD() / OBD_S09(iid=[0x08])).data_records
+    assert record.payload.data == [1, 1, *[0] * 18], "general denominator and ignition cycles"
     refused = scapy.ask(OBD() / OBD_S01(pid=[0x77]))
     assert (refused.request_service_id, refused.response_code) == (0x01, 0x12)

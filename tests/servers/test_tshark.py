@@ -32,6 +32,9 @@ security = [{{ level = 1, secret = "{SECRET}" }}]
 authentication = {{ roots = ["root.pem"], roles = ["workshop"] }}
 [access]
 clear = {{ sessions = ["extended"] }}
+[usage]
+running = [{{ signal = "M0.Value", min = 400.0 }}]
+denominator = [{{ signal = "M0.Value", min = 400.0 }}]
 [output.obd]
 request = 0x7E2
 response = 0x7EA
@@ -102,7 +105,7 @@ def intervene(talk):
 
 def read_obd(talk):
     for request in ("0100", "0101", "010c", "0105", "010d", "010c050d", "020200", "020c00", "03", "07", "0a", "0600",
-                    "06e1", "0900", "0902", "0904", "0906", "090a", "04"):  # fmt: skip
+                    "06e1", "0900", "0902", "0904", "0908", "0906", "090a", "04"):  # fmt: skip
         assert talk(request, functional=OBD_FUNCTIONAL), request
         assert talk(request), request
     assert not talk("01ff", functional=OBD_FUNCTIONAL)
@@ -124,13 +127,13 @@ def read_j1939(rig, groups):
         rig.wait(50)
 
 
-#: DM1, 2, 5, 6, 12, 19, 24, 25, 26, 28, 29; component, software, vehicle identification; the claim.
+#: DM1, 2, 5, 6, 12, 19, 20, 21, 24, 25, 26, 28, 29; component, software, vehicle identification; the claim.
 GROUPS = (
-    0xFECA, 0xFECB, 0xFECE, 0xFECF, 0xFED4, 0xD300, 0xFDB6, 0xFDB7, 0xFDB8, 0xFD80, 0x9E00, 0xFEEB, 0xFEDA, 0xFEEC,
-    0xEE00,
+    0xFECA, 0xFECB, 0xFECE, 0xFECF, 0xFED4, 0xD300, 0xC200, 0xC100, 0xFDB6, 0xFDB7, 0xFDB8, 0xFD80, 0x9E00, 0xFEEB,
+    0xFEDA, 0xFEEC, 0xEE00,
 )  # fmt: skip
 #: Of these come by the transport protocol here.
-LONG = (0xFECA, 0xFECF, 0xFED4, 0xD300, 0xFDB7, 0xFD80, 0xFEEB, 0xFEDA, 0xFEEC)
+LONG = (0xFECA, 0xFECF, 0xFED4, 0xD300, 0xC200, 0xFDB7, 0xFD80, 0xFEEB, 0xFEDA, 0xFEEC)
 
 
 @pytest.fixture(scope="module")
