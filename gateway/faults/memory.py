@@ -24,6 +24,7 @@ from gateway.faults.event_memory import EventMemory
 from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import Ledger
+from gateway.faults.mil import is_mil_on
 from gateway.faults.operation_cycles import OperationCycles
 from gateway.faults.outage import Outage
 from gateway.faults.performance import Performance
@@ -320,6 +321,10 @@ class FaultMemory(Readable):
             before: called first, if somebody did.
         """
         return self._clearing.serve_requests(self._now_ns, before)
+
+    def is_mil_on_now(self) -> bool:
+        """Tell whether a DTC asks for the MIL, written or not: not for others."""
+        return is_mil_on(self._records.values(), self._definitions)
 
     def status_now(self, fault: str) -> Status:
         """Return the status byte of a fault, written or not: not for others."""

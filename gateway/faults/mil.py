@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from gateway.faults.catalogue import MIL
-from gateway.faults.memory import FaultMemory
+from collections.abc import Iterable, Mapping
+
+from gateway.faults.catalogue import MIL, FaultDefinition
+from gateway.faults.records import Record
 from gateway.faults.status import Status
 
+_LIT = int(Status.WARNING_INDICATOR)
 
-def is_mil_on(memory: FaultMemory) -> bool:
-    """Tell whether a DTC asks for the MIL."""
-    return any(
-        entry.status & Status.WARNING_INDICATOR
-        and memory.definition(entry.fault).emission_related
-        and memory.definition(entry.fault).lamp == MIL
-        for entry in memory.entries()
-    )
+
+def is_mil_on(records: Iterable[Record], definitions: Mapping[str, FaultDefinition]) -> bool:
+    """Tell whether one of these records asks for the MIL."""
+    lit = (definitions[record.id] for record in records if record.status & _LIT)
+    return any(definition.emission_related and definition.lamp == MIL for definition in lit)

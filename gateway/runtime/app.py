@@ -115,7 +115,7 @@ class Gateway:
             self._after_clear,
             self._note_intervention,
         )
-        self._meter = UsageMeter(config.usage, self.memory, self.controls)
+        self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
             servers_of(config, self._parts, self.memory, self.controls, self.identifiers),
@@ -256,6 +256,22 @@ class Gateway:
         return kept
 
     def _process(self, frames: Frames) -> Frames:
+        if not self._meter.measures:
+            return self._process_piece(frames)
+        sent: list[Frames] = []
+        for piece, look_ns in self._meter.pieces(frames):
+            sent.append(self._process_piece(piece))
+            if look_ns is not None:
+                sent.append(self._look(look_ns))
+        return _joined(sent)
+
+    def _look(self, t_ns: int) -> Frames:
+        """Let time pass until a look of the meter."""
+        sent = self.engine.advance(t_ns, self._on_events)
+        self._meter.look()
+        return sent
+
+    def _process_piece(self, frames: Frames) -> Frames:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
@@ -267,7 +283,9 @@ class Gateway:
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
-        return self._emit(self.engine.advance(t_ns, self._on_events))
+        looks = self._meter.times(t_ns) if self._meter.measures else ()
+        sent = [self._look(look_ns) for look_ns in looks]
+        return self._emit(_joined([*sent, self.engine.advance(t_ns, self._on_events)]))
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass for the servers that answer others, which the monitors' time lags behind.
@@ -361,7 +379,6 @@ class Gateway:
         """
         now = self.engine.now_ns
         self._doubts.poll()
-        self._meter.on_time(now)
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:

@@ -5,11 +5,13 @@ seven bytes: SPN, numerator, denominator. DM21 (5.7.21): km with the MIL on, km 
 """
 
 import pytest
-from rig import FUNCTIONAL, Rig, Tester, write_config
+from rig import FUNCTIONAL, MS, Rig, Tester, write_config
 from test_j1939 import ALL, Bus, coded, pgn_id
 
+from gateway.bus.frames import empty, put
 from gateway.config.load import load_config
 from gateway.errors import InputErrors
+from gateway.runtime.usage_meter import UsageMeter
 
 DM20, DM21, DM11 = 0xC200, 0xC100, 0xFED3
 #: Speed is M1 [km/h], engine speed M0, distance M2 [km].
@@ -154,6 +156,38 @@ def test_silence_is_neither_distance_nor_time(make):
     after = car.gateway.memory.usage.driven()
     assert after.cleared_s - before.cleared_s <= 1.1, "until the signal is too old"
     assert after.cleared_m - before.cleared_m <= 22
+
+
+def test_a_replay_counts_the_same_whatever_comes_at_once(make):
+    """60 s of a drive in one batch, in tens of frames, and one by one."""
+    rows = 600
+    counted = []
+    for size in (1, 10, rows * 2):
+        car = make()
+        frames = empty(rows * 2)
+        for n in range(rows):
+            at = car.now + n * 100 * MS + n * n % 90 * MS
+            put(frames, 2 * n, at, 256, (4000 if n % 100 < 80 else 0).to_bytes(2, "little") + bytes(6))
+            put(frames, 2 * n + 1, at, 257, (2 * (60 if 100 < n < 400 else 0)).to_bytes(2, "little") + bytes(6))
+        for at in range(0, len(frames), size):
+            car.gateway.feed(frames[at : at + size])
+        car.gateway.advance(car.now + 70_000 * MS)
+        counted.append((car.gateway.memory.usage.driven(), car.gateway.memory.performance.conditions))
+    assert counted[0] == counted[1] == counted[2]
+    assert counted[0][0].cleared_m == pytest.approx(500, abs=5)
+    assert counted[0][1] == 1
+
+
+def test_years_of_silence_are_not_looked_through(make, monkeypatch):
+    car = make()
+    looks = []
+    monkeypatch.setattr(UsageMeter, "look", lambda _: looks.append(car.gateway.engine.now_ns))
+    for year in (1, 2):
+        car.now = year * 365 * 86_400 * 1000 * MS
+        car.value(0, 2000.0)
+        car.value(0, 2000.0)
+    car.gateway.advance(3 * 365 * 86_400 * 1000 * MS)
+    assert 0 < len(looks) < 60
 
 
 def test_an_odometer_counts_what_it_goes_on_by(make):

@@ -269,6 +269,8 @@ def test_obd_test_results_and_information(rig, scapy):
         (record,) = scapy.ask(OBD() / OBD_S09(iid=[number])).data_records
         (name,) = [field.name for field in record.payload.fields_desc if field.name != "count"]
         assert (record.count, getattr(record, name)) == (1, [expected])
+    rig.value(0, 812.5)
+    rig.wait(300)
     (record,) = scapy.ask(OBD() / OBD_S09(iid=[0x08])).data_records
     assert record.payload.data == [1, 1, *[0] * 18], "general denominator and ignition cycles"
     refused = scapy.ask(OBD() / OBD_S01(pid=[0x77]))

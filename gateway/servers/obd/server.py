@@ -12,7 +12,6 @@ from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
-from gateway.faults.mil import is_mil_on
 from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
@@ -124,7 +123,7 @@ class ObdServer(Application):
             return bitmap if pid == 0 or any(bitmap) else b""
         if pid == 0x01:
             count = len(_codes(e for e in self._related() if e.status & Status.CONFIRMED_DTC))
-            return bytes([is_mil_on(self._memory) << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
+            return bytes([self._memory.is_mil_on() << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
         if pid == 0x1C:
             return bytes([self._params.standard])
         if pid == 0x41:
