@@ -116,8 +116,9 @@ class Usage:
 
     def _reset(self, *names: str) -> None:
         for name in names:
-            self._held.set_fact(f"usage.{name}", 0)
             self._waiting[name] = 0.0
+            if self._held.fact(f"usage.{name}"):
+                self._held.set_fact(f"usage.{name}", 0)
 
     def driven(self) -> Driven:
         """Return what was driven by now."""
