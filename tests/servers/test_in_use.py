@@ -107,6 +107,8 @@ def test_a_cycle_counts_when_all_of_the_denominator_is_met(make):
     car.drive(4, 0)
     assert car.heard(DM20) == once, "once a cycle"
     car.cycle()
+    car.drive(1, 50)
+    assert car.heard(DM20)[:4] == head(2, 1), "each cycle begins anew"
     car.drive(12, 50)
     car.drive(12, 0)
     assert car.heard(DM20)[:4] == head(2, 2)
