@@ -35,6 +35,12 @@ def test_pulses_have_their_exact_failure_types(name, dtc):
     assert {fault.name: fault.dtc for fault in crank.FAULTS}[name] == dtc
 
 
+@pytest.mark.parametrize(("name", "dtc"), [("motor_angle_drift", "C1A01-02"), ("motor_angle_scale", "C1A01-91")])
+def test_a_motor_angle_that_is_off_is_neither_a_rate_of_change_nor_a_waveform(name, dtc):
+    """Not -26 (rate of change below threshold), nor -25 (waveform): of an angle that moves, and is a number."""
+    assert {fault.name: fault.dtc for fault in steering.FAULTS}[name] == dtc
+
+
 def test_no_signal_is_only_said_where_there_is_none():
     silent = {name for (_, name), dtc in table().items() if dtc.endswith("-31")}
     assert silent == {"cam_silent", "bus_lost"}

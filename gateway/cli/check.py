@@ -12,7 +12,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
-from gateway.servers.access import ways_around
+from gateway.servers.access_review import ways_around
 
 #: Columns that are left for a name after the codes given out for it, of 80.
 _MOST_OF_NAME = 65

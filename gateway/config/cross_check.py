@@ -7,9 +7,9 @@ from itertools import chain
 
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import POWER
-from gateway.servers.access import wrong_rules
+from gateway.servers.access_review import wrong_rules
 from gateway.servers.identifiers import check_unique
 
 
@@ -155,6 +155,9 @@ def _cycles(config: Config) -> Iterator[InputError]:
         yield InputError("this cycle is always there: the gateway's run", key=f"cycle.{POWER}")
     cycles = {POWER, *config.cycle}
     known = ", ".join(sorted(cycles))
+    if config.usage is not None and config.usage.cycle not in cycles:
+        asked = config.usage.cycle
+        yield InputError(f"the cycles are {known}{nearest(asked, cycles)}", key="usage.cycle", value=asked)
     for fault, settings in config.fault.items():
         for key in ("cycle", "aging_cycle"):
             cycle = getattr(settings, key)

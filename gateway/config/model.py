@@ -15,6 +15,7 @@ from gateway.engine.checks.clock_health import ClockParams
 from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import CycleSettings, FaultOverride
+from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
 from gateway.servers.dtc_frame import DtcFrameParams
@@ -134,6 +135,9 @@ class Config(StrictModel):
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
     access: AccessParams = Field(AccessParams(), description="who may intervene, and when")
+    usage: UsageParams | None = Field(
+        None, description="what tells how the vehicle is used: distance, running time, performance ratios of monitors"
+    )
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"
     )

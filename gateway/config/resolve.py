@@ -89,6 +89,7 @@ def resolve(config: Config) -> Resolved:
     names = Names(config, dict(enumerate(databases)))
     uds = config.output.uds
     _find_access(config, names)
+    _find_usage(config, names)
     notes: list[str] = []
     types = [monitor_of(entry) for entry in config.monitor]
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
@@ -272,6 +273,19 @@ def _find_access(config: Config, names: Names) -> None:
     for key, rule in rules.items():
         for k, condition in enumerate(rule.when or () if rule is not None else ()):
             names.find(condition.signal, f"{key}.when[{k}].signal")
+
+
+def _find_usage(config: Config, names: Names) -> None:
+    """Find the signals that tell how the vehicle is used."""
+    usage = config.usage
+    if usage is None:
+        return
+    for what, conditions in (("running", usage.running), ("denominator", usage.denominator)):
+        for k, condition in enumerate(conditions):
+            names.find(condition.signal, f"usage.{what}[{k}].signal")
+    for what, signal in (("speed", usage.speed), ("odometer", usage.odometer)):
+        if signal is not None:
+            names.find(signal, f"usage.{what}")
 
 
 def _gates(config: Config, names: Names) -> dict[str, Gate]:

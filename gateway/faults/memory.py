@@ -10,60 +10,34 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED
-from gateway.errors import InputError
-from gateway.faults import freeze_frames
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
-from gateway.faults.displacement import victim
-from gateway.faults.dtc import ALL_DTCS, Dtc, in_group
+from gateway.faults.clearing import Clearing
+from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import DtcChange
-from gateway.faults.failures import (
-    Failure,
-    Observed,
-    Snapshot,
-    failure_of,
-    finite,
-    known,
-    latest_signals,
-)
+from gateway.faults.event_memory import EventMemory
+from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.interventions import Intervention
-from gateway.faults.ledger import OVERFLOW, Ledger
+from gateway.faults.ledger import Ledger
+from gateway.faults.mil import is_mil_on
+from gateway.faults.operation_cycles import OperationCycles
 from gateway.faults.outage import Outage
+from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
-from gateway.faults.records import Cycle, Description, FreezeFrame, Record, Recording
+from gateway.faults.records import Description, FreezeFrame, Record, Recording
 from gateway.faults.settings import POWER
-from gateway.faults.status import CLEARED, STATUS, Cycles, Status
+from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
+from gateway.faults.usage import Usage, UsageParams
 
-#: The occurrence counter stops here.
-MOST_OCCURRENCES = 255
-
-_TEST_FAILED, _CONFIRMED = int(Status.TEST_FAILED), int(Status.CONFIRMED_DTC)
-#: The bit that stores a freeze frame when it rises; a counter's value stands for testFailed.
-_FREEZE_FRAME_AT: dict[str | int, int] = {
-    "pending": int(Status.PENDING_DTC),
-    "confirmed": _CONFIRMED,
-}
-
-
+_TEST_FAILED = int(Status.TEST_FAILED)
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
 Statistics = Callable[[int], tuple[int, int]]
-
-
-def _cycles(record: Record) -> Cycles:
-    return Cycles(record.failed_cycles, record.passed_cycles, record.aged_cycles)
-
-
-def _set(record: Record, status: Status, cycles: Cycles) -> None:
-    record.status = int(status)
-    record.failed_cycles, record.passed_cycles = cycles.failed, cycles.passed
-    record.aged_cycles = cycles.aged
 
 
 class FaultMemory(Readable):
@@ -77,6 +51,11 @@ class FaultMemory(Readable):
         size: entries there is room for; None: for all.
         recordings: recordings kept of each fault.
         statistics: of the faults' debounce.
+        usage: how the vehicle's use is told; None: nobody does.
+
+    Attributes:
+        performance: how often monitors have run.
+        usage: how far and how long the vehicle was driven.
     """
 
     def __init__(
@@ -87,23 +66,28 @@ class FaultMemory(Readable):
         size: int | None = None,
         recordings: int = 1,
         statistics: Statistics | None = None,
+        usage: UsageParams | None = None,
     ) -> None:
         self.catalogue = catalogue
-        self._size = size
         self._statistics = statistics
         self._held = Ledger(store, recordings)
         self._records = self._held.records
-        self._prestored: dict[str, FreezeFrame] = {}
-        self._refused: dict[str, Failure] = {}
-        self._room = False  # whether an entry has gone since the refused ones were tried again
+        self._definitions: dict[str, FaultDefinition] = {}
         self._now_ns = 0
         self._define()
         self.identifiers = self._held.identifiers
-        self._asked = store.watch()
+        self._entries = EventMemory(self._held, self._definitions, catalogue, size)
+        self._cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
+        asked = usage or UsageParams()
+        self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
+        self.performance = Performance(self._held, self._cycles, catalogue, asked.counted_cycle)
+        self._clearing = Clearing(
+            self._held, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
+        )
 
     def _define(self) -> None:
         """Have a definition and a record of every fault, monitored or only stored."""
-        self._definitions = {definition.id: definition for definition in self.catalogue}
+        self._definitions.update({definition.id: definition for definition in self.catalogue})
         for definition in self.catalogue:
             if definition.id not in self._records:
                 self._held.add(Record(definition.id, definition.dtc.value, int(CLEARED)))
@@ -115,9 +99,8 @@ class FaultMemory(Readable):
     def succeed(self, old: FaultMemory) -> None:
         """Go on with what another memory of the same store knows, written or not."""
         self._held.succeed(old._held)
-        self._prestored |= old._prestored
-        self._refused |= old._refused
-        self._room = True  # there may be more of it now
+        self._entries.succeed(old._entries)
+        self.usage.succeed(old.usage)
         self._now_ns = old._now_ns
         self._define()
 
@@ -128,64 +111,18 @@ class FaultMemory(Readable):
 
         The start of the power cycle ends whatever the last process left open.
         """
-        if name == POWER:
-            self._end_all(t_ns)
-        elif self._is_open(name):
-            self._end(t_ns, name)
-        for record in self._records.values():
-            if self._definitions[record.id].cycle == name:
-                record.status = int(transition.on_cycle_start(STATUS[record.status]))
-                self._held.touch(record.id)
-                self._refused.pop(record.id, None)  # it is tested again
-        last = self._held.cycles.get(name)
-        self._held.note_cycle(name, Cycle(last.number + 1 if last else 1, True, t_ns))
+        self._cycles.start(t_ns, name)
+        self.performance.began(name)
         self.commit()
 
     def end_cycle(self, t_ns: int, name: str = POWER) -> None:
         """End an operation cycle; the end of the power cycle ends all of them."""
-        if name == POWER:
-            self._end_all(t_ns)
-        elif self._is_open(name):
-            self._end(t_ns, name)
+        self._cycles.end(t_ns, name)
         self.commit()
-
-    def _is_open(self, name: str) -> bool:
-        return name in self._held.cycles and self._held.cycles[name].open
-
-    def _counts(self, definition: FaultDefinition) -> bool:
-        """Tell whether a result of a fault counts: its operation cycle has begun, and is not over.
-
-        The power cycle is there from the start, also where nobody begins it.
-        """
-        name = definition.cycle
-        return self._is_open(name) or (name == POWER and not self.cycle_number())
-
-    def _end_all(self, t_ns: int) -> None:
-        for name in sorted(self._held.cycles, key=lambda name: name == POWER):
-            if self._is_open(name):
-                self._end(t_ns, name)
-
-    def _end(self, t_ns: int, name: str) -> None:
-        self.fold_statistics()
-        for record in self._records.values():
-            definition = self._definitions[record.id]
-            rules = definition.rules
-            if definition.aging_cycle == name and record.occurrence:
-                status, cycles, aged = transition.on_aging_cycle_end(STATUS[record.status], _cycles(record), rules)
-                _set(record, status, cycles)
-                self._held.touch(record.id)
-                if aged:
-                    self._remove_entry(record)
-            if definition.cycle == name:
-                status, cycles = transition.on_cycle_end(STATUS[record.status], _cycles(record), rules)
-                _set(record, status, cycles)
-                self._held.touch(record.id)
-                self._held.note_permanent(self._held.permanent.on_cycle_end(definition, status))
-        self._held.note_cycle(name, Cycle(self._held.cycles[name].number, False, t_ns))
 
     def cycle_number(self, name: str = POWER) -> int:
         """Return the number of an operation cycle, from 1; 0 before the first."""
-        return self._held.cycles[name].number if name in self._held.cycles else 0
+        return self._cycles.number(name)
 
     # Verdicts
 
@@ -206,19 +143,20 @@ class FaultMemory(Readable):
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
             return []
         definition = self.catalogue[int(event["fault"])]
-        if not self._counts(definition):
+        if not self._cycles.counts(definition):
             return []
         record = self._records[definition.id]
         old = STATUS[record.status]
+        if kind != FDC_REACHED:
+            self.performance.completed(definition)
         if kind == FDC_REACHED:
             content = finite(snapshot(definition).frame)
-            self._prestored[definition.id] = FreezeFrame(0, int(event["t_ns"]), content)
+            self._entries.prestore(definition.id, FreezeFrame(0, int(event["t_ns"]), content))
         elif kind == QUALIFIED_FAILED:
-            self._fail(definition, record, failure_of(definition, event, snapshot))
+            self._entries.fail(definition, record, failure_of(definition, event, snapshot))
         else:
             record.status = int(transition.on_passed(old))
-            self._prestored.pop(definition.id, None)
-            self._refused.pop(definition.id, None)
+            self._entries.give_up(definition.id)
         return self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
 
     def _changed(
@@ -235,7 +173,7 @@ class FaultMemory(Readable):
     @property
     def room(self) -> bool:
         """Whether an entry has gone since the refused ones were tried again."""
-        return self._room
+        return self._entries.room
 
     def admit_refused(self, t_ns: int) -> list[DtcChange]:
         """Enter failures that a full memory refused, or whose entries gave way, if there is room for them now.
@@ -246,88 +184,10 @@ class FaultMemory(Readable):
         Returns:
             the status bytes that changed. They are durable after :meth:`commit`.
         """
-        if not self._room:
-            return []
-        self._room = False
         changes = []
-        waiting = [(self._definitions[fault], failure) for fault, failure in self._refused.items()]
-        for definition, failure in sorted(waiting, key=lambda w: (w[0].priority, w[1].t_ns)):
-            if not self._has_room():
-                break
-            if not self._counts(definition):
-                continue
-            record = self._records[definition.id]
-            old = STATUS[record.status]
-            del self._refused[definition.id]
-            self._fail(definition, record, failure)
+        for definition, record, old in self._entries.admit_refused(self._cycles.counts):
             changes += self._changed(definition, record, old, 127, t_ns)
         return changes
-
-    def _fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
-        """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
-        old = STATUS[record.status]
-        if not record.occurrence:  # what was refused earlier in this cycle has not been counted
-            old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
-        status, cycles = transition.on_failed(old, _cycles(record), definition.rules)
-        if not record.occurrence and not self._make_room(definition):
-            _set(record, transition.on_displaced(status), Cycles())
-            seen = failure.observe()
-            self._refused[record.id] = replace(failure, observe=lambda: seen)
-            return
-        _set(record, status, cycles)
-        risen = int(status) & ~int(old)
-        if risen & _TEST_FAILED:
-            self._note_failure(record, failure)
-        if risen & _CONFIRMED:
-            record.last_confirmed = self._held.next_in_order()
-            if record.first_confirmed is None:
-                record.first_confirmed = record.last_confirmed
-        if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
-            prestored = self._prestored.pop(definition.id, None)
-            frame = prestored or FreezeFrame(0, failure.t_ns, finite(failure.observe().frame))
-            freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
-        became = self._held.permanent.on_failed(definition, status, failure.t_ns)
-        self._held.note_permanent(became)
-
-    def _note_failure(self, record: Record, failure: Failure) -> None:
-        sequence = self._held.next_in_order()
-        record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
-        record.first_ns = failure.t_ns if record.first_ns is None else record.first_ns
-        record.last_ns = failure.t_ns
-        record.first_failed = sequence if record.first_failed is None else record.first_failed
-        record.last_failed = sequence
-        record.evidence = failure.evidence
-        record.inputs = finite(failure.observe().inputs)
-
-    def _stored(self) -> list[Record]:
-        return [record for record in self._records.values() if record.occurrence]
-
-    def _has_room(self) -> bool:
-        return self._size is None or len(self._stored()) < self._size
-
-    def _make_room(self, definition: FaultDefinition) -> bool:
-        """Make room for one entry; False if all that is there is more important."""
-        if self._has_room():
-            return True
-        found = victim(definition, [(self._definitions[r.id], r) for r in self._stored()])
-        self._held.set_fact(OVERFLOW, 1)
-        if found is None:
-            return False
-        if found.status & Status.TEST_FAILED and self.catalogue.get(found.id) is not None:
-            seen = Observed(latest_signals(found), known(found.inputs))
-            self._refused[found.id] = Failure(found.last_ns or 0, found.evidence, lambda: seen)
-        found.status = int(transition.on_displaced(Status(found.status)))
-        self._remove_entry(found)
-        self._room = False  # the newcomer takes it
-        return True
-
-    def _remove_entry(self, record: Record) -> None:
-        """Remove what is stored of a fault; its status byte stays."""
-        fresh = Record(record.id, record.dtc, record.status)
-        fresh.peak_fdc, fresh.near_misses = record.peak_fdc, record.near_misses
-        record.__dict__.update(fresh.__dict__)
-        self._room = True
-        self._held.touch(record.id)
 
     # Durability
 
@@ -448,42 +308,11 @@ class FaultMemory(Readable):
         Raises:
             StoreError: it could not be written; nothing was cleared.
         """
-        with self._held.undoing():
-            cleared = self._clear(group)
-            self._held.write(self._now_ns)
-        self._forget(cleared)
-        return cleared
+        return self._clearing.clear(group, self._now_ns)
 
     def knows(self, group: int) -> bool:
         """Tell whether a clear of this DTC or group would mean any fault."""
-        return group == ALL_DTCS or any(self._is_in(record, group) for record in self._records.values())
-
-    def _is_in(self, record: Record, group: int) -> bool:
-        related = self._definitions[record.id].emission_related
-        return in_group(record.dtc, group, emission_related=related)
-
-    def _clear(self, group: int) -> list[str]:
-        self.fold_statistics()
-        cleared = []
-        for record in list(self._records.values()):
-            if self._is_in(record, group):
-                self._records[record.id] = Record(record.id, record.dtc, int(CLEARED))
-                self._held.touch(record.id)
-                cleared.append(record.id)
-                if len(self.catalogue) and self.catalogue.get(record.id) is None:
-                    # No test is left that could pass.
-                    self._held.note_permanent(self._held.permanent.give_up(record.id))
-        self._held.drop_recordings(cleared)
-        if group == ALL_DTCS and self._held.fact(OVERFLOW):
-            self._held.set_fact(OVERFLOW, 0)
-        return cleared
-
-    def _forget(self, cleared: Iterable[str]) -> None:
-        """Give up what waits of cleared faults; their entries leave room for others."""
-        for fault in cleared:
-            self._prestored.pop(fault, None)
-            self._refused.pop(fault, None)
-            self._room = True
+        return self._clearing.knows(group)
 
     def serve_requests(self, before: Callable[[], None] = lambda: None) -> list[str]:
         """Do what other processes asked for (clearing); returns ids of the faults cleared.
@@ -491,31 +320,11 @@ class FaultMemory(Readable):
         Args:
             before: called first, if somebody did.
         """
-        if self._held.under_way():  # they are served the next time
-            return []
-        self._held.join()
-        if not self._asked():
-            return []
-        cleared: list[str] = []
-        try:
-            if not self._held.store.requests():  # something else was written
-                return []
-            before()
-            with self._held.undoing(), self._held.store.transaction():
-                # Within it nobody can withdraw a request that is being done.
-                for request, kind, argument in self._held.store.requests():
-                    done = 0
-                    if kind == "clear":
-                        group = int(argument)
-                        done = sum(1 for r in self._stored() if self._is_in(r, group))
-                        cleared += self._clear(group)
-                    self._held.answer(request, done)
-                self._held.write(self._now_ns, alone=False)
-        except (StoreError, InputError):  # whoever asked is told that nothing was done
-            return []
-        self._held.written()
-        self._forget(cleared)
-        return cleared
+        return self._clearing.serve_requests(self._now_ns, before)
+
+    def is_mil_on_now(self) -> bool:
+        """Tell whether a DTC asks for the MIL, written or not: not for others."""
+        return is_mil_on(self._records.values(), self._definitions)
 
     def status_now(self, fault: str) -> Status:
         """Return the status byte of a fault, written or not: not for others."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.entries import Entry, entry_of
 from gateway.faults.ledger import Ledger
+from gateway.faults.mil import is_mil_on
 from gateway.faults.records import Permanent
 from gateway.faults.status import Status
 
@@ -48,6 +49,10 @@ class Readable:
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""
         return Status(self._held.shown[fault].status)
+
+    def is_mil_on(self) -> bool:
+        """Tell whether a DTC asks for the MIL."""
+        return is_mil_on(self._held.shown.values(), self._definitions)
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from gateway.faults.interventions import Intervention
+from gateway.faults.status import Cycles, Status
 
 
 @dataclass
@@ -56,6 +57,16 @@ class Record:
     first_confirmed: int | None = None
     last_confirmed: int | None = None
     freeze_frames: dict[int, FreezeFrame] = field(default_factory=dict)
+
+    @property
+    def cycles(self) -> Cycles:
+        """Counters of the status byte's transitions."""
+        return Cycles(self.failed_cycles, self.passed_cycles, self.aged_cycles)
+
+    def become(self, status: Status, cycles: Cycles) -> None:
+        """Take what a transition of the status byte returned."""
+        self.status = int(status)
+        self.failed_cycles, self.passed_cycles, self.aged_cycles = cycles.failed, cycles.passed, cycles.aged
 
 
 @dataclass

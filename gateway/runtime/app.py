@@ -49,6 +49,7 @@ from gateway.runtime.told import (
     summary_event,
 )
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.runtime.usage_meter import UsageMeter
 from gateway.servers.access import signals_of
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
@@ -101,6 +102,7 @@ class Gateway:
             size=config.memory.entries,
             recordings=1 if recording is None else recording.most_per_fault,
             statistics=self.engine.fold_statistics,
+            usage=config.usage,
         )
         self.controls = Controls(
             self.engine,
@@ -113,6 +115,7 @@ class Gateway:
             self._after_clear,
             self._note_intervention,
         )
+        self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
             servers_of(config, self._parts, self.memory, self.controls, self.identifiers),
@@ -168,6 +171,7 @@ class Gateway:
         self.memory.succeed(old.memory)
         self._upkeep.succeed(old._upkeep)
         self._doubts.succeed(old._doubts)
+        self._meter.succeed(old._meter)
         self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
@@ -196,6 +200,7 @@ class Gateway:
         """End the operation cycle and keep everything."""
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
+        self._meter.stop()
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._settle(t_ns, final=True)
         if self.memory.unsaved:
@@ -251,6 +256,22 @@ class Gateway:
         return kept
 
     def _process(self, frames: Frames) -> Frames:
+        if not self._meter.measures:
+            return self._process_piece(frames)
+        sent: list[Frames] = []
+        for piece, look_ns in self._meter.pieces(frames):
+            sent.append(self._process_piece(piece))
+            if look_ns is not None:
+                sent.append(self._look(look_ns))
+        return _joined(sent)
+
+    def _look(self, t_ns: int) -> Frames:
+        """Let time pass until a look of the meter."""
+        sent = self.engine.advance(t_ns, self._on_events)
+        self._meter.look()
+        return sent
+
+    def _process_piece(self, frames: Frames) -> Frames:
         if self.controls.receive or not len(frames):
             return self.engine.process(frames, self._on_events)
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
@@ -262,7 +283,9 @@ class Gateway:
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
-        return self._emit(self.engine.advance(t_ns, self._on_events))
+        looks = self._meter.times(t_ns) if self._meter.measures else ()
+        sent = [self._look(look_ns) for look_ns in looks]
+        return self._emit(_joined([*sent, self.engine.advance(t_ns, self._on_events)]))
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass for the servers that answer others, which the monitors' time lags behind.

@@ -76,16 +76,17 @@ class Controls:
         slot = self._slots.get(name)
         return math.nan if slot is None else self._engine.value(slot)
 
+    def fresh_value(self, name: str) -> float:
+        """Return a signal's value now in its unit, NaN before the first, and when it is too old."""
+        age_ns = self._engine.age_ns(self._slots[name])
+        return math.nan if age_ns is None or age_ns > self._stale_ns else self.value(name)
+
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
         """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
         return all(self._is_met(condition) for condition in conditions)
 
     def _is_met(self, condition: ConditionSettings) -> bool:
-        slot = self._slots[condition.signal]
-        age_ns = self._engine.age_ns(slot)
-        if age_ns is None or age_ns > self._stale_ns:
-            return False
-        value = self._engine.value(slot)
+        value = self.fresh_value(condition.signal)
         low = -math.inf if condition.min is None else condition.min
         high = math.inf if condition.max is None else condition.max
         return low <= value <= high

@@ -8,14 +8,13 @@ security; those conditions hold for them as well.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError, nearest
 from gateway.faults.settings import ConditionSettings
 
 #: Diagnostic sessions by name (ISO 14229-1, 0x10).
@@ -177,82 +176,3 @@ def needs_of(
 def signals_of(needs: Needs) -> set[str]:
     """Return the signals that conditions ask for, by their names in the configuration."""
     return {condition.signal for need in needs.values() for condition in need.when}
-
-
-def wrong_rules(
-    params: AccessParams, levels: Sequence[int], roles: Sequence[str] = (), uds: Collection[str] = ()
-) -> Iterator[InputError]:
-    """Yield the rules that nobody can meet.
-
-    Args:
-        params: all rules that the configuration gives.
-        levels: security levels that there are.
-        roles: that there are.
-        uds: names of the rules that the UDS server's own table gives.
-    """
-    for name in (*GUARDED, *FREE):
-        rule: Access | None = getattr(params, name)
-        if rule is None:
-            continue
-        table = "output.uds" if name in uds else "access"
-        for k, role in enumerate(rule.roles):
-            if role not in roles:
-                there = ", ".join(roles) or "none"
-                text = f"there is no such role (output.uds.authentication.roles: {there}){nearest(role, roles)}"
-                yield InputError(text, key=f"{table}.{name}.roles[{k}]", value=role)
-        if rule.roles and name in ("session", "authenticate"):
-            text = "nobody has a role in the default session, so that this could never be met"
-            yield InputError(text, key=f"{table}.{name}.roles", value=", ".join(rule.roles))
-        if not rule.security:
-            continue
-        key = f"{table}.{name}.security"
-        if rule.security not in levels:
-            there = ", ".join(str(level) for level in levels) or "none"
-            yield InputError(f"no such security level is set up (output.uds.security: {there})", key=key,
-                             value=rule.security)  # fmt: skip
-        elif name in ("session", "unlock"):
-            text = "nothing is unlocked in the default session, so that this could never be met"
-            yield InputError(text, key=key, value=rule.security)
-
-
-def ways_around(needs: Needs, levels: Sequence[int], *, uds: bool, obd: bool, j1939: bool) -> Iterator[str]:
-    """Yield the ways by which an intervention is easier than it looks, one line each.
-
-    Args:
-        needs: of each intervention.
-        levels: security levels that there are.
-        uds: whether there is a UDS server.
-        obd: whether there is an OBD server.
-        j1939: whether there is a J1939 server.
-    """
-    if uds:
-        yield from _open_doors(needs, levels)
-    clear = needs["clear"]
-    for name, there in (("obd_clear", obd), ("j1939_clear", j1939)):
-        need, what = needs[name], SESSIONLESS[name]
-        if not there or not need.allowed:
-            continue
-        if uds and clear.is_locked:
-            lock = f"security level {clear.security}" if clear.security else "role"
-            yield f"access.{name}: {what} can clear without the {lock} that 0x14 needs"
-        if uds and set(clear.when) - set(need.when):
-            yield f"access.{name}: {what} can clear without the conditions that 0x14 needs"
-        if not clear.is_locked and not need.when:
-            yield f"access.{name}: anybody on the bus can clear by {what} at any time: no condition, no security"
-
-
-def _open_doors(needs: Needs, levels: Sequence[int]) -> Iterator[str]:
-    """Yield what is guarded and is not, and services that do what another one guards better."""
-    bare = [name for name in GUARDED if not needs[name].is_locked and not needs[name].when]
-    for name in bare:
-        if levels or SESSIONS["default"] in needs[name].sessions:
-            where = "any" if SESSIONS["default"] in needs[name].sessions else "the extended"
-            yield f"access.{name}: anybody may do 0x{GUARDED[name]:02X} in {where} session: no condition, no security"
-    if not levels and len(bare) == len(GUARDED):
-        yield (
-            "access: anybody who begins the extended session may clear, reset and switch monitoring off: no condition"
-            " ([access] when), no security level ([output.uds] security)"
-        )
-    reset, routine = needs["reset"], needs["routine"]
-    if (reset.is_locked and not routine.is_locked) or set(reset.when) - set(routine.when):
-        yield "access.routine: routine 0x0201 begins a new operation cycle with less than 0x11 needs"

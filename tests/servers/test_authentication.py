@@ -7,7 +7,7 @@ import udsoncan
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from rig import Rig, write_config
 from test_access import SERVERS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
@@ -25,7 +25,22 @@ def name(common, unit=None):
     return x509.Name(parts)
 
 
-def issue(key, subject, issuer, issuer_key, *, first=NOW - DAY, last=NOW + DAY, serial=7, ca=False):
+#: An extension that only its maker knows.
+UNKNOWN = x509.UnrecognizedExtension(x509.ObjectIdentifier("1.3.6.1.4.1.99999.1"), b"\5\0")
+#: Key usage of a certificate that signs others, and of one that does not.
+SIGNS, SIGNS_NOT = (
+    x509.KeyUsage(
+        digital_signature=not signs, content_commitment=False, key_encipherment=False, data_encipherment=False,
+        key_agreement=False, key_cert_sign=signs, crl_sign=False, encipher_only=False, decipher_only=False,
+    )
+    for signs in (True, False)
+)  # fmt: skip
+
+
+def issue(
+    key, subject, issuer, issuer_key, *, first=NOW - DAY, last=NOW + DAY, serial=7, ca=False, path_length=None, more=(),
+    critical=True, constraints=True,
+):  # fmt: skip
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -34,8 +49,11 @@ def issue(key, subject, issuer, issuer_key, *, first=NOW - DAY, last=NOW + DAY, 
         .serial_number(serial)
         .not_valid_before(first)
         .not_valid_after(last)
-        .add_extension(x509.BasicConstraints(ca=ca, path_length=None), critical=True)
     )
+    if constraints:
+        builder = builder.add_extension(x509.BasicConstraints(ca=ca, path_length=path_length), critical=True)
+    for extension in more:
+        builder = builder.add_extension(extension, critical=critical)
     algorithm = None if isinstance(issuer_key, ed25519.Ed25519PrivateKey) else hashes.SHA256()
     return builder.sign(issuer_key, algorithm).public_bytes(serialization.Encoding.DER)
 
@@ -51,13 +69,19 @@ def signed(key, data):
     return key.sign(data, padding.PSS(padding.MGF1(hashes.SHA256()), padding.PSS.MAX_LENGTH), hashes.SHA256())
 
 
+def certificates(folder, **options):
+    """Write the root's certificate into a folder."""
+    root = x509.load_der_x509_certificate(issue(ROOT_KEY, ROOT, ROOT, ROOT_KEY, **{"ca": True, **options}))
+    (folder / "root.pem").write_bytes(root.public_bytes(serialization.Encoding.PEM))
+
+
 @pytest.fixture
 def make(tmp_path):
-    root = x509.load_der_x509_certificate(issue(ROOT_KEY, ROOT, ROOT, ROOT_KEY, ca=True))
-    (tmp_path / "root.pem").write_bytes(root.public_bytes(serialization.Encoding.PEM))
     rigs = []
 
-    def build(uds=AUTH, more=""):
+    def build(uds=AUTH, more="", root=True):
+        if root:
+            certificates(tmp_path)
         rigs.append(Rig(write_config(tmp_path, extra=EXTRA.format(uds=uds) + more)))
         return rigs[-1], Asked(rigs[-1])
 
@@ -186,6 +210,129 @@ def test_certificates_of_others(make):
     between, certificate = a_tester()
     subject = x509.load_der_x509_certificate(certificate).subject
     assert show(ask, issue(key, name("x", "workshop"), subject, between)) == "7f2952"
+
+
+class Chain:
+    """A tester's certificate, and those between it and the root, the nearest first."""
+
+    def __init__(self, *between, tester=None):
+        """Issue them from the root down.
+
+        Args:
+            between: options of each certificate between, the nearest to the tester first.
+            tester: options of the tester's own.
+        """
+        issuer, issuer_key, made = ROOT, ROOT_KEY, []
+        for n, options in reversed(list(enumerate(between))):
+            subject = name(f"between {n}")
+            usual = {"ca": True, "more": [SIGNS], "serial": 100 + n}
+            asked = {**usual, **options}
+            key = asked.pop("key", None) or ec.generate_private_key(ec.SECP256R1())
+            made.insert(0, issue(key, subject, issuer, issuer_key, **asked))
+            issuer, issuer_key = subject, key
+        self.key = ec.generate_private_key(ec.SECP256R1())
+        own = issue(self.key, name("tester", "workshop"), issuer, issuer_key, **(tester or {}))
+        self.parts = [own, *made]
+
+    def log_in(self, ask):
+        ours = show(ask, b"".join(self.parts))
+        return ours if isinstance(ours, str) else prove(ask, signed(self.key, ours))
+
+
+@pytest.mark.parametrize(
+    "between", [[{}], [{"path_length": 0}, {"path_length": 1}], [{}, {}, {"path_length": 2}]], ids=len
+)
+def test_others_may_sign_between_tester_and_root(make, between):
+    rig, ask = make()
+    assert ask("1003")
+    assert Chain(*between).log_in(ask) == "6903120000"
+    assert ask("14ffffff") == "54"
+    rig.wait(1)
+    assert rig.gateway.memory.interventions()[-1].role == "workshop"
+
+
+@pytest.mark.parametrize(
+    ("between", "tester", "nrc", "why"),
+    [
+        ([{"ca": False, "more": [SIGNS_NOT]}], {}, "52", "a tester's certificate signs nothing"),
+        ([{"ca": False}], {}, "52", "key usage alone makes no authority"),
+        ([{"constraints": False}], {}, "52", "nor does silence"),
+        ([{"more": [SIGNS_NOT]}], {}, "52", "an authority whose key is not for certificates"),
+        ([{"more": []}], {}, "52", "which does not say what its key is for"),
+        ([{"key": rsa.generate_private_key(65537, 1024)}], {}, "52", "an authority's key that is too short"),
+        ([{}, {"path_length": 0}], {}, "52", "path length: none may be between it and a tester"),
+        ([{}, {}, {"path_length": 1}], {}, "52", "path length: one may"),
+        ([{"last": NOW - DAY / 2}], {}, "50", "expired between"),
+        ([{"first": NOW + DAY / 2}], {}, "50", "not valid yet between"),
+        ([{}], {"last": NOW - DAY / 2}, "50", "expired"),
+        ([{}, {"serial": 666}], {}, "57", "revoked between"),
+        ([{}], {"serial": 666}, "57", "revoked"),
+        ([{}], {"ca": True}, "53", "an authority is no tester"),
+        ([{}], {"more": [SIGNS]}, "53", "a key for certificates only"),
+        ([{}], {"more": [x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])]}, "53", "a server is no tester"),
+        ([{"more": [SIGNS, UNKNOWN]}], {}, "55", "a critical extension that nobody here knows, between"),
+        ([{}], {"more": [UNKNOWN]}, "55", "a critical extension that nobody here knows"),
+        ([{}, {}, {}, {}], {}, "52", "more than are looked at"),
+    ],
+)
+def test_chains_that_are_not_good(make, between, tester, nrc, why):
+    rig, ask = make()
+    assert ask("1003")
+    assert Chain(*between, tester=tester).log_in(ask) == f"7f29{nrc}", why
+    assert ask("14ffffff") == "7f1434"
+    rig.wait(1)
+    assert [f"{each.outcome:02x}" for each in rig.gateway.memory.interventions()] == [nrc, "34"]
+
+
+def test_chains_with_parts_of_others(make):
+    _, ask = make()
+    assert ask("1003")
+    good, other = Chain({}, {}), Chain({}, {})
+    own, first, second = good.parts
+    wrong = {
+        "one is missing": ([own, second], "52"),
+        "the last is missing": ([own, first], "52"),
+        "without any": ([own], "52"),
+        "in another order": ([own, second, first], "52"),
+        "one twice": ([own, first, first, second], "52"),
+        "of the same name, but another's key": ([own, other.parts[1], second], "51"),
+        "of the same name, but another's key, above": ([own, first, other.parts[2]], "51"),
+        "one more that is not of it": ([own, first, second, a_tester()[1]], "52"),
+        "bytes behind": ([own, first, second, b"\0"], "54"),
+        "cut off": ([own, first, second[:-1]], "54"),
+        "of no definite length": ([b"\x30\x80", own], "54"),
+        "an authority shown alone": ([first, second], "53"),
+    }
+    for why, (parts, nrc) in wrong.items():
+        good.parts = parts
+        assert good.log_in(ask) == f"7f29{nrc}", why
+    good.parts = [own, first, second]
+    assert good.log_in(ask) == "6903120000"
+
+
+def test_a_root_may_say_how_far_it_stands(make, tmp_path):
+    certificates(tmp_path, path_length=0, more=[SIGNS])
+    _, ask = make(root=False)
+    assert ask("1003")
+    assert Chain({}).log_in(ask) == "7f2952"
+    assert Chain().log_in(ask) == "6903120000"
+
+
+@pytest.mark.parametrize("options", [{"ca": False}, {"more": [SIGNS_NOT]}])
+def test_what_signs_no_others_is_no_root(make, tmp_path, options):
+    certificates(tmp_path, **options)
+    with pytest.raises(Exception, match=r"authentication.roots\[0\].*signs no others"):
+        make(root=False)
+
+
+def test_a_forgeable_signature_is_none(make):
+    _, ask = make()
+    assert ask("1003")
+    key = ec.generate_private_key(ec.SECP256R1())
+    builder = x509.CertificateBuilder().subject_name(name("x", "workshop")).issuer_name(ROOT).serial_number(7)
+    builder = builder.public_key(key.public_key()).not_valid_before(NOW - DAY).not_valid_after(NOW + DAY)
+    old = builder.sign(ROOT_KEY, hashes.SHA224()).public_bytes(serialization.Encoding.DER)
+    assert show(ask, old) == "7f2951"
 
 
 def test_a_proof_is_of_this_challenge_and_this_key(make):

@@ -49,13 +49,13 @@ class Heard(list):
 class Bus(Rig):
     """What a J1939 tool sees: whole messages, transport sessions put together by hand."""
 
-    def __init__(self, config):
+    def __init__(self, config, memory=None):
         self.open = {}
-        super().__init__(config)
+        super().__init__(config, memory)
 
     def _keep(self, made):
         frames = super()._keep(made)
-        return Heard(frames, self.join(frames))
+        return Heard(frames, self.join([frame for frame in frames if frame[0] & EXTENDED]))
 
     def messages(self, frames):
         return frames.messages
@@ -63,7 +63,6 @@ class Bus(Rig):
     def join(self, frames):
         made = []
         for can_id, data in frames:
-            assert can_id & EXTENDED
             pgn = can_id >> 8 & 0x3FFFF
             destination = ALL
             if (pgn >> 8) & 0xFF < 240:

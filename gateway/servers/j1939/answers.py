@@ -33,6 +33,7 @@ class Answers:
             dm.DM5: self._readiness,
             dm.DM6: lambda: self.with_lamps(dtcs.pending()),
             dm.DM12: lambda: self.with_lamps([c for c in dtcs.active() if c[0].emission_related]),
+            dm.DM21: lambda: dm.driven(memory.usage.driven()),
             dm.DM24: lambda: dm.spn_support(params.freeze_frame),
             dm.DM25: self._freeze_frames,
             dm.DM26: lambda: dm.readiness_of_cycle(readiness(memory, this_cycle=True)),
@@ -43,6 +44,11 @@ class Answers:
         if params.calibration is not None:
             given = params.calibration_check, params.calibration
             self._makers[dm.DM19] = lambda: dm.calibration(*given)
+        counted = memory.performance
+        if counted.offered:
+            self._makers[dm.DM20] = lambda: dm.performance(
+                counted.ignition_cycles, counted.conditions, counted.by_group()
+            )
         if params.component is not None:
             texts = params.component.make, params.component.model, params.component.serial, params.component.unit
             self._makers[dm.COMPONENT] = lambda: dm.identification(*texts)

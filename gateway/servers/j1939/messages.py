@@ -6,18 +6,34 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.entries import Entry
+from gateway.faults.performance import Ratio
 from gateway.faults.readiness import Readiness
+from gateway.faults.usage import Driven
 from gateway.servers.j1939.params import FreezeFrameSpn
 
 DM1, DM2, DM3, DM5, DM6 = 0xFECA, 0xFECB, 0xFECC, 0xFECE, 0xFECF
 DM11, DM12 = 0xFED3, 0xFED4
-DM19, DM26, DM29 = 0xD300, 0xFDB8, 0x9E00
+DM19, DM20, DM21, DM26, DM29 = 0xD300, 0xC200, 0xC100, 0xFDB8, 0x9E00
 COMPONENT, SOFTWARE, VIN = 0xFEEB, 0xFEDA, 0xFEEC
 DM24, DM25, DM28 = 0xFDB6, 0xFDB7, 0xFD80
 
 #: Lamps, from the lowest bits of the first byte up.
 _LAMPS = ("protect", "warning", "stop", "malfunction")
 _ON, _NOT_AVAILABLE = 0b01, 0b11
+#: Suspect parameter numbers of monitored systems (5.7.20), by readiness group; those without a number are not shown.
+SYSTEMS = {
+    "catalyst": 3050,
+    "misfire": 3052,
+    "evaporative_system": 3053,
+    "secondary_air": 3054,
+    "fuel_system": 3055,
+    "oxygen_sensor": 3056,
+    "egr": 3058,
+    "air_conditioning": 3062,
+    "components": 3065,
+}
+#: The greatest count of two bytes, and what stands for one that is not available.
+_MOST_2, _NO_2 = 0xFAFF, b"\xff\xff"
 #: The greatest occurrence count; 127 says that there is none.
 MOST_OCCURRENCES = 126
 #: DTCs that one message of 1785 bytes holds.
@@ -69,6 +85,27 @@ def readiness_message(active: int, previous: int, compliance: int, ready: Readin
 def calibration(check: int, identification: str) -> bytes:
     """Return DM19: verification number, low byte first, and identification of 16 characters."""
     return check.to_bytes(4, "little") + identification.encode().ljust(16, b"\0")
+
+
+def performance(ignition_cycles: int, conditions: int, ratios: Mapping[str, Ratio]) -> bytes:
+    """Return DM20: ignition cycles, general denominator, then number, numerator and denominator of each system."""
+    made = _two_bytes(ignition_cycles) + _two_bytes(conditions)
+    for group, number in SYSTEMS.items():
+        if group in ratios:
+            system = (number | 0x1F << 19).to_bytes(3, "little")  # 19 bits; what is reserved is 1
+            made += system + b"".join(_two_bytes(count) for count in ratios[group])
+    return made.ljust(8, b"\xff")
+
+
+def _two_bytes(count: float | None) -> bytes:
+    return _NO_2 if count is None else min(int(count), _MOST_2).to_bytes(2, "little")
+
+
+def driven(since: Driven) -> bytes:
+    """Return DM21: distance [km] with the MIL on and since the clear, running time [min] likewise."""
+    distances = [None if metres is None else metres / 1000 for metres in (since.lit_m, since.cleared_m)]
+    times = [None if seconds is None else seconds / 60 for seconds in (since.lit_s, since.cleared_s)]
+    return b"".join(_two_bytes(value) for value in (*distances, *times))
 
 
 def readiness_of_cycle(ready: Readiness) -> bytes:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from gateway.faults.catalogue import MIL
 from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
 from gateway.faults.interventions import DONE, Intervention
@@ -19,6 +18,7 @@ from gateway.faults.status import Status
 from gateway.faults.store import StoreError
 from gateway.servers.access import Need
 from gateway.servers.application import Application
+from gateway.servers.obd.in_use import TRACKED, driven_pids, tracking
 from gateway.servers.obd.params import ObdParams
 from gateway.servers.obd.test_results import MonitorTests
 from gateway.servers.tester_control import TesterControl
@@ -119,16 +119,11 @@ class ObdServer(Application):
 
     def _current(self, pid: int) -> bytes:
         if pid % 0x20 == 0:
-            bitmap = _bitmap(pid, (0x01, 0x1C, 0x41, *self._pids))
+            bitmap = _bitmap(pid, (0x01, 0x1C, 0x41, *self._pids, *driven_pids(self._memory.usage.driven())))
             return bitmap if pid == 0 or any(bitmap) else b""
         if pid == 0x01:
-            related = self._related()
-            lit = any(
-                entry.status & Status.WARNING_INDICATOR and self._memory.definition(entry.fault).lamp == MIL
-                for entry in related
-            )
-            count = len(_codes(e for e in related if e.status & Status.CONFIRMED_DTC))
-            return bytes([lit << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
+            count = len(_codes(e for e in self._related() if e.status & Status.CONFIRMED_DTC))
+            return bytes([self._memory.is_mil_on() << 7 | min(count, 0x7F)]) + readiness(self._memory).obd_bytes
         if pid == 0x1C:
             return bytes([self._params.standard])
         if pid == 0x41:
@@ -136,7 +131,7 @@ class ObdServer(Application):
         if pid in self._pids:
             params = self._pids[pid]
             return params.encode(self._control.value(params.signal))
-        return b""
+        return driven_pids(self._memory.usage.driven()).get(pid, b"")
 
     def _frozen(self) -> tuple[Entry, FreezeFrame] | None:
         """Return the freeze frame that OBD shows: of the DTC that failed first of those still there."""
@@ -206,7 +201,10 @@ class ObdServer(Application):
         if number % 0x20 == 0:
             bitmap = _bitmap(number, there)
             return bitmap if number == 0 or any(bitmap) else b""
-        return b"\x01" + there[number] if number in there else b""
+        if number not in there:
+            return b""
+        items = TRACKED if number == 0x08 else 1
+        return bytes([items]) + there[number]
 
     def _infotypes(self) -> dict[int, bytes]:
         p = self._params
@@ -214,6 +212,7 @@ class ObdServer(Application):
             0x02: None if p.vin is None else p.vin.encode(),
             0x04: None if p.calibration is None else p.calibration.encode().ljust(16, b"\0"),
             0x06: None if p.calibration_check is None else p.calibration_check.to_bytes(4, "big"),
+            0x08: tracking(self._memory.performance) if self._memory.performance.offered else None,
             0x0A: None if p.ecu_name is None else p.ecu_name.encode().ljust(20, b"\0"),
         }
         return {number: data for number, data in known.items() if data is not None}

@@ -1,9 +1,8 @@
 """Authentication by certificate (ISO 14229-1, 0x29, APCE): who the tester is, rather than that it knows a secret.
 
-A tester shows a certificate that one of the configured roots has signed, and proves by a signature over a challenge
-that it has the certificate's private key. What it may do goes by its role: the organizational unit (OU) of its
-subject. Keys are Ed25519, ECDSA over SHA-256, or RSA-PSS over SHA-256. A gateway keeps no private key, and nothing
-that must be secret.
+A tester shows a certificate behind which a configured root stands (see ``certificates``), and proves by a signature
+over a challenge that it has the certificate's private key. What it may do goes by its role. Keys are Ed25519, ECDSA
+over SHA-256, or RSA-PSS over SHA-256. A gateway keeps no private key, and nothing that must be secret.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from typing import Any
 
 from pydantic import Field
 
-from gateway.common.extras import need
 from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError
+from gateway.servers.uds.certificates import Certificates
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
 
 #: Bytes of the gateway's challenge.
@@ -29,7 +27,9 @@ class AuthenticationParams(StrictModel):
     """Authentication by certificate."""
 
     roots: tuple[Path, ...] = Field(
-        min_length=1, description="certificates (PEM) that sign those of testers; relative to this configuration"
+        min_length=1,
+        description="certificates (PEM) that sign those of testers, themselves or through others; relative to this"
+        " configuration",
     )
     roles: tuple[str, ...] = Field(
         min_length=1, description="roles that there are: organizational units of testers' certificates"
@@ -45,26 +45,26 @@ class Authentication:
         random: gives a challenge of so many bytes.
 
     Raises:
-        InputErrors: a root that cannot be read.
+        InputError: a root cannot be read, or may not sign; or cryptography is not installed.
     """
 
     def __init__(
         self, params: AuthenticationParams | None, random: Callable[[int], bytes] = secrets.token_bytes
     ) -> None:
-        self._params, self._random = params, random
-        self._roots = [] if params is None else _roots(params)
+        self._random = random
+        self._certificates = None if params is None else Certificates(params.roots, params.roles, params.revoked)
         self._pending: tuple[Any, str, bytes] | None = None  # public key, role, what is to be signed
         self.role = ""
 
     @property
     def offered(self) -> bool:
         """Whether there are roots."""
-        return bool(self._roots)
+        return self._certificates is not None
 
     def beside(self) -> Authentication:
         """Return the authentication of another tester."""
         other = Authentication(None, self._random)
-        other._params, other._roots = self._params, self._roots
+        other._certificates = self._certificates
         return other
 
     def end(self) -> None:
@@ -75,7 +75,7 @@ class Authentication:
         """Take a tester's certificate and challenge; returns ours.
 
         Args:
-            certificate: X.509, DER.
+            certificate: X.509, DER; after it those between it and a root, each of which has signed the one before.
             challenge: of the tester; may be empty.
             wall_ns: now, for the certificate's validity.
 
@@ -83,7 +83,8 @@ class Authentication:
             NegativeError: the certificate is not good, and why.
         """
         self._pending = None
-        key, role = self._verified(certificate, datetime.fromtimestamp(wall_ns / 1e9, UTC))
+        assert self._certificates is not None, "not offered"
+        key, role = self._certificates.verified(certificate, datetime.fromtimestamp(wall_ns / 1e9, UTC))
         ours = self._random(CHALLENGE)
         self._pending = key, role, ours + challenge
         return ours
@@ -100,61 +101,6 @@ class Authentication:
         key, role, signed = pending
         refuse_unless(_is_signed(key, proof, signed), Nrc.OWNERSHIP_NOT_PROVEN)
         self.role = role
-
-    def _verified(self, data: bytes, now: datetime) -> tuple[Any, str]:
-        """Return public key and role of a certificate that is good."""
-        from cryptography import x509  # noqa: PLC0415 - an extra, and slow to load
-
-        assert self._params is not None
-        try:
-            certificate = x509.load_der_x509_certificate(data)
-            units = certificate.subject.get_attributes_for_oid(x509.NameOID.ORGANIZATIONAL_UNIT_NAME)
-            usage = _extension(certificate, x509.KeyUsage)
-            limits = _extension(certificate, x509.BasicConstraints)
-            key = certificate.public_key()
-        except (ValueError, x509.UnsupportedGeneralNameType, x509.DuplicateExtension) as error:
-            raise NegativeError(Nrc.CERTIFICATE_FORMAT) from error
-        self._check_issuer(certificate)
-        good = certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc
-        refuse_unless(good, Nrc.CERTIFICATE_TIME)
-        is_tester = not (limits is not None and limits.ca) and (usage is None or usage.digital_signature)
-        refuse_unless(is_tester and _is_known(key), Nrc.CERTIFICATE_TYPE)
-        refuse_unless(certificate.serial_number not in self._params.revoked, Nrc.CERTIFICATE_REVOKED)
-        role = next((str(unit.value) for unit in units if unit.value in self._params.roles), "")
-        refuse_unless(bool(role), Nrc.CERTIFICATE_SCOPE)
-        return key, role
-
-    def _check_issuer(self, certificate: Any) -> None:
-        """Refuse a certificate that no root has signed; one between them is not taken."""
-        from cryptography.exceptions import InvalidSignature  # noqa: PLC0415 - an extra, and slow to load
-
-        named = False
-        for root in self._roots:
-            try:
-                certificate.verify_directly_issued_by(root)
-            except InvalidSignature:
-                named = True
-            except (ValueError, TypeError):
-                continue
-            else:
-                return
-        raise NegativeError(Nrc.CERTIFICATE_SIGNATURE if named else Nrc.CERTIFICATE_CHAIN)
-
-
-def _extension(certificate: Any, kind: Any) -> Any:
-    from cryptography import x509  # noqa: PLC0415 - an extra, and slow to load
-
-    try:
-        return certificate.extensions.get_extension_for_class(kind).value
-    except x509.ExtensionNotFound:
-        return None
-
-
-def _is_known(key: Any) -> bool:
-    from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa  # noqa: PLC0415 - an extra, slow to load
-
-    strong = not isinstance(key, rsa.RSAPublicKey) or key.key_size >= 2048
-    return strong and isinstance(key, ed25519.Ed25519PublicKey | ec.EllipticCurvePublicKey | rsa.RSAPublicKey)
 
 
 def _is_signed(key: Any, signature: bytes, data: bytes) -> bool:
@@ -174,24 +120,3 @@ def _is_signed(key: Any, signature: bytes, data: bytes) -> bool:
     except InvalidSignature:
         return False
     return True
-
-
-def _roots(params: AuthenticationParams) -> list[Any]:
-    """Read the roots.
-
-    Raises:
-        InputError: one cannot be read, or cryptography is not installed.
-    """
-    need("auth", "certificates", key="output.uds.authentication")
-    from cryptography import x509  # noqa: PLC0415 - an extra, and slow to load
-
-    found = []
-    for k, path in enumerate(params.roots):
-        key = f"output.uds.authentication.roots[{k}]"
-        try:
-            found.append(x509.load_pem_x509_certificate(path.read_bytes()))
-        except OSError as error:
-            raise InputError(error.strerror or str(error), key=key, value=str(path)) from error
-        except ValueError as error:
-            raise InputError("this is no certificate in PEM", key=key, value=str(path)) from error
-    return found

@@ -1,4 +1,4 @@
-"""The user-defined memory of 0x19 17 to 19: what testers did, as DTCs of their own (ISO 14229-1, 11.3).
+"""The user-defined memory of 0x19 17 to 19: what testers did, as DTCs of their own (ISO 14229-1, 12.3).
 
 Each kind of intervention is a DTC ``U1Fxx-68``: xx is the service, 68 is "event information" (SAE J2012-DA). It is
 confirmed if it was done, pending if it was only refused. Snapshot records are the latest interventions of the kind, the

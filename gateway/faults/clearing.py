@@ -1,0 +1,122 @@
+"""Clearing of DTCs (ISO 14229-1, 0x14), by testers and by other processes; durable, or not done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from gateway.errors import InputError
+from gateway.faults.catalogue import Catalogue, FaultDefinition
+from gateway.faults.dtc import ALL_DTCS, in_group
+from gateway.faults.event_memory import EventMemory
+from gateway.faults.ledger import OVERFLOW, Ledger
+from gateway.faults.records import Record
+from gateway.faults.status import CLEARED
+from gateway.faults.store import StoreError
+from gateway.faults.usage import Usage
+
+
+class Clearing:
+    """Clears DTCs and groups of them.
+
+    Args:
+        held: records of all faults, with what is to be written.
+        definitions: of all of them, by id.
+        catalogue: the faults that are monitored.
+        entries: of those that have failed.
+        before: called before anything is cleared.
+        usage: what is counted since a clear.
+    """
+
+    def __init__(
+        self,
+        held: Ledger,
+        definitions: Mapping[str, FaultDefinition],
+        catalogue: Catalogue,
+        entries: EventMemory,
+        before: Callable[[], None],
+        usage: Usage,
+    ) -> None:
+        self._held, self._definitions, self._catalogue, self._entries = held, definitions, catalogue, entries
+        self._before, self._usage = before, usage
+        self._asked = held.store.watch()
+
+    def clear(self, group: int, t_ns: int) -> list[str]:
+        """Clear one DTC, a group, or all; durable on return, or nothing is cleared.
+
+        Permanent DTCs stay until their test has passed; those of faults that nobody tests any more go.
+
+        Args:
+            group: a DTC's 24 bits, or a group (see :func:`gateway.faults.dtc.in_group`).
+            t_ns: now, of the engine's clock.
+
+        Returns:
+            ids of the faults cleared.
+
+        Raises:
+            StoreError: it could not be written; nothing was cleared.
+        """
+        self._usage.flush()
+        with self._held.undoing():
+            cleared = self._clear(group)
+            self._held.write(t_ns)
+        self._entries.forget(cleared)
+        return cleared
+
+    def knows(self, group: int) -> bool:
+        """Tell whether a clear of this DTC or group would mean any fault."""
+        return group == ALL_DTCS or any(self._is_in(record, group) for record in self._held.records.values())
+
+    def _is_in(self, record: Record, group: int) -> bool:
+        related = self._definitions[record.id].emission_related
+        return in_group(record.dtc, group, emission_related=related)
+
+    def _clear(self, group: int) -> list[str]:
+        self._before()
+        cleared = []
+        for record in list(self._held.records.values()):
+            if self._is_in(record, group):
+                self._held.records[record.id] = Record(record.id, record.dtc, int(CLEARED))
+                self._held.touch(record.id)
+                cleared.append(record.id)
+                if len(self._catalogue) and self._catalogue.get(record.id) is None:
+                    # No test is left that could pass.
+                    self._held.note_permanent(self._held.permanent.give_up(record.id))
+        self._held.drop_recordings(cleared)
+        self._usage.on_clear(group)
+        if group == ALL_DTCS and self._held.fact(OVERFLOW):
+            self._held.set_fact(OVERFLOW, 0)
+        return cleared
+
+    def serve_requests(self, t_ns: int, before: Callable[[], None]) -> list[str]:
+        """Do what other processes asked for; returns ids of the faults cleared.
+
+        Args:
+            t_ns: now, of the engine's clock.
+            before: called first, if somebody did.
+        """
+        if self._held.under_way():  # they are served the next time
+            return []
+        self._held.join()
+        if not self._asked():
+            return []
+        cleared: list[str] = []
+        try:
+            if not self._held.store.requests():  # something else was written
+                return []
+            before()
+            self._usage.flush()
+            with self._held.undoing(), self._held.store.transaction():
+                # Within it nobody can withdraw a request that is being done.
+                for request, kind, argument in self._held.store.requests():
+                    done = 0
+                    if kind == "clear":
+                        group = int(argument)
+                        done = sum(1 for record in self._entries.stored() if self._is_in(record, group))
+                        cleared += self._clear(group)
+                    self._held.answer(request, done)
+                self._held.write(t_ns, alone=False)
+        except (StoreError, InputError):  # whoever asked is told that nothing was done
+            return []
+        self._held.written()
+        self._entries.forget(cleared)
+        return cleared

@@ -1,0 +1,176 @@
+"""Which failures have an entry, and what it holds (AUTOSAR DEM: event memory, displacement, freeze frames).
+
+Room is made for a more important failure; one that finds none waits, as does one that gave way, until there is room or
+its operation cycle is over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+
+from gateway.faults import freeze_frames
+from gateway.faults import status as transition
+from gateway.faults.catalogue import Catalogue, FaultDefinition
+from gateway.faults.displacement import victim
+from gateway.faults.failures import Failure, Observed, finite, known, latest_signals
+from gateway.faults.ledger import OVERFLOW, Ledger
+from gateway.faults.records import FreezeFrame, Record
+from gateway.faults.status import STATUS, Cycles, Status
+
+#: The occurrence counter stops here.
+MOST_OCCURRENCES = 255
+
+_TEST_FAILED, _CONFIRMED = int(Status.TEST_FAILED), int(Status.CONFIRMED_DTC)
+#: The bit that stores a freeze frame when it rises; a counter's value stands for testFailed.
+_FREEZE_FRAME_AT: dict[str | int, int] = {
+    "pending": int(Status.PENDING_DTC),
+    "confirmed": _CONFIRMED,
+}
+
+
+class EventMemory:
+    """Makes, displaces and removes entries.
+
+    Args:
+        held: records of all faults, with what is to be written.
+        definitions: of all of them, by id.
+        catalogue: the faults that are monitored.
+        size: entries there is room for; None: for all.
+
+    Attributes:
+        room: whether an entry has gone since those that wait were tried again.
+    """
+
+    def __init__(
+        self, held: Ledger, definitions: Mapping[str, FaultDefinition], catalogue: Catalogue, size: int | None
+    ) -> None:
+        self._held, self._definitions, self._catalogue = held, definitions, catalogue
+        self._size = size
+        self._prestored: dict[str, FreezeFrame] = {}
+        self._refused: dict[str, Failure] = {}
+        self.room = False
+
+    def succeed(self, old: EventMemory) -> None:
+        """Go on with what waits in another one."""
+        self._prestored |= old._prestored
+        self._refused |= old._refused
+        self.room = True  # there may be more of it now
+
+    # What comes of a fault
+
+    def prestore(self, fault: str, frame: FreezeFrame) -> None:
+        """Keep a freeze frame of the time before a failure, for the case that it fails."""
+        self._prestored[fault] = frame
+
+    def give_up(self, fault: str) -> None:
+        """Give up what waits of a fault: it has passed."""
+        self._prestored.pop(fault, None)
+        self._refused.pop(fault, None)
+
+    def test_anew(self, fault: str) -> None:
+        """Give up a failure that found no room: the fault is tested again in a new operation cycle."""
+        self._refused.pop(fault, None)
+
+    def fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
+        """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
+        old = STATUS[record.status]
+        if not record.occurrence:  # what was refused earlier in this cycle has not been counted
+            old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
+        status, cycles = transition.on_failed(old, record.cycles, definition.rules)
+        if not record.occurrence and not self._make_room(definition):
+            record.become(transition.on_displaced(status), Cycles())
+            seen = failure.observe()
+            self._refused[record.id] = replace(failure, observe=lambda: seen)
+            return
+        record.become(status, cycles)
+        risen = int(status) & ~int(old)
+        if risen & _TEST_FAILED:
+            self._note_failure(record, failure)
+        if risen & _CONFIRMED:
+            record.last_confirmed = self._held.next_in_order()
+            if record.first_confirmed is None:
+                record.first_confirmed = record.last_confirmed
+        if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
+            prestored = self._prestored.pop(definition.id, None)
+            frame = prestored or FreezeFrame(0, failure.t_ns, finite(failure.observe().frame))
+            freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
+        became = self._held.permanent.on_failed(definition, status, failure.t_ns)
+        self._held.note_permanent(became)
+
+    def _note_failure(self, record: Record, failure: Failure) -> None:
+        sequence = self._held.next_in_order()
+        record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
+        record.first_ns = failure.t_ns if record.first_ns is None else record.first_ns
+        record.last_ns = failure.t_ns
+        record.first_failed = sequence if record.first_failed is None else record.first_failed
+        record.last_failed = sequence
+        record.evidence = failure.evidence
+        record.inputs = finite(failure.observe().inputs)
+
+    # Room
+
+    def stored(self) -> list[Record]:
+        """Return the records that have an entry."""
+        return [record for record in self._held.records.values() if record.occurrence]
+
+    def _has_room(self) -> bool:
+        return self._size is None or len(self.stored()) < self._size
+
+    def _make_room(self, definition: FaultDefinition) -> bool:
+        """Make room for one entry; False if all that is there is more important."""
+        if self._has_room():
+            return True
+        found = victim(definition, [(self._definitions[r.id], r) for r in self.stored()])
+        self._held.set_fact(OVERFLOW, 1)
+        if found is None:
+            return False
+        if found.status & Status.TEST_FAILED and self._catalogue.get(found.id) is not None:
+            seen = Observed(latest_signals(found), known(found.inputs))
+            self._refused[found.id] = Failure(found.last_ns or 0, found.evidence, lambda: seen)
+        found.status = int(transition.on_displaced(Status(found.status)))
+        self.remove(found)
+        self.room = False  # the newcomer takes it
+        return True
+
+    def remove(self, record: Record) -> None:
+        """Remove what is stored of a fault; its status byte stays."""
+        fresh = Record(record.id, record.dtc, record.status)
+        fresh.peak_fdc, fresh.near_misses = record.peak_fdc, record.near_misses
+        record.__dict__.update(fresh.__dict__)
+        self.room = True
+        self._held.touch(record.id)
+
+    def forget(self, cleared: Iterable[str]) -> None:
+        """Give up what waits of cleared faults; their entries leave room for others."""
+        for fault in cleared:
+            self.give_up(fault)
+            self.room = True
+
+    def admit_refused(self, counts: Callable[[FaultDefinition], bool]) -> list[tuple[FaultDefinition, Record, Status]]:
+        """Enter failures that a full memory refused, or whose entries gave way, if there is room for them now.
+
+        The most important come first, of these the oldest; a fault whose operation cycle is over is not entered.
+
+        Args:
+            counts: tells whether the results of a fault count now.
+
+        Returns:
+            each with its record, and the status byte before.
+        """
+        if not self.room:
+            return []
+        self.room = False
+        entered = []
+        waiting = [(self._definitions[fault], failure) for fault, failure in self._refused.items()]
+        for definition, failure in sorted(waiting, key=lambda w: (w[0].priority, w[1].t_ns)):
+            if not self._has_room():
+                break
+            if not counts(definition):
+                continue
+            record = self._held.records[definition.id]
+            old = STATUS[record.status]
+            del self._refused[definition.id]
+            self.fail(definition, record, failure)
+            entered.append((definition, record, old))
+        return entered

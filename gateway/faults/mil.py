@@ -1,0 +1,17 @@
+"""The malfunction indicator lamp, the one lamp that legislation knows: lit by what is emission related only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from gateway.faults.catalogue import MIL, FaultDefinition
+from gateway.faults.records import Record
+from gateway.faults.status import Status
+
+_LIT = int(Status.WARNING_INDICATOR)
+
+
+def is_mil_on(records: Iterable[Record], definitions: Mapping[str, FaultDefinition]) -> bool:
+    """Tell whether one of these records asks for the MIL."""
+    lit = (definitions[record.id] for record in records if record.status & _LIT)
+    return any(definition.emission_related and definition.lamp == MIL for definition in lit)
