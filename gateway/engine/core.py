@@ -9,6 +9,7 @@ import numpy as np
 
 from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
 from gateway.engine import loop
+from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
 from gateway.engine.checks.communication import RULE, SAMPLES
 from gateway.engine.debounce import fault_detection_counter, fold, reset
@@ -193,6 +194,10 @@ class Engine:
         row = self.tables.debounces[fault]
         result = int(row["last"]) or int(row["verdict"])
         return None if result == NOT_TESTED else (float(row["value"]), float(row["limit"]), result == FAILED)
+
+    def take_buckets(self) -> Buckets:
+        """Return what the test results of each fault were since the last call, shape (faults,) of Bucket."""
+        return take(self.tables.buckets)
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""
