@@ -2,8 +2,9 @@
 
     python bench/buckets.py [--frames 400000] [--rounds 7] [--look-hz 20] [--json]
 
-The log is that of bench/engine.py: four teeth a frame, each with its test results. "without" is the same machine code with
-an empty table of buckets. "read" takes the buckets out 20 times a second of the log's time, as the page and the report do.
+The log is that of bench/engine.py: four teeth a frame, each with its test results. "without" is the same machine code
+with an empty table of buckets. "read" takes the buckets out 20 times a second of the log's time, as the page and the
+report do.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def main():
             took[name].append(run(frames, **ways[name]))
     best = {name: min(values) for name, values in took.items()}
     rows = [
-        {"name": name, "frames_per_s": len(frames) / best[name], "ratio": best[name] / best[against], "against": against,
+        {"name": name, "frames_per_s": len(frames) / best[name],
+         "ratio": best[name] / best[against], "against": against,
          "median_ratio": statistics.median(a / b for a, b in zip(took[name], took[against], strict=True))}
         for name, against in (("with", "without"), ("with, read", "without, in pieces"))
     ]  # fmt: skip

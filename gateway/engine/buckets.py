@@ -7,8 +7,8 @@ held) are in none.
 
 How near a result came to a failure is one number for limits from above and from below: 1 + (value - limit) / abs(limit)
 for a value that must not exceed its limit, 1 - (value - limit) / abs(limit) for one that must not fall below it. For
-limits of the usual kinds that is value / limit; 1 is the limit itself. A result says by its verdict which kind its limit
-is. Where the limit is 0 there is no scale: 0 passed, 2 failed.
+limits of the usual kinds that is value / limit; 1 is the limit itself. A result says by its verdict which kind its
+limit is. Where the limit is 0 there is no scale: 0 passed, 2 failed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import Record, f8, i8, kernel, means
+from gateway.jit import Record, f8, i1, i4, i8, kernel, means
 
 
 class Bucket(Record):
@@ -37,6 +37,17 @@ class Bucket(Record):
     limit: f8 = means("its limit")
     worst_ns: i8 = means("its time", "ns")
     last_ns: i8 = means("time of the latest result", "ns")
+
+
+class BucketOwner(Record):
+    """Whose it is, where not all are together."""
+
+    fault: i4 = means("index in the engine's list of faults")
+    fdc: i1 = means("fault detection counter when the bucket was read")
+
+
+class TickRow(Bucket, BucketOwner):
+    """One row of a tick of the status socket (see live.status)."""
 
 
 #: Shape (faults,) of :class:`Bucket`.

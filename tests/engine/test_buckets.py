@@ -26,7 +26,8 @@ def expected(samples, limit=10.0):
     at, worst = max(samples, key=lambda s: s[1])
     return {
         "count": len(samples), "failed": sum(v > limit for v in values), "numbers": len(samples), "low": min(values),
-        "high": max(values), "last": values[-1], "threshold": limit, "ratio": pytest.approx(max(worst / limit, 0.0)), "worst": worst,
+        "high": max(values), "last": values[-1], "threshold": limit,
+        "ratio": pytest.approx(max(worst / limit, 0.0)), "worst": worst,
         "limit": limit, "worst_ns": round(at * 1e6),
     }  # fmt: skip
 
