@@ -53,6 +53,11 @@ Maps = Annotated[
         help="Take a channel of the log as a bus of the configuration; may be repeated.",
     ),
 ]
+StatusOption = Annotated[
+    Path | None,
+    typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
+]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
 
@@ -86,12 +91,18 @@ def demo(
     scenario: ScenarioArgument = Path("crank_missed_tooth"),
     speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")] = 2.0,
     seed: Seed = None,
+    page: Annotated[bool, typer.Option("--serve", help="Show it on a page, which stays until Ctrl-C.")] = False,
+    port: PortOption = 8808,
+    open_page: Annotated[
+        bool, typer.Option("--open/--no-open", help="With --serve: open the page in a browser.")
+    ] = True,
     json: JsonEvents = False,
 ) -> None:
     """Show the whole chain in one process, virtual ECU to DTC frame."""
     from gateway.cli.simulate import demo as work
 
-    raise typer.Exit(work(scenario, speed=speed, seed=seed, json=json))
+    shown = port if page else None
+    raise typer.Exit(work(scenario, speed=speed, seed=seed, page=shown, open_page=open_page, json=json))
 
 
 @app.command()
@@ -101,6 +112,11 @@ def run(
     memory: MemoryOption = None,
     record: Annotated[Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")] = None,
     duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
+    status: StatusOption = None,
+    page: Annotated[
+        bool, typer.Option("--serve", help="Show what happens on a page, in a process of its own.")
+    ] = False,
+    port: PortOption = 8808,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -114,8 +130,53 @@ def run(
             memory=memory,
             record=record,
             duration=duration,
+            status=status,
+            page=port if page else None,
             json=json,
             fail_on_dtc=fail_on_dtc,
+        )
+    )
+
+
+@app.command()
+def serve(
+    config: ConfigArgument = None,
+    status: StatusOption = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; not loopback: with tokens and TLS.")] = "127.0.0.1",
+    port: PortOption = 8808,
+    name: Annotated[list[str] | None, typer.Option(help="A further name of this server; may be repeated.")] = None,
+    read_token_file: Annotated[
+        Path | None, typer.Option("--read-token-file", help="File of the token for reading; none: on loopback anybody.")
+    ] = None,
+    control_token_file: Annotated[
+        Path | None,
+        typer.Option("--control-token-file", help="File of the token for clearing; none: on loopback a new one, said."),
+    ] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="Certificate for TLS (PEM).")] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="Its private key (PEM).")] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
+) -> None:
+    """Serve the page of a running gateway.
+
+    It shows residuals against their thresholds, DTCs with their evidence, buses and messages, and has metrics for
+    Prometheus at /metrics. The gateway may be started, stopped and started again meanwhile.
+    """
+    from gateway.cli.serve import serve as work
+
+    raise typer.Exit(
+        work(
+            config,
+            status=status,
+            host=host,
+            port=port,
+            names=name or (),
+            read_token_file=read_token_file,
+            control_token_file=control_token_file,
+            certificate=cert,
+            key=key,
+            open_page=open_page,
+            parent=parent,
         )
     )
 

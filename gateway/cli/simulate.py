@@ -16,6 +16,7 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
+from gateway.cli.demo_page import DemoPage
 from gateway.cli.present import (
     EventPrinter,
     find_scenario,
@@ -112,21 +113,46 @@ class _Narrator:
             self._console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
 
 
-def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
-    """Show the whole chain in one process; returns the exit code."""
+def demo(
+    scenario_name: Path,
+    *,
+    speed: float,
+    seed: int | None,
+    page: int | None = None,
+    open_page: bool = True,
+    json: bool,
+) -> int:
+    """Show the whole chain in one process, on a page at port ``page`` too; returns the exit code."""
+    if page is None:
+        return _demo(scenario_name, speed=speed, seed=seed, json=json)
+    with DemoPage(page, Ending(), open_page=open_page) as shown:
+        return _demo(scenario_name, speed=speed or 1.0, seed=seed, json=json, shown=shown)
+
+
+def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, shown: DemoPage | None = None) -> int:
     scenario, config, player = _open(scenario_name, seed)
     printer = EventPrinter(as_json=json)
-    gateway = Gateway(config, file=scenario.config)
+    gateway = Gateway(config, None if shown is None else shown.memory, file=scenario.config)
     gateway.listen(printer)
+    if shown is not None:
+        shown.begin(gateway, player)
     judge = Judge(scenario)
     narrator = None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
     if narrator is not None:
         narrator.begin(scenario)
     begun = time.monotonic()
 
+    def on_frames(frames: Frames) -> None:
+        if narrator is not None:
+            narrator.on_frames(frames)
+        if shown is not None:
+            shown.on_frames(frames)
+
     def on_step(t_ns: int) -> None:
         if narrator is not None:
             narrator.on_step(t_ns)
+        if shown is not None:
+            shown.on_step(t_ns)
         if speed:
             time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
 
@@ -135,14 +161,20 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
             gateway,
             player,
             judge=judge,
-            on_frames=None if narrator is None else narrator.on_frames,
+            on_frames=on_frames,
             on_report=None if narrator is None else narrator.on_report,
             on_step=on_step,
+            stop=(lambda: False) if shown is None else shown.stop,
         )
         printer(gateway.summary(time.monotonic() - begun))
+        code = _verdict(judge, json=json, check=False)
+        if shown is not None:
+            shown.stay()
     finally:
+        if shown is not None:
+            shown.end()
         gateway.close()
-    return _verdict(judge, json=json, check=False)
+    return code
 
 
 def _verdict(judge: Judge, *, json: bool, check: bool) -> int:

@@ -12,6 +12,7 @@ EXTRAS = {
     "auth": "cryptography",
     "mf4": "asammdf",
     "plot": "matplotlib",
+    "serve": "bokeh",
     "structure": "sympy",
     "zst": "backports.zstd",
 }
@@ -20,6 +21,7 @@ PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
     "plot": "pictures (--plot)",
+    "serve": "the page (gateway serve), reports (--html), metrics",
     "structure": "gateway structure --residual, and monitors of your own equations",
     "zst": "logs in Zstandard",
 }

@@ -8,7 +8,8 @@ held) are in none.
 How near a result came to a failure is one number for limits from above and from below: 1 + (value - limit) / abs(limit)
 for a value that must not exceed its limit, 1 - (value - limit) / abs(limit) for one that must not fall below it. For
 limits of the usual kinds that is value / limit; 1 is the limit itself. A result says by its verdict which kind its
-limit is. Where the limit is 0 there is no scale: 0 passed, 2 failed.
+limit is. There is no scale where the limit is 0, nor where a value that equals it passes (tests for equality: CRC,
+length): 0 passed, 2 failed.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ Buckets = NDArray[np.void]
 def nearness(failed: bool, value: float, limit: float) -> float:
     """Return how near a finite test result is to a failure, 0 or more; 1 at the limit."""
     scale = abs(limit)
-    if scale == 0.0:
+    if scale == 0.0 or (value == limit and not failed):
         return 2.0 if failed else 0.0
     away = (value - limit) / scale
     if (value > limit) != failed:  # a limit from below

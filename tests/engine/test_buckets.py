@@ -83,7 +83,7 @@ def test_a_reload_loses_no_result(build, tools):
         (False, 15.0, 10.0, 0.5), (True, 5.0, 10.0, 1.5),  # from below
         (False, -2.5, -5.0, 0.5), (True, -10.0, -5.0, 2.0),
         (False, -8.0, -4.0, 0.0), (True, -3.0, -4.0, 1.25),
-        (False, 0.0, 0.0, 0.0), (True, 1.0, 0.0, 2.0), (False, 10.0, 10.0, 1.0), (True, 10.0, 10.0, 1.0),
+        (False, 0.0, 0.0, 0.0), (True, 1.0, 0.0, 2.0), (False, 10.0, 10.0, 0.0), (True, 10.0, 10.0, 1.0),
     ],
 )  # fmt: skip
 def test_nearness_is_above_one_for_what_failed_and_below_for_what_passed(failed, value, limit, near):
