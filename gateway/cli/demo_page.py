@@ -55,6 +55,7 @@ class DemoPage:
 
     def begin(self, gateway: Gateway, player: Player) -> None:
         """Open the page, and wait until it is there."""
+        gateway.engine.warm()  # what has to be compiled is, before anybody looks
         self._truth = list(player.truth)
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
         gateway.listen(self._socket.tell)

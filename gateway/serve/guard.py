@@ -168,10 +168,10 @@ def _name(host: str) -> str:
 async def _body(receive: Receive) -> bytes:
     body = b""
     while True:
-        message = await receive()
+        message = dict(await receive())
         if message["type"] != "http.request":
             return body
-        body += message.get("body", b"")
+        body += bytes(message.get("body", b""))
         if len(body) > BODY_BYTES:
             raise _TooLargeError
         if not message.get("more_body"):

@@ -42,7 +42,7 @@ class History:
             self._ticks = 0
 
     def of(self, fault: int) -> dict[str, dict[str, list[Any]]]:
-        """Return the columns of one fault: times of their ends [ms], least, greatest, limit, nearest."""
+        """Return the columns of one fault: times of their ends [ms], least, greatest, limit of the worst, nearest."""
         return {"fine": _columns(self._fine, fault), "coarse": _columns(self._coarse, fault)}
 
 
@@ -60,6 +60,6 @@ def _columns(kept: deque[tuple[float, NDArray[np.void]]], fault: int) -> dict[st
     for t_ms, rows in kept:
         for row in rows[(rows["fault"] == fault) & (rows["numbers"] > 0)]:
             made["t"].append(t_ms)
-            for name in ("low", "high", "threshold", "ratio"):
-                made[name].append(float(row[name]))
+            for name, field in (("low", "low"), ("high", "high"), ("threshold", "limit"), ("ratio", "ratio")):
+                made[name].append(float(row[field]))
     return made

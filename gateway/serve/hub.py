@@ -168,11 +168,11 @@ class Hub:
             now = self.latest.setdefault(fault, {"fault": fault, "ratio": 0.0, "value": None, "threshold": None})
             now["fdc"], now["t_ms"] = int(row["fdc"]), t_ms
             if row["numbers"]:
-                now.update(value=float(row["last"]), threshold=float(row["threshold"]), ratio=float(row["ratio"]))
+                now.update(value=float(row["last"]), threshold=float(row["limit"]), ratio=float(row["ratio"]))
                 self.worst[fault] = max(self.worst.get(fault, 0.0), float(row["ratio"]))
             told.append(
                 [fault, int(row["fdc"]), int(row["count"]), int(row["failed"])]
-                + [float(f"{row[name]:.9g}") for name in ("low", "high", "last", "threshold", "ratio", "worst")]
+                + [float(f"{row[name]:.9g}") for name in ("low", "high", "last", "limit", "ratio", "worst")]
                 + [int(row["numbers"]), row["worst_ns"] / 1e6]
             )
         self._tell("tick", {"t": t_ms, "rows": told})

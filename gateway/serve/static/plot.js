@@ -28,9 +28,9 @@ export class Plot {
     this.bad = colour("bad");
     const edge = colour("edge");
     const figure = Bokeh.Plotting.figure({
-      height: 190, sizing_mode: "stretch_width", tools: "", toolbar_location: null, x_range: this.x, y_range: this.y,
+      height: 160, sizing_mode: "stretch_width", tools: "", toolbar_location: null, x_range: this.x, y_range: this.y,
       background_fill_color: null, border_fill_color: null, outline_line_color: null, min_border: 4,
-      x_axis_label: "s", name: this.title,
+      name: this.title,
     });
     for (const axis of [...figure.xaxis, ...figure.yaxis]) {
       axis.axis_line_color = edge;

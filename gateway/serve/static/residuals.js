@@ -34,9 +34,12 @@ export class Residuals {
     let group = this.groups.get(fault.monitor);
     if (!group) {
       const list = make("ul", { class: "plain" });
+      const quiet = make("ul", { class: "plain" });
+      const summary = make("summary", { class: "muted" }, "tests");
+      const others = make("details", {}, summary, quiet);
       const near = make("span", { class: "muted" });
       const title = make("div", { class: "title" }, make("h3", {}, fault.monitor), near);
-      group = { element: make("div", { class: "group" }, title, list), list, near, rows: [], nearest: 0 };
+      group = { element: make("div", { class: "group" }, title, list, others), list, quiet, summary, others, near, rows: [], nearest: 0 };
       this.groups.set(fault.monitor, group);
     }
     const name = fault.id.slice(fault.monitor.length + 1);
@@ -56,7 +59,7 @@ export class Residuals {
       this.show(row, row.chosen);
     });
     group.rows.push(row);
-    group.list.append(element);
+    group.quiet.append(element);
     return row;
   }
 
@@ -150,9 +153,9 @@ export class Residuals {
     row.place.setAttribute("aria-label", `${row.fault.description}: ${facts}`);
     const shown = part.t.length
       ? [`latest ${number(row.last)}`, `least ${number(low)}`, `greatest ${number(high)}`, `limit ${number(row.threshold)}`,
-        `detection counter ${row.fdc ?? 0}`]
+        `detection counter ${row.fdc ?? 0}`, "time in seconds"]
       : [`no test in the last ${view.seconds} s`];
-    say(row.readout, shown.join("   "));
+    say(row.readout, shown.join(" · "));
   }
 
   sort() {
@@ -160,9 +163,14 @@ export class Residuals {
     const key = (row) => row.nearest ?? -1;
     for (const group of this.groups.values()) {
       group.rows.sort((a, b) => key(b) - key(a) || a.index - b.index);
-      arrange(group.list, group.rows.map((row) => row.element));
+      const quiet = group.rows.filter((row) => row.nearest === null && !row.chosen);
+      const told = group.rows.filter((row) => !quiet.includes(row));
+      arrange(group.list, told.map((row) => row.element));
+      arrange(group.quiet, quiet.map((row) => row.element));
+      group.others.hidden = !quiet.length;
+      say(group.summary, told.length ? `${quiet.length} more not tested in this window` : `${quiet.length} tests, none in this window`);
       group.nearest = key(group.rows[0]);
-      say(group.near, group.nearest >= 1 ? "failed" : group.nearest < 0 ? "not tested" : "");
+      say(group.near, group.nearest >= 1 ? "failed in this window" : "");
     }
     const groups = [...this.groups.values()].sort((a, b) => b.nearest - a.nearest);
     arrange(this.place, groups.map((group) => group.element));

@@ -16,8 +16,8 @@ export function showBuses(buses) {
       bus.load === null ? fact("load", bus.bitrate ? "–" : "bit rate not configured") : fact("load", `${(bus.load * 100).toFixed(1)} %`),
       fact("", bus.kbit_per_s === null ? "–" : `${number(bus.kbit_per_s, 3)} kbit/s`),
       fact("", bus.frames_per_s === null ? "–" : `${number(bus.frames_per_s, 4)} frames/s`),
-      fact("received", String(bus.received ?? 0)), fact("sent", String(bus.sent ?? 0)),
-      fact("frames lost", String(bus.overflow ?? 0)), fact("bus lost", `${bus.losses ?? 0}×`),
+      ...[["received", "received"], ["sent", "sent"], ["frames lost", "overflow"], ["times lost", "losses"]]
+        .filter(([, key]) => key in bus).map(([name, key]) => fact(name, String(bus[key]))),
       fact("errors", errors.join(", ") || "none"),
     ];
     if (bus.filtered) facts.push(make("span", {}, "load of the frames that are listened to"));
