@@ -22,6 +22,8 @@ BODY_BYTES, BODY_S = 16 << 10, 5.0
 SEND_S = 30.0
 #: Longest path with its query [byte].
 PATH_BYTES = 2048
+#: Largest headers together [byte].
+HEAD_BYTES = 8 << 10
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -125,6 +127,8 @@ class Guard:
     def _wrong_shape(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         if len(scope["raw_path"]) + len(scope["query_string"]) > PATH_BYTES:
             return 414, "the path is too long"
+        if sum(len(name) + len(value) for name, value in headers) > HEAD_BYTES:
+            return 431, "the headers are too large"
         lengths = [value for name, value in headers if name == "content-length"]
         chunked = any(name == "transfer-encoding" for name, _ in headers)
         if scope["method"] in ("GET", "HEAD"):

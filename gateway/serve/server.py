@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import secrets
+import signal
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -125,7 +128,7 @@ def _token(file: Path | None) -> str:
 
 
 def open_socket(settings: ServeSettings) -> socket.socket:
-    """Return a socket that is bound to the address.
+    """Return a socket that listens at the address.
 
     Raises:
         InputError: it cannot be.
@@ -136,6 +139,7 @@ def open_socket(settings: ServeSettings) -> socket.socket:
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         made.bind((host, settings.port))
+        made.listen(64)  # from here on who comes waits until the server is there
     except OSError as error:
         made.close()
         raise InputError(f"{error.strerror or error}", key="--host, --port", value=f"{host}:{settings.port}") from error
@@ -157,6 +161,16 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._parent = parent
         self._looked = 0.0
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """End in good order at SIGINT and SIGTERM; uvicorn's own would raise them again, and end with their code."""
+        before = {number: signal.signal(number, self.handle_exit) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     async def on_tick(self, counter: int) -> bool:
         if self._parent is not None and counter % 10 == 0 and os.getppid() != self._parent:

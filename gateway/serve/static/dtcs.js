@@ -50,13 +50,13 @@ export class Dtcs {
     const fill = make("span");
     const value = make("span", { class: "number" });
     const counter = make("div", { class: "counter-row" }, make("span", {}, "Detection counter"),
-      make("span", { class: "bar counter", "aria-hidden": "true" }, fill), value);
+      make("span", { class: "bar plain", "aria-hidden": "true" }, fill), value);
     this.fill(more, entry);
     const element = make("article", { class: `dtc${failing ? " failing" : ""}`, "data-dtc": entry.dtc },
       button, make("ul", { class: "bits plain", "aria-label": `Status 0x${entry.status.toString(16).padStart(2, "0")}` }, ...chips),
       counter, more);
     element.counter = (fdc) => {
-      fill.style.width = `${(fdc + 128) / 255 * 100}%`;
+      fill.style.width = `${Math.max(fdc, 0) / 127 * 100}%`;
       say(value, fdc > 0 ? `+${fdc}` : String(fdc));
       fill.parentElement.classList.toggle("failed", fdc === 127);
     };

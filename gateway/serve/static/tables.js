@@ -8,9 +8,9 @@ export function showBuses(buses) {
   byId("buses").replaceChildren(...buses.map((bus) => {
     const open = bus.state === "open";
     const fill = make("span");
-    const load = make("span", { class: `bar${bus.load > 0.9 ? " failed" : bus.load > 0.7 ? " near-limit" : ""}`,
+    const load = make("span", { class: `bar plain${bus.load > 0.9 ? " failed" : bus.load > 0.7 ? " near-limit" : ""}`,
       "aria-hidden": "true" }, fill);
-    fill.style.width = `${Math.min(bus.load ?? 0, 1.5) / 1.5 * 100}%`;
+    fill.style.width = `${Math.min(bus.load ?? 0, 1) * 100}%`;
     const errors = Object.entries(bus.errors).filter(([name]) => name !== "lost").map(([name, count]) => `${name} ${count}`);
     const facts = [
       bus.load === null ? fact("load", bus.bitrate ? "–" : "bit rate not configured") : fact("load", `${(bus.load * 100).toFixed(1)} %`),
@@ -35,7 +35,7 @@ export function showMessages(messages, find) {
   const rows = found.map((m) => {
     const signals = m.signals.map(([name, value, unit]) => `${name} ${typeof value === "number" ? number(value) : value ?? "–"}${unit ? ` ${unit}` : ""}`);
     const late = m.expected_ms && m.period_ms > 1.5 * m.expected_ms;
-    return make("tr", {}, make("td", {}, m.bus), make("td", { class: "mono" }, m.id), make("td", {}, m.name ?? "unknown"),
+    return make("tr", {}, make("td", { class: "hide-small" }, m.bus), make("td", { class: "mono number" }, m.id), make("td", {}, m.name ?? "unknown"),
       make("td", { class: `number${late ? " warn" : ""}` }, m.period_ms === null ? "–" : `${number(m.period_ms, 3)} ms`),
       make("td", { class: "number hide-small" }, m.period_ms === null ? "–" : `${number(m.shortest_ms, 3)}, ${number(m.longest_ms, 3)}`),
       make("td", { class: "number hide-small" }, String(m.count)),
@@ -46,8 +46,8 @@ export function showMessages(messages, find) {
     place.replaceChildren(make("p", { class: "none" }, messages.length ? "None of that name." : "No frames yet."));
     return;
   }
-  const small = new Set(["Least, greatest", "Count"]);
-  const titles = head.map((text, k) => make("th", { scope: "col", class: `${k > 2 && k < 6 ? "number" : ""}${small.has(text) ? " hide-small" : ""}` }, text));
+  const small = new Set(["Bus", "Least, greatest", "Count"]);
+  const titles = head.map((text, k) => make("th", { scope: "col", class: `${k === 1 || k > 2 && k < 6 ? "number" : ""}${small.has(text) ? " hide-small" : ""}` }, text));
   place.replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
 }
 
