@@ -57,6 +57,7 @@ StatusOption = Annotated[
     Path | None,
     typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
 ]
+HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report of it: one file, e.g. report.html.")]
 PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
@@ -195,12 +196,13 @@ def simulate(
     wait: Annotated[float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")] = 60.0,
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
+    html: HtmlOption = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
-    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json))
+    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, html=html, json=json))
 
 
 @app.command()
@@ -378,6 +380,7 @@ def replay(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
+    html: HtmlOption = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -400,6 +403,7 @@ def replay(
             trace=trace,
             injections=inject or (),
             seed=seed,
+            html=html,
             json=json,
             fail_on_dtc=fail_on_dtc,
         )

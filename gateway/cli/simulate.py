@@ -24,7 +24,9 @@ from gateway.cli.present import (
     say,
     status_text,
 )
+from gateway.cli.report import RunReport
 from gateway.cli.run import Ending
+from gateway.common.extras import need
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -195,9 +197,14 @@ def simulate(
     wait: float,
     record: Path | None,
     seed: int | None,
+    html: Path | None = None,
     json: bool,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
+    if html is not None:
+        need("serve", "reports", key="--html")
+        if bus != INSIDE:
+            raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
     scenario, config, player = _open(scenario_name, seed)
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
@@ -210,6 +217,7 @@ def simulate(
             stack.callback(gateway.close)
             printer = EventPrinter(as_json=json)
             gateway.listen(printer)
+            report = None if html is None else RunReport(html, gateway, scenario.config)
             begun = time.monotonic()
             drive(
                 gateway,
@@ -217,10 +225,14 @@ def simulate(
                 judge=judge,
                 on_frames=None if writer is None else writer.write,
                 stop=stop,
+                fed=None if report is None else report.collector,
             )
-            printer(gateway.summary(time.monotonic() - begun))
+            summary = gateway.summary(time.monotonic() - begun)
+            printer(summary)
             if stop():
                 return _stopped(scenario, stop)
+            if report is not None:
+                report.write_scenario(scenario, player, judge, summary)
             return _verdict(judge, json=json, check=check)
         stop.ready()
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]

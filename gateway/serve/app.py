@@ -7,7 +7,6 @@ import contextlib
 import json
 import zlib
 from collections.abc import AsyncIterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from starlette.routing import Route
 
 from gateway.common.jsonlines import line
 from gateway.errors import GatewayError
+from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
 from gateway.serve.metrics import Metrics
@@ -33,14 +33,6 @@ MOST_VIEWERS = 32
 ALIVE_S = 5.0
 #: Faults whose history one request may ask for.
 MOST_FAULTS = 64
-
-
-def bokeh_folder() -> Path:
-    """Return where the installed package bokeh has its files for browsers."""
-    found = find_spec("bokeh")
-    assert found is not None
-    assert found.submodule_search_locations is not None
-    return Path(found.submodule_search_locations[0]) / "server" / "static" / "js"
 
 
 class Page:
