@@ -14,6 +14,8 @@ from gateway.runtime.app import Gateway
 
 #: Finest column [ns], and how many there are at most: beyond, two become one.
 STEP_NS, MOST_COLUMNS = 50_000_000, 800
+#: Stamps below are of a clock that began with the run [ns].
+CALENDAR_NS = 10**15
 #: Around a failure fine columns are kept [ns]: so long before, and after.
 BEFORE_NS, AFTER_NS = 3_000_000_000, 2_000_000_000
 #: Failures with fine columns, and events that are kept.
@@ -40,7 +42,8 @@ class Collector:
         windows: fine columns around failures.
         loads: number of a column -> bits and frames of each bus, shape (buses, 3): nominal, data, frames.
         total: buckets of the whole run.
-        first_ns, last_ns: of the frames, by the wall clock.
+        first_ns: zero of the times that people see: the first frame's, or 0 of a clock that began with the run.
+        last_ns: of the frames, by the wall clock.
     """
 
     def __init__(self, gateway: Gateway) -> None:
@@ -54,6 +57,7 @@ class Collector:
         self.windows: list[Window] = []
         self.total: Buckets = np.zeros(len(gateway.engine.faults), Bucket.dtype)
         self.first_ns = self.last_ns = 0
+        self._empty = True
         self._traffic = Traffic(len(gateway.config.bus))
         self._bits = self._counted()
         self._fine: dict[int, Buckets] = {}  # number of a fine column -> buckets
@@ -64,6 +68,10 @@ class Collector:
     def feed(self, frames: Frames) -> Frames:
         """Feed frames, column by column."""
         sent = [empty(0)]
+        if self._empty and len(frames):
+            self._empty = False
+            t_ns = int(frames[0]["t_ns"])
+            self.first_ns = 0 if t_ns < CALENDAR_NS else t_ns
         for piece in _pieces(frames):
             self._traffic.write(piece)
             sent.append(self._gateway.feed(piece))
@@ -89,7 +97,6 @@ class Collector:
 
     def _take(self, t_ns: int) -> None:
         wall_ns = self._gateway.engine.wall_ns(t_ns)
-        self.first_ns = self.first_ns or wall_ns
         self.last_ns = max(self.last_ns, wall_ns)
         bits = self._counted()
         place = wall_ns // self.width_ns

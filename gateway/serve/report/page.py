@@ -216,10 +216,12 @@ class _Page:
             cells = [f"<th scope=row>{escape(definition.id)}</th>", f"<td>{definition.dtc}</td>", _number(count)]
             cells.append(_number(int(row["failed"]) if count else 0))
             known = count > 0 and row["numbers"] > 0
-            cells += [_number(float(row[name])) if known else "<td></td>" for name in ("low", "high", "ratio")]
+            cells += [
+                _number(float(row[name])) if known else '<td class="number"></td>' for name in ("low", "high", "ratio")
+            ]
             rows.append(cells)
         head = ("Test", "DTC", "Results", "Failed", "Least", "Greatest", "Nearest (1: the limit)")
-        return _card("Tests", f'<div class="scroll" tabindex="0">{_table(head, rows)}</div>')
+        return _card("Tests", _table(head, rows))
 
     def _buses(self) -> str:
         found = self._found
@@ -271,7 +273,9 @@ def _number(value: float | None) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    titles = "".join(f'<th scope="col">{escape(text)}</th>' for text in head)
+    numbers = [k for k, cell in enumerate(rows[0] if rows else ()) if cell.startswith('<td class="number"')]
+    kinds = [' class="number"' if k in numbers else "" for k in range(len(head))]
+    titles = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for text, kind in zip(head, kinds, strict=True))
     body = "".join(f"<tr>{''.join(cells)}</tr>" for cells in rows)
     return f"<table>{f'<thead><tr>{titles}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
 
