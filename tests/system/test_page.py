@@ -253,6 +253,33 @@ def test_axe_finds_nothing_serious(site):
         assert [each["id"] for each in found if each["impact"] in ("serious", "critical")] == []
 
 
+def test_the_terminal_shows_the_same(site):
+    told = json.loads(gateway("watch", "--status", site.folder / "status", "--json", cwd=site.folder).stdout)
+    assert told["connected"]
+    assert {entry["dtc"] for entry in told["dtcs"]} == set(codes(site))
+    assert told["buses"][0]["state"] == "open"
+    said = gateway("watch", "--status", site.folder / "status", "--once", cwd=site.folder).stdout
+    assert "Trouble codes" in said
+    assert "powertrain" in said
+    nobody = gateway("watch", "--status", site.folder / "nobody", "--once", cwd=site.folder)
+    assert nobody.returncode == 2
+    assert "no gateway" in nobody.stderr
+
+
+def test_a_report_opens_without_a_server(site):
+    ended = gateway("simulate", "crank_missed_tooth", "--bus", "inside", "--html", "report.html", cwd=site.folder)
+    assert ended.returncode == 0, ended.stderr
+    asked_for(site.driver)
+    complaints(site.driver)
+    site.driver.get((site.folder / "report.html").as_uri())
+    drawn = "return [...document.querySelectorAll('.figure')].every((f) => f.childElementCount > 0)"
+    wait_for(lambda: site.driver.execute_script(drawn))
+    assert DTC in site.driver.page_source
+    assert {urlsplit(url).scheme for url in asked_for(site.driver)} <= {"file", "data"}
+    assert complaints(site.driver) == []
+    site.driver.get(site.url)
+
+
 def test_a_slow_page_does_not_hold_others_up(site):
     """Somebody opens the stream and never reads."""
     host, _, port = urlsplit(site.plain).netloc.partition(":")
