@@ -16,6 +16,9 @@ from gateway.common.log import get_logger
 from gateway.config.load import load_config
 from gateway.config.model import Config
 
+#: How far a page beside a gateway gives way to it.
+NICE = 10
+
 log = get_logger(__name__)
 
 
@@ -52,6 +55,8 @@ def serve(
     settings = ServeSettings(
         place, host, port, tuple(names), read_token_file, control_token_file, certificate, key, parent
     )
+    if parent is not None:
+        os.nice(NICE)  # beside a gateway that has no time to lose
     rights = rights_of(settings)
     with open_socket(settings) as listener:
         url = url_of(settings, rights, listener.getsockname()[1])
