@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames
-from gateway.jit import COMPILED, Record, i8, kernel, means, u1, u4, u8s
+from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, empty
+from gateway.jit import COMPILED, Record, bound, i8, kernel, means, u1, u4, u8s
 
 #: Identifiers that are told apart; those beyond are counted only.
 IDENTIFIERS = 1024
@@ -28,6 +28,9 @@ _TAIL = 1 + 2 + 7 + 3
 _DLC = np.zeros(65, np.int64)
 for _length in range(65):
     _DLC[_length] = next(code for code, most in enumerate(FD_LENGTHS) if _length <= most)
+
+
+_CELLS = FRAME.itemsize // 8
 
 
 class Load(Record):
@@ -157,17 +160,17 @@ def _place(seen: Any, bus: int, can_id: int) -> int:
 
 
 @kernel
-def count_frames(frames: Any, cells: Any, loads: Any, seen: Any, bits: Any, codes: Any, used: Any) -> None:
+def count_frames(loads: Any, seen: Any, bits: Any, codes: Any, used: Any, frames: Any, cells: Any) -> None:
     """Count a batch of frames.
 
     Args:
-        frames: shape (n,) of FRAME.
-        cells: the same batch as uint64, shape (n, 10).
         loads: shape (buses,) of Load.
         seen: shape (a power of two,) of Seen.
         bits: room for 640 bits.
         codes: DLC of each length.
         used: shape (1,), how many places of ``seen`` are taken.
+        frames: shape (n,) of FRAME.
+        cells: the same batch as uint64, shape (n, 10).
     """
     for i in range(frames.shape[0]):
         frame = frames[i]
@@ -221,6 +224,9 @@ class Traffic:
         self._seen: Any = _table(_PLACES, Seen)
         self._bits = np.zeros(640, np.int64)
         self._used = np.zeros(1, np.int64)
+        mine = (self.loads, self._seen, self._bits, _DLC, self._used)
+        none = empty(0)
+        self._count = bound(count_frames, *mine, rest=(none, none.view("<u8").reshape(0, _CELLS)))
 
     def write(self, frames: Frames) -> None:
         """Count a batch."""
@@ -228,10 +234,7 @@ class Traffic:
             return
         if not (frames.flags.c_contiguous and frames.flags.writeable):
             frames = frames.copy()  # the kernel is compiled for one kind of array
-        cells = frames.view("<u8").reshape(len(frames), FRAME.itemsize // 8)
-        if not COMPILED:
-            frames = frames.view(np.recarray)
-        count_frames(frames, cells, self.loads, self._seen, self._bits, _DLC, self._used)
+        self._count(frames, frames.view("<u8").reshape(len(frames), _CELLS))
 
     def identifiers(self) -> NDArray[np.void]:
         """Return what was seen of each identifier, by bus and identifier, and begin the gaps anew."""
