@@ -189,7 +189,10 @@ def watch(
     once: Annotated[bool, typer.Option("--once", help="Show it once; as where the output is no terminal.")] = False,
     json: Json = False,
 ) -> None:
-    """Show in the terminal what a running gateway sees: DTCs, tests nearest to a fault, buses."""
+    """Show in the terminal what a running gateway sees.
+
+    DTCs, the tests that are nearest to a fault, buses.
+    """
     from gateway.cli.watch import watch as work
 
     raise typer.Exit(work(config, status=status, once=once, json=json))

@@ -44,6 +44,8 @@ ENOUGH_BYTES = 256 << 10
 MOST_BYTES = 4 << 20
 #: Longest line that a reader may send, and most that is read or sent at once [byte].
 LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
+#: No connection is taken for so long where no descriptors are left [s].
+DEAF_S = 1.0
 #: How often what is shown [s].
 TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
 #: Identifiers that are shown.
@@ -104,6 +106,7 @@ class StatusSocket:
         self._pending: list[_Reader] = []  # of whom commands wait
         self._due = [0.0, 0.0, 0.0]
         self._count = 0
+        self._deaf_until = 0.0
         self.sent_away = self.refused = self.ticks = 0
         self.replace(gateway)
 
@@ -142,8 +145,11 @@ class StatusSocket:
             now_s: of a clock that is never set [s].
             wanted: whether the descriptor was readable.
         """
+        if self._deaf_until and now_s >= self._deaf_until:
+            self._deaf_until = 0.0
+            self._selector.register(self._socket, selectors.EVENT_READ)
         if wanted:
-            self._attend()
+            self._attend(now_s)
         if not self._readers:
             return
         for k, (every_s, show) in enumerate(
@@ -174,10 +180,10 @@ class StatusSocket:
 
     # Readers
 
-    def _attend(self) -> None:
+    def _attend(self, now_s: float) -> None:
         for key, mask in self._selector.select(0):
             if key.fileobj is self._socket:
-                self._accept()
+                self._accept(now_s)
                 continue
             reader: _Reader = key.data
             if mask & selectors.EVENT_WRITE:
@@ -185,11 +191,17 @@ class StatusSocket:
             if mask & selectors.EVENT_READ and reader in self._readers:
                 self._hear(reader)
 
-    def _accept(self) -> None:
+    def _accept(self, now_s: float) -> None:
         try:
             connection, _ = self._socket.accept()
-        except OSError:
-            return  # gone again, or no descriptors left
+        except BlockingIOError:
+            return  # gone again
+        except OSError as error:
+            # No descriptors left: the socket stays readable, and the loop would turn for nothing.
+            log.warning("status socket: a reader cannot be taken", reason=error.strerror)
+            self._selector.unregister(self._socket)
+            self._deaf_until = now_s + DEAF_S
+            return
         if len(self._readers) >= self._most:
             self.refused += 1
             log.warning("status socket: too many readers, one refused", most=self._most, refused=self.refused)

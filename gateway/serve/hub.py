@@ -84,6 +84,14 @@ class Hub:
         self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
         self.missed = 0
         self._names, self._loads = MessageNames(()), BusLoads(())
+        self._takes = {
+            "hello": self._on_hello,
+            "tick": self._on_tick,
+            "event": self._on_event,
+            "buses": self._on_buses,
+            "messages": self._on_messages,
+            "missed": self._on_missed,
+        }
         self._viewers: set[Viewer] = set()
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
@@ -143,7 +151,7 @@ class Hub:
         self._tell("link", {"connected": connected, "reason": reason})
 
     def _on_message(self, message: dict[str, Any], block: bytes) -> None:
-        take = getattr(self, f"_on_{message.get('kind')}", None)
+        take = self._takes.get(message["kind"])
         if take is not None:
             take(message, block)
 
@@ -178,12 +186,13 @@ class Hub:
         self._tell("tick", {"t": t_ms, "rows": told})
 
     def _on_event(self, message: dict[str, Any], _: bytes) -> None:
+        if message["event"]["event"] == "monitor":
+            return  # ticks say more of it, and there may be thousands a second
         event = dict(message["event"], number=next(self._number))
         event["t_ms"] = event.get("t_ns", 0) / 1e6
         if event["event"] in LISTED:
             self.events.append(event)
-        if event["event"] != "monitor":
-            self._stale.set()
+        self._stale.set()
         self._tell("event", event)
 
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:

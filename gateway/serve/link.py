@@ -70,6 +70,8 @@ class StatusLink:
         while data := await reader.read(1 << 18):
             for message, block in splitter.feed(data):
                 kind = message.get("kind")
+                if not isinstance(kind, str):
+                    raise Garbled("a message of no kind")
                 if kind == "hello":
                     if message.get("protocol") != PROTOCOL:
                         raise Garbled(f"protocol {message.get('protocol')}: gateway and page are of different versions")

@@ -260,6 +260,39 @@ def test_a_socket_that_was_left_behind_gives_way_and_others_do_not(bench, tmp_pa
         StatusSocket(tmp_path / ("x" * 200), bench.daemon.gateway)
 
 
+def test_where_no_descriptors_are_left_the_daemon_does_not_spin(bench, monkeypatch):
+    left = {"count": 3}
+
+    class Exhausted:
+        """The listening socket, of a process without descriptors for a while."""
+
+        def __init__(self, real):
+            self.real = real
+
+        def fileno(self):
+            return self.real.fileno()
+
+        def close(self):
+            self.real.close()
+
+        def accept(self):
+            if left["count"]:
+                left["count"] -= 1
+                raise OSError(24, "Too many open files")
+            return self.real.accept()
+
+    status = bench.daemon.status
+    status._selector.unregister(status._socket)
+    status._socket = Exhausted(status._socket)
+    status._selector.register(status._socket, 1)
+    reader = Client(bench.path)
+    bench.play(bench.world.wait(2.5))
+    assert left["count"] == 0, "once a second"
+    assert not reader.of("hello")
+    bench.play(bench.world.wait(2.0))
+    assert reader.of("hello")
+
+
 def test_without_a_reader_nothing_is_counted(bench):
     bench.play(bench.levels([5.0] * 50))
     assert bench.daemon.status.ticks == 0
