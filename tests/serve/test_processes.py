@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 from pathlib import Path
 
@@ -86,10 +85,4 @@ def test_a_page_that_is_killed_leaves_the_daemon_alone_and_one_of_a_daemon_that_
             page = child_of(daemon.pid)
             daemon.send_signal(signal.SIGKILL)
             wait_for(lambda: not alive(page))
-        assert (tmp_path / "faults.sqlite.status").exists(), "left behind"
-        with process(*options, cwd=tmp_path, ready="monitoring") as daemon:  # and replaced
-            url = wait_for(lambda: page_in(daemon.log))
-            wait_for(lambda: state_of(url)["connected"])
-            begun = time.monotonic()
-        assert daemon.code == 0
-        print(f"ended with its page within {time.monotonic() - begun:.1f} s")
+        assert (tmp_path / "faults.sqlite.status").exists(), "left behind, to be replaced"

@@ -258,12 +258,6 @@ def test_the_terminal_shows_the_same(site):
     assert told["connected"]
     assert {entry["dtc"] for entry in told["dtcs"]} == set(codes(site))
     assert told["buses"][0]["state"] == "open"
-    said = gateway("watch", "--status", site.folder / "status", "--once", cwd=site.folder).stdout
-    assert "Trouble codes" in said
-    assert "powertrain" in said
-    nobody = gateway("watch", "--status", site.folder / "nobody", "--once", cwd=site.folder)
-    assert nobody.returncode == 2
-    assert "no gateway" in nobody.stderr
 
 
 def test_a_report_opens_without_a_server(site):
