@@ -183,9 +183,13 @@ def test_pausing_and_the_keyboard(site):
     wait_for(lambda: first.get_attribute("aria-expanded") != before)
 
 
-def test_a_reload_and_a_daemon_that_restarts_recover(site):
-    if DTC not in codes(site):
-        play(site)
+def test_the_picture_freezes_at_the_failure_and_a_reload_and_a_daemon_that_restarts_recover(site):
+    if DTC in codes(site):
+        gateway("faults", "clear", "gateway.toml", cwd=site.folder)
+        wait_for(lambda: not codes(site))
+    site.driver.find_element(By.ID, "freeze").click()
+    play(site)
+    wait_for(lambda: f"when {DTC} failed" in text_of(site, "#frozen"))
     site.driver.refresh()
     wait_for(lambda: DTC in codes(site))
     assert text_of(site, "#link") == "monitoring"
