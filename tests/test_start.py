@@ -296,7 +296,7 @@ for name in {names!r}:
         f"gateway.fdi.structure.generator.{name}"
         for name in ("code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
     }
-    pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "server", "report.figures", "report.page")}
+    pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
     assert refused == pictures | algebra | pages | {"gateway.monitors.structural.choice"}
 

@@ -199,6 +199,46 @@ def watch(
 
 
 @app.command()
+def mqtt(
+    broker: Annotated[str, typer.Argument(help="HOST or HOST:PORT of the broker.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+    ] = None,
+    status: StatusOption = None,
+    base: Annotated[str, typer.Option("--topic", help="First part of all topics.  [default: gateway/NAME]")] = "",
+    signals: Annotated[
+        list[str] | None, typer.Option("--signal", help="A signal to tell, Message.Signal; may be repeated.")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=20, help="How often each signal is told at most [Hz].")] = 1.0,
+    user: Annotated[str, typer.Option(help="User at the broker.")] = "",
+    password_file: Annotated[Path | None, typer.Option("--password-file", help="File of the password.")] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="By TLS.")] = False,
+    ca: Annotated[Path | None, typer.Option("--ca", help="With --tls: certificates to trust (PEM).")] = None,
+) -> None:
+    """Tell an MQTT broker what a running gateway knows.
+
+    Trouble codes and online or offline as retained messages, chosen signals at a limited rate.
+    """
+    from gateway.cli.mqtt import mqtt as work
+
+    raise typer.Exit(
+        work(
+            broker,
+            config,
+            status=status,
+            base=base,
+            signals=signals or (),
+            rate=rate,
+            user=user,
+            password_file=password_file,
+            tls=tls,
+            ca=ca,
+        )
+    )
+
+
+@app.command()
 def simulate(
     scenario: ScenarioArgument,
     bus: Annotated[
