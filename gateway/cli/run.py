@@ -14,7 +14,6 @@ from typing import Self
 
 from gateway.bus.logs import open_writer
 from gateway.cli.present import EventPrinter, find_config, say, say_unless_stored
-from gateway.cli.serve import PageProcess, socket_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.live.daemon import Daemon
@@ -95,6 +94,8 @@ def run(
         taps = []
         if page is not None:
             need("serve", "pages", key="--serve")
+            from gateway.cli.serve import PageProcess, socket_of  # noqa: PLC0415 - few want it
+
             status = socket_of(load_config(path), memory, status)
         if record is not None:
             channels = {k: entry.channel for k, entry in enumerate(load_config(path).bus)}

@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import threading
-import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -62,6 +61,8 @@ def serve(
         url = url_of(settings, rights, listener.getsockname()[1])
         say(f"page: {url}")
         if open_page:
+            import webbrowser  # noqa: PLC0415 - few want it
+
             webbrowser.open(url)
         work(settings, rights, listener)
     return 0

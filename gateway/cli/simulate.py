@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -16,7 +16,6 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
-from gateway.cli.demo_page import DemoPage
 from gateway.cli.present import (
     EventPrinter,
     find_scenario,
@@ -37,6 +36,9 @@ from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from gateway.cli.demo_page import DemoPage
 
 INSIDE = "inside"
 #: Who is later than this [s] stops the scenario's clock for as long.
@@ -127,6 +129,8 @@ def demo(
     """Show the whole chain in one process, on a page at port ``page`` too; returns the exit code."""
     if page is None:
         return _demo(scenario_name, speed=speed, seed=seed, json=json)
+    from gateway.cli.demo_page import DemoPage  # noqa: PLC0415 - few want it
+
     with DemoPage(page, Ending(), open_page=open_page) as shown:
         return _demo(scenario_name, speed=speed or 1.0, seed=seed, json=json, shown=shown)
 

@@ -80,11 +80,11 @@ def entry(fault="crank.missed_pulse", status=0x2F, **more):
 class Running:
     """A publisher of a hub that a test fills, in a thread with a loop of its own."""
 
-    def __init__(self, folder, port):
+    def __init__(self, folder, port, **more):
         self.hub = Hub(folder / "nobody")
         self.hub.connected = True
         self.hub.hello = {"name": "x", "faults": [{"id": "crank.missed_pulse"}, {"id": "crank.old"}]}
-        self.publisher = Publisher(self.hub, BrokerSettings("127.0.0.1", port), "te/st")
+        self.publisher = Publisher(self.hub, BrokerSettings("127.0.0.1", port, **more), "te/st")
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.work, daemon=True)
         self.thread.start()
@@ -138,6 +138,20 @@ def test_states_are_retained_cleared_ones_go_and_a_broker_that_was_away_has_them
         wait_for(lambda: told[STATUS][0] == "online")
         running.end()
         wait_for(lambda: told[STATUS][0] == "offline")
+
+
+def test_chosen_signals_are_told_and_one_without_a_value_is_null(tmp_path, port):
+    async def ask(do, *, signals):
+        assert (do, signals) == ("values", ["A.x", "A.y"])
+        return {"values": {"A.x": 2.5, "A.y": float("nan")}}
+
+    with broker(tmp_path, port), subscriber(port) as told:
+        running = Running(tmp_path, port, signals=("A.x", "A.y"), rate_hz=20.0)
+        running.hub.link.ask = ask
+        wait_for(lambda: "gateway/te_st/signal/A.y" in told)
+        assert told["gateway/te_st/signal/A.x"] == ('{"value": 2.5}', False)
+        assert told["gateway/te_st/signal/A.y"] == ('{"value": null}', False)
+        running.end()
 
 
 def test_one_that_is_killed_is_offline(tmp_path, port):
