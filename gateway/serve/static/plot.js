@@ -58,9 +58,14 @@ export class Plot {
 
   // Columns as Series.between gives them; times relative to zero [ms].
   update(part, zero, from, to) {
-    const seconds = part.t.map((t) => (t - zero - part.width / 2) / 1000);
+    // A column begins where the one before it ended: on a busy machine a look comes late, and says more.
+    const spans = part.t.map((t, k) => {
+      const gap = k ? t - part.t[k - 1] : part.width;
+      return gap < 8 * part.width ? gap : part.width;
+    });
+    const seconds = part.t.map((t, k) => (t - zero - spans[k] / 2) / 1000);
     const colours = part.ratio.map((ratio) => (ratio >= 1 ? this.bad : this.good));
-    const width = part.t.map(() => part.width / 1000);
+    const width = spans.map((span) => span / 1000);
     this.x.setv({ start: (from - zero) / 1000, end: (to - zero) / 1000 });
     const least = Math.min(...part.low, ...part.threshold);
     const most = Math.max(...part.high, ...part.threshold);
