@@ -63,7 +63,7 @@ def write_config(folder: Path) -> Path:
         dbc += MESSAGE.format(id=BASE + k, k=k)
         toml += f'[[bus.check]]\nmessage = "M{k}"\ntimeout_ms = 60000.0\n'
         toml += f'counter = {{ signal = "FrameCnt" }}\ncrc = {{ signal = "Crc", data_id = {k} }}\n'
-        for j, name in enumerate(("timeout", "counter", "crc", "length")):
+        for j, name in enumerate(("timeout", "counter", "crc", "length", "rule")):
             faults += f'[fault."b.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["M{k}.A"]\n'
         faults += f'[fault."b.M{k}.crc".debounce]\n'
         faults += "failed_after = 1\npassed_after = 1\njump_down = true\n"

@@ -53,6 +53,12 @@ Maps = Annotated[
         help="Take a channel of the log as a bus of the configuration; may be repeated.",
     ),
 ]
+StatusOption = Annotated[
+    Path | None,
+    typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
+]
+HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report of it: one file, e.g. report.html.")]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
 
@@ -86,12 +92,18 @@ def demo(
     scenario: ScenarioArgument = Path("crank_missed_tooth"),
     speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")] = 2.0,
     seed: Seed = None,
+    page: Annotated[bool, typer.Option("--serve", help="Show it on a page, which stays until Ctrl-C.")] = False,
+    port: PortOption = 8808,
+    open_page: Annotated[
+        bool, typer.Option("--open/--no-open", help="With --serve: open the page in a browser.")
+    ] = True,
     json: JsonEvents = False,
 ) -> None:
     """Show the whole chain in one process, virtual ECU to DTC frame."""
     from gateway.cli.simulate import demo as work
 
-    raise typer.Exit(work(scenario, speed=speed, seed=seed, json=json))
+    shown = port if page else None
+    raise typer.Exit(work(scenario, speed=speed, seed=seed, page=shown, open_page=open_page, json=json))
 
 
 @app.command()
@@ -101,6 +113,11 @@ def run(
     memory: MemoryOption = None,
     record: Annotated[Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")] = None,
     duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
+    status: StatusOption = None,
+    page: Annotated[
+        bool, typer.Option("--serve", help="Show what happens on a page, in a process of its own.")
+    ] = False,
+    port: PortOption = 8808,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -114,8 +131,109 @@ def run(
             memory=memory,
             record=record,
             duration=duration,
+            status=status,
+            page=port if page else None,
             json=json,
             fail_on_dtc=fail_on_dtc,
+        )
+    )
+
+
+@app.command()
+def serve(
+    config: ConfigArgument = None,
+    status: StatusOption = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; not loopback: with tokens and TLS.")] = "127.0.0.1",
+    port: PortOption = 8808,
+    name: Annotated[list[str] | None, typer.Option(help="A further name of this server; may be repeated.")] = None,
+    read_token_file: Annotated[
+        Path | None, typer.Option("--read-token-file", help="File of the token for reading; none: on loopback anybody.")
+    ] = None,
+    control_token_file: Annotated[
+        Path | None,
+        typer.Option("--control-token-file", help="File of the token for clearing; none: on loopback a new one, said."),
+    ] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="Certificate for TLS (PEM).")] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="Its private key (PEM).")] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
+) -> None:
+    """Serve the page of a running gateway.
+
+    It shows residuals against their thresholds, DTCs with their evidence, buses and messages, and has metrics for
+    Prometheus at /metrics. The gateway may be started, stopped and started again meanwhile.
+    """
+    from gateway.cli.serve import serve as work
+
+    raise typer.Exit(
+        work(
+            config,
+            status=status,
+            host=host,
+            port=port,
+            names=name or (),
+            read_token_file=read_token_file,
+            control_token_file=control_token_file,
+            certificate=cert,
+            key=key,
+            open_page=open_page,
+            parent=parent,
+        )
+    )
+
+
+@app.command()
+def watch(
+    config: ConfigArgument = None,
+    status: StatusOption = None,
+    once: Annotated[bool, typer.Option("--once", help="Show it once; as where the output is no terminal.")] = False,
+    json: Json = False,
+) -> None:
+    """Show in the terminal what a running gateway sees.
+
+    DTCs, the tests that are nearest to a fault, buses.
+    """
+    from gateway.cli.watch import watch as work
+
+    raise typer.Exit(work(config, status=status, once=once, json=json))
+
+
+@app.command()
+def mqtt(
+    broker: Annotated[str, typer.Argument(help="HOST or HOST:PORT of the broker.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+    ] = None,
+    status: StatusOption = None,
+    base: Annotated[str, typer.Option("--topic", help="First part of all topics.  [default: gateway/NAME]")] = "",
+    signals: Annotated[
+        list[str] | None, typer.Option("--signal", help="A signal to tell, Message.Signal; may be repeated.")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=20, help="How often each signal is told at most [Hz].")] = 1.0,
+    user: Annotated[str, typer.Option(help="User at the broker.")] = "",
+    password_file: Annotated[Path | None, typer.Option("--password-file", help="File of the password.")] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="By TLS.")] = False,
+    ca: Annotated[Path | None, typer.Option("--ca", help="With --tls: certificates to trust (PEM).")] = None,
+) -> None:
+    """Tell an MQTT broker what a running gateway knows.
+
+    Trouble codes and online or offline as retained messages, chosen signals at a limited rate.
+    """
+    from gateway.cli.mqtt import mqtt as work
+
+    raise typer.Exit(
+        work(
+            broker,
+            config,
+            status=status,
+            base=base,
+            signals=signals or (),
+            rate=rate,
+            user=user,
+            password_file=password_file,
+            tls=tls,
+            ca=ca,
         )
     )
 
@@ -134,12 +252,13 @@ def simulate(
     wait: Annotated[float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")] = 60.0,
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
+    html: HtmlOption = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
-    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json))
+    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, html=html, json=json))
 
 
 @app.command()
@@ -317,6 +436,7 @@ def replay(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
+    html: HtmlOption = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -339,6 +459,7 @@ def replay(
             trace=trace,
             injections=inject or (),
             seed=seed,
+            html=html,
             json=json,
             fail_on_dtc=fail_on_dtc,
         )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from json import dumps
 from pathlib import Path
 
-from gateway.cli.present import find_config, strict
+from gateway.cli.present import find_config
+from gateway.common.jsonlines import strict
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 

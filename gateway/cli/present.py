@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gateway.common.jsonlines import strict
 from gateway.common.resources import shipped
 from gateway.errors import InputError
 from gateway.faults.status import Status
@@ -42,17 +42,6 @@ def table_of(*headers: str) -> Table:
     from rich.table import Table  # noqa: PLC0415 - slow to load
 
     return Table(*headers, box=None, pad_edge=False)
-
-
-def strict(value: Any) -> Any:
-    """Return a value in which numbers that JSON lacks (NaN, infinities) are null."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
-    return value
 
 
 def print_json(value: Any, *, indent: int | None = None) -> None:

@@ -15,7 +15,9 @@ from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
+from gateway.cli.report import RunReport
 from gateway.cli.trace import Trace, only, single
+from gateway.common.extras import need
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -39,6 +41,7 @@ def replay(
     trace: bool = False,
     injections: Sequence[str] = (),
     seed: int = 1,
+    html: Path | None = None,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
@@ -48,6 +51,8 @@ def replay(
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
             replayed and told before.
     """
+    if html is not None:
+        need("serve", "reports", key="--html")
     path = find_config(config_path)
     config = load_config(path)
     if monitor is not None:
@@ -64,7 +69,9 @@ def replay(
     try:
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
-        damage = _feed(_Faulty(gateway, injectors) if injectors else gateway, reader, printer, log.name, traced)
+        report = None if html is None else RunReport(html, gateway, path)
+        fed = gateway if report is None else report.collector
+        damage = _feed(_Faulty(fed, injectors) if injectors else fed, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = contents(
             reader,
@@ -79,6 +86,8 @@ def replay(
         found.notes += _notes(found, config, summary, dict(zip(injections, injectors, strict=True)))
         printer(found.event())
         printer(summary)
+        if report is not None:
+            report.write_log(log, [found.event(), summary], injections)
     finally:
         gateway.close()
     if found.wrong:
@@ -114,7 +123,7 @@ def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) ->
 class _Faulty:
     """A gateway that is fed frames with faults in them."""
 
-    def __init__(self, gateway: Gateway, injectors: Sequence[Injector]) -> None:
+    def __init__(self, gateway: FrameConsumer, injectors: Sequence[Injector]) -> None:
         self._gateway, self._injectors = gateway, injectors
         self.start, self.stop, self.without_own = gateway.start, gateway.stop, gateway.without_own
 

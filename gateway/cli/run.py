@@ -14,6 +14,7 @@ from typing import Self
 
 from gateway.bus.logs import open_writer
 from gateway.cli.present import EventPrinter, find_config, say, say_unless_stored
+from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
@@ -80,15 +81,22 @@ def run(
     memory: Path | None,
     record: Path | None,
     duration: float | None,
+    status: Path | None = None,
+    page: int | None = None,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
-    """Monitor until told to stop; returns the exit code."""
+    """Monitor until told to stop; returns the exit code. ``page``: port of a page to be served beside."""
     ending = Ending(starting=0)
     path = find_config(config_path)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     with ExitStack() as stack:
         taps = []
+        if page is not None:
+            need("serve", "pages", key="--serve")
+            from gateway.cli.serve import PageProcess, socket_of  # noqa: PLC0415 - few want it
+
+            status = socket_of(load_config(path), memory, status)
         if record is not None:
             channels = {k: entry.channel for k, entry in enumerate(load_config(path).bus)}
             taps.append(stack.enter_context(open_writer(record, interfaces=channels)))
@@ -100,8 +108,11 @@ def run(
             taps=taps,
             notifier=Notifier(),
             on_built=ending.ready,
+            status=status,
         )
         stack.callback(daemon.close)
+        if page is not None and status is not None:
+            stack.callback(PageProcess(status, page).close)
         signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())
         begun = time.monotonic()

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -23,7 +23,9 @@ from gateway.cli.present import (
     say,
     status_text,
 )
+from gateway.cli.report import RunReport
 from gateway.cli.run import Ending
+from gateway.common.extras import need
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -34,6 +36,9 @@ from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from gateway.cli.demo_page import DemoPage
 
 INSIDE = "inside"
 #: Who is later than this [s] stops the scenario's clock for as long.
@@ -112,21 +117,48 @@ class _Narrator:
             self._console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
 
 
-def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> int:
-    """Show the whole chain in one process; returns the exit code."""
+def demo(
+    scenario_name: Path,
+    *,
+    speed: float,
+    seed: int | None,
+    page: int | None = None,
+    open_page: bool = True,
+    json: bool,
+) -> int:
+    """Show the whole chain in one process, on a page at port ``page`` too; returns the exit code."""
+    if page is None:
+        return _demo(scenario_name, speed=speed, seed=seed, json=json)
+    from gateway.cli.demo_page import DemoPage  # noqa: PLC0415 - few want it
+
+    with DemoPage(page, Ending(), open_page=open_page) as shown:
+        return _demo(scenario_name, speed=speed or 1.0, seed=seed, json=json, shown=shown)
+
+
+def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, shown: DemoPage | None = None) -> int:
     scenario, config, player = _open(scenario_name, seed)
     printer = EventPrinter(as_json=json)
-    gateway = Gateway(config, file=scenario.config)
+    gateway = Gateway(config, None if shown is None else shown.memory, file=scenario.config)
     gateway.listen(printer)
+    if shown is not None:
+        shown.begin(gateway, player)
     judge = Judge(scenario)
     narrator = None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
     if narrator is not None:
         narrator.begin(scenario)
     begun = time.monotonic()
 
+    def on_frames(frames: Frames) -> None:
+        if narrator is not None:
+            narrator.on_frames(frames)
+        if shown is not None:
+            shown.on_frames(frames)
+
     def on_step(t_ns: int) -> None:
         if narrator is not None:
             narrator.on_step(t_ns)
+        if shown is not None:
+            shown.on_step(t_ns)
         if speed:
             time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
 
@@ -135,14 +167,20 @@ def demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool) -> 
             gateway,
             player,
             judge=judge,
-            on_frames=None if narrator is None else narrator.on_frames,
+            on_frames=on_frames,
             on_report=None if narrator is None else narrator.on_report,
             on_step=on_step,
+            stop=(lambda: False) if shown is None else shown.stop,
         )
         printer(gateway.summary(time.monotonic() - begun))
+        code = _verdict(judge, json=json, check=False)
+        if shown is not None:
+            shown.stay()
     finally:
+        if shown is not None:
+            shown.end()
         gateway.close()
-    return _verdict(judge, json=json, check=False)
+    return code
 
 
 def _verdict(judge: Judge, *, json: bool, check: bool) -> int:
@@ -163,9 +201,14 @@ def simulate(
     wait: float,
     record: Path | None,
     seed: int | None,
+    html: Path | None = None,
     json: bool,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
+    if html is not None:
+        need("serve", "reports", key="--html")
+        if bus != INSIDE:
+            raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
     scenario, config, player = _open(scenario_name, seed)
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
@@ -178,6 +221,7 @@ def simulate(
             stack.callback(gateway.close)
             printer = EventPrinter(as_json=json)
             gateway.listen(printer)
+            report = None if html is None else RunReport(html, gateway, scenario.config)
             begun = time.monotonic()
             drive(
                 gateway,
@@ -185,10 +229,14 @@ def simulate(
                 judge=judge,
                 on_frames=None if writer is None else writer.write,
                 stop=stop,
+                fed=None if report is None else report.collector,
             )
-            printer(gateway.summary(time.monotonic() - begun))
+            summary = gateway.summary(time.monotonic() - begun)
+            printer(summary)
             if stop():
                 return _stopped(scenario, stop)
+            if report is not None:
+                report.write_scenario(scenario, player, judge, summary)
             return _verdict(judge, json=json, check=check)
         stop.ready()
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]

@@ -7,9 +7,12 @@ import time
 
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver
+from gateway.bus.frames import empty
+from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
+from gateway.engine.buckets import nearness
 from gateway.errors import InputError
 from gateway.jit import cache_directory
 from gateway.monitors.contract import Family
@@ -32,7 +35,10 @@ def warmup(*, json: bool) -> int:
     memory = config.memory.model_copy(update={"path": None})
     gateway = Gateway(config.model_copy(update={"memory": memory}))
     gateway.start(0)
+    gateway.engine.fault_detection_counters()  # what those who watch look at
     gateway.close()
+    Traffic(1).write(empty(1))
+    nearness(True, 1.0, 1.0)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         RawReceiver(ours, Statistics())

@@ -11,7 +11,9 @@ from gateway.errors import InputError
 EXTRAS = {
     "auth": "cryptography",
     "mf4": "asammdf",
+    "mqtt": "paho.mqtt",
     "plot": "matplotlib",
+    "serve": "bokeh",
     "structure": "sympy",
     "zst": "backports.zstd",
 }
@@ -19,7 +21,9 @@ EXTRAS = {
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
+    "mqtt": "brokers (gateway mqtt)",
     "plot": "pictures (--plot)",
+    "serve": "the page (gateway serve), reports (--html), metrics",
     "structure": "gateway structure --residual, and monitors of your own equations",
     "zst": "logs in Zstandard",
 }

@@ -32,6 +32,10 @@ class BusConfig(StrictModel):
     uri: str = Field(description="socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, ...")
     database: tuple[Path, ...] = Field((), description="DBC, KCD, SYM or ARXML files; relative to this configuration")
     match: Literal["id", "pgn"] = Field("id", description="pgn: extended identifiers match by J1939 PGN")
+    bitrate: int | None = Field(None, ge=1000, le=1_000_000, description="nominal bit rate [bit/s]; for the bus load")
+    data_bitrate: int | None = Field(
+        None, ge=1000, le=20_000_000, description="bit rate of CAN FD's data phase [bit/s]; for the bus load"
+    )
     check: tuple[communication.Params, ...] = Field((), description="communication checks")
     codes: Literal["same", "own"] = Field(
         "same",
@@ -104,6 +108,13 @@ class MemoryConfig(StrictModel):
     )
 
 
+class StatusConfig(StrictModel):
+    """The socket on which a daemon shows what it does, and takes commands of who may open it."""
+
+    socket: Path = Field(description="unix socket, made with mode 0600; relative to the work folder")
+    readers: int = Field(8, ge=1, le=64, description="most readers at a time")
+
+
 class OutputConfig(StrictModel):
     """How faults leave the gateway."""
 
@@ -138,6 +149,7 @@ class Config(StrictModel):
     usage: UsageParams | None = Field(
         None, description="what tells how the vehicle is used: distance, running time, performance ratios of monitors"
     )
+    status: StatusConfig | None = Field(None, description="a unix socket for gateway serve and gateway watch")
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"
     )

@@ -42,6 +42,7 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
         if slot.id in places:
             before = old.tables.debounces[places[slot.id]]
             _take(new.tables.debounces[k], before, DebounceState, DebounceConst)
+            new.tables.buckets[k] = old.tables.buckets[places[slot.id]]
     _health(new, old, buses)
     _cycles(new, old, buses, cycles)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.engine import emission
+from gateway.engine.buckets import Bucket
 from gateway.engine.checks import bus_health, clock_health, communication
 from gateway.engine.checks.bus_health import BusInstance, Health
 from gateway.engine.checks.clock_health import ClockParams
@@ -338,6 +339,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         pool_ns=made.pool.view(np.int64),
         crc_tables=crcs.array(),
         debounces=verdicts.debounces,
+        buckets=table(len(verdicts.debounces), Bucket),
         conditions=verdicts.conditions,
         roots=verdicts.roots,
         out=out,

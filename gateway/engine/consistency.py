@@ -30,5 +30,6 @@ def assert_consistent(t: Tables) -> None:
     assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
     assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
     assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
+    assert len(t.buckets) in (0, faults)
     assert t.values.shape == t.present.shape
     assert t.out.itemsize == RESULTS.itemsize

@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
 from gateway.engine import loop
+from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
 from gateway.engine.checks.communication import RULE, SAMPLES
-from gateway.engine.debounce import fault_detection_counter, fold, reset
+from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
@@ -188,11 +190,21 @@ class Engine:
         """Return the debounce counter of a fault, -128..127."""
         return int(fault_detection_counter(self.tables.debounces[fault], self.now_ns))
 
+    def fault_detection_counters(self) -> NDArray[np.int8]:
+        """Return the debounce counters of all faults, shape (faults,)."""
+        counters = np.zeros(len(self.faults), np.int8)
+        all_detection_counters(self.tables.debounces, self.now_ns, counters)
+        return counters
+
     def last_result(self, fault: int) -> tuple[float, float, bool] | None:
         """Return value, limit and whether it failed of a fault's latest test result; None: not since the last reset."""
         row = self.tables.debounces[fault]
         result = int(row["last"]) or int(row["verdict"])
         return None if result == NOT_TESTED else (float(row["value"]), float(row["limit"]), result == FAILED)
+
+    def take_buckets(self) -> Buckets:
+        """Return what the test results of each fault were since the last call, shape (faults,) of Bucket."""
+        return take(self.tables.buckets)
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""

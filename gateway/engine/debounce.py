@@ -117,6 +117,13 @@ def fault_detection_counter(d: Any, t_ns: int) -> int:
 
 
 @kernel
+def all_detection_counters(debounces: Any, t_ns: int, into: Any) -> None:
+    """Write the detection counter of each fault at a time; ``into``: int8, shape (faults,)."""
+    for k in range(debounces.shape[0]):
+        into[k] = fault_detection_counter(debounces[k], t_ns)
+
+
+@kernel
 def _at(d: Any, t_ns: int) -> int:
     """Return the counter at a time."""
     counter = d.counter

@@ -1,9 +1,10 @@
-"""From a test result to an event: debounce, the event ring, and the evidence of both."""
+"""From a test result to an event: its bucket, debounce, the event ring, and the evidence of both."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from gateway.engine.buckets import note
 from gateway.engine.debounce import (
     fault_detection_counter,
     hold,
@@ -73,6 +74,7 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
         return -1
     result = FAILED if failed else PASSED
     d.value, d.limit = value, limit
+    note(T, t_ns, fault, failed, value, limit)
     if d.timed == 1:
         kind = report_time_based(d, t_ns, result)
         clock = T.clock[0]

@@ -144,6 +144,7 @@ class Tables(NamedTuple):
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
+    Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     """
@@ -166,6 +167,7 @@ class Tables(NamedTuple):
     checks: NDArray[np.void]
     crc_tables: NDArray[np.uint64]
     debounces: NDArray[np.void]
+    buckets: NDArray[np.void]
     conditions: NDArray[np.void]
     roots: NDArray[np.int32]
     watches: NDArray[np.void]

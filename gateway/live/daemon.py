@@ -9,7 +9,7 @@ from typing import Any
 from gateway.bus.ring import Ring
 from gateway.common.log import get_logger
 from gateway.config.load import load_config
-from gateway.config.model import Config
+from gateway.config.model import Config, StatusConfig
 from gateway.errors import GatewayError, InputError
 from gateway.faults.kept import KeptStore
 from gateway.live.link import Link
@@ -17,6 +17,7 @@ from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
+from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 
@@ -35,8 +36,10 @@ class Daemon:
         notifier: the service manager.
         machine: clocks, buses and threads; its clock gets the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
+        status: status socket instead of the configured one.
 
     Attributes:
+        status: that socket, if there is one.
         gateway: that runs now.
 
     Raises:
@@ -55,9 +58,11 @@ class Daemon:
         notifier: Notifier | None = None,
         machine: Machine | None = None,
         on_built: Callable[[], None] = lambda: None,
+        status: Path | None = None,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
-        self._tell, self._given_taps = tell, list(taps)
+        self._listener, self._given_taps = tell, list(taps)
+        self.status: StatusSocket | None = None
         self._notifier = notifier or Notifier({})
         config = self._load()
         self._machine = machine or Machine()
@@ -70,7 +75,7 @@ class Daemon:
         on_built()
         store = KeptStore(memory or config.memory.path, connect=self._machine.connect)
         gateway = Gateway(config, file=path, parts=parts, store=store)
-        gateway.listen(tell)
+        gateway.listen(self._tell)
         if self._machine.begin_writer is not None:
             gateway.write_beside(self._machine.begin_writer(), self._machine.patience_s)
         self.gateway = gateway
@@ -80,22 +85,43 @@ class Daemon:
             for index, entry in enumerate(config.bus):
                 links.append(self._new_link(entry.uri, index, entry.name))
                 links[-1].start()
+            self.status = self._new_status(config, status, gateway, links)
             gateway.start(self._clock.now())
             self._live = Live(
                 gateway,
                 links,
-                tell,
+                self._tell,
                 taps=self._taps(),
                 clock=self._clock,
                 tick_s=self._machine.tick_s,
                 monotonic=self._machine.monotonic,
                 settle=self._machine.settle,
+                door=self.status,
             )
         except BaseException:
+            if self.status is not None:
+                self.status.close()
             for link in links:
                 link.close()
             gateway.close()
             raise
+
+    def _tell(self, event: dict[str, Any]) -> None:
+        self._listener(event)
+        if self.status is not None:
+            self.status.tell(event)
+
+    def _new_status(
+        self, config: Config, path: Path | None, gateway: Gateway, links: Sequence[Link]
+    ) -> StatusSocket | None:
+        if path is None and config.status is None:
+            return None
+        settings = config.status or StatusConfig(socket=path or Path())
+        place = path or settings.socket
+        return StatusSocket(place, gateway, self._bus_states, readers=settings.readers)
+
+    def _bus_states(self) -> list[dict[str, Any]]:
+        return self._live.bus_states()
 
     def describe(self) -> str:
         """Return in one line what is monitored."""
@@ -117,9 +143,13 @@ class Daemon:
         for link in self._live.links:
             t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
             self._tell(bus_event(link, "closed", t_ns))
+        if self.status is not None:
+            self.status.turn(self._machine.monotonic())
 
     def close(self) -> None:
-        """Close buses, recording and fault memory."""
+        """Close buses, recording, status socket and fault memory."""
+        if self.status is not None:
+            self.status.close()
         self._live.close()
         for link in self._live.links:
             link.close()
@@ -238,6 +268,8 @@ class Daemon:
             if self._ring is not None:
                 self._ring.close()
             self._ring = ring
+        if self.status is not None:
+            self.status.replace(gateway)
         self._live.replace(gateway, links, self._taps())
         for link in kept.values():
             link.close()

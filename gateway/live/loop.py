@@ -74,6 +74,19 @@ class Fed(Protocol):
         """Put down what a successor is to find; returns the frames to send."""
 
 
+class Door(Protocol):
+    """What others see of the gateway, and ask of it, beside the buses."""
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when somebody wants something."""
+
+    def on_frames(self, frames: Frames) -> None:
+        """Take what came from the buses, or goes there."""
+
+    def turn(self, now_s: float, *, wanted: bool) -> None:
+        """Do what is due, without waiting; ``wanted``: whether the descriptor was readable."""
+
+
 def collect_and_freeze() -> None:
     """Take what was built for the start out of the collector's sight.
 
@@ -97,6 +110,7 @@ class Live:
         tick_s: longest wait without traffic [s].
         monotonic: for what is done every so often [s].
         settle: called when everything is built, and again when it is replaced.
+        door: of those who watch; None: nobody can.
     """
 
     def __init__(
@@ -110,8 +124,10 @@ class Live:
         tick_s: float = TICK_S,
         monotonic: Callable[[], float] = time.monotonic,
         settle: Callable[[], None] = collect_and_freeze,
+        door: Door | None = None,
     ) -> None:
-        self._settle = settle
+        self._settle, self._door = settle, door
+        self._knocked = False
         self._gateway = gateway
         self._links = list(links)
         self._tell = tell
@@ -119,7 +135,7 @@ class Live:
         self._clock, self._tick_s, self._monotonic = clock, tick_s, monotonic
         self._offset_ns = clock.told_offset_ns  # of what the taps have got
         self._selector = selectors.DefaultSelector()
-        self._watched: dict[int, Link] = {}
+        self._watched: dict[int, Link | None] = {}
         self._merger = Merger()
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
@@ -176,6 +192,8 @@ class Live:
             self._send(self._gateway.advance(self._clock.now() - GRACE_NS))
         self._send(self._gateway.poll(self._clock.now()))
         now = self._monotonic()
+        if self._door is not None:
+            self._door.turn(now, wanted=self._knocked)
         if now >= self._poll:
             self._gateway.serve_requests()
             self._report(now)
@@ -183,7 +201,9 @@ class Live:
 
     def _watch(self) -> None:
         """Wait for the descriptors that the links have now: a bus that came back has a new one."""
-        wanted = {fd: link for link in self._links if (fd := link.fileno()) is not None}
+        wanted: dict[int, Link | None] = {fd: link for link in self._links if (fd := link.fileno()) is not None}
+        if self._door is not None:
+            wanted[self._door.fileno()] = None
         if wanted == self._watched:
             return
         # A descriptor may have been closed, and its number given out again: all are registered anew.
@@ -199,7 +219,13 @@ class Live:
         waits = [self._tick_s, soon, *(link.due_s for link in self._links)]
         if self._merger.holding:
             waits.append(0.0005)
-        return bool(self._selector.select(max(min(waits), 0.0)))
+        ready = self._selector.select(max(min(waits), 0.0))
+        if self._door is None:
+            return bool(ready)
+        door = self._door.fileno()
+        buses = sum(key.fd != door for key, _ in ready)
+        self._knocked = buses < len(ready)
+        return bool(buses)
 
     def _read_one(self, link: Link) -> bool:
         """Feed what one bus has, without holding anything back; returns whether there was any."""
@@ -269,6 +295,8 @@ class Live:
                 tap.write(stamped)
             # What we have sent came back for them only.
             frames = frames[frames["flags"] & OWN == 0]
+        if self._door is not None:
+            self._door.on_frames(frames)
         self._note(frames)
         self._send(self._gateway.feed(frames))
 
@@ -291,6 +319,10 @@ class Live:
             if not len(mine):
                 continue
             link.send(mine)
+            if self._door is not None and link.running:
+                stamped = mine.copy()
+                stamped["t_ns"] = self._clock.now()
+                self._door.on_frames(stamped)
             if self._taps and link.running and not link.echoes:
                 # Nobody tells when they were on the bus: taken down as they leave.
                 sent = mine.copy()
@@ -317,9 +349,10 @@ class Live:
     def keep(self) -> None:
         """Keep the state of the buses where other processes see it."""
         self._keep = self._monotonic() + KEEP_S
-        self._gateway.note_buses(self._states())
+        self._gateway.note_buses(self.bus_states())
 
-    def _states(self) -> list[dict[str, Any]]:
+    def bus_states(self) -> list[dict[str, Any]]:
+        """Return how the buses do, as events of the JSON contract."""
         return [bus_event(link, "open" if link.running else "lost", self._clock.wall()) for link in self._links]
 
 

@@ -454,6 +454,15 @@ class Gateway:
         return self._parts.notes
 
     @property
+    def signal_slots(self) -> dict[str, int]:
+        """Mailbox slots of the signals whose latest value is known, by full name; with the bus if there are several."""
+        buses = self.config.bus
+        return {
+            ("" if len(buses) == 1 else f"{buses[ref.bus].name}.") + f"{ref.message}.{ref.signal}": slot
+            for slot, ref in enumerate(self.engine.plan.slot_names)
+        }
+
+    @property
     def codes(self) -> Mapping[str, tuple[str, ...]]:
         """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
         return self._parts.codes

@@ -10,6 +10,7 @@ import itertools
 import os
 import select
 from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -93,6 +94,19 @@ class _Wires:
             bus.close()
 
 
+class Driven(Protocol):
+    """What a scenario is played to: a gateway."""
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch; returns the frames to send."""
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass; returns the frames to send."""
+
+    def stop(self, t_ns: int) -> None:
+        """End the operation cycle."""
+
+
 def drive(
     gateway: Gateway,
     player: Player,
@@ -102,6 +116,7 @@ def drive(
     on_report: Callable[[DtcReport], None] | None = None,
     on_step: Callable[[int], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
+    fed: Driven | None = None,
 ) -> None:
     """Play a scenario to a gateway and read its DTC frames as a tester would.
 
@@ -113,7 +128,9 @@ def drive(
         on_report: called with each DTC frame, decoded.
         on_step: called at the end of each step with its time [ns].
         stop: tells to end early; the operation cycle ends then.
+        fed: what is fed instead of the gateway; it feeds the gateway.
     """
+    driven: Driven = gateway if fed is None else fed
     wires = _Wires(gateway)
     try:
         gateway.start(0)
@@ -124,7 +141,7 @@ def drive(
             batch = wires.carry(frames)
             if on_frames is not None:
                 on_frames(batch)
-            for sent in (gateway.feed(batch), gateway.advance(until)):
+            for sent in (driven.feed(batch), driven.advance(until)):
                 for report in wires.reports(sent):
                     if judge is not None and report.dtc is not None:
                         judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
@@ -132,6 +149,6 @@ def drive(
                         on_report(report)
             if on_step is not None:
                 on_step(until)
-        gateway.stop(until)
+        driven.stop(until)
     finally:
         wires.close()

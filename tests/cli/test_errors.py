@@ -25,8 +25,8 @@ def gateway(tmp_path, capsys, monkeypatch):
         (BUS + "[bus.check]\nmessage = 'A'\n", "bus[0].check: a list of tables: write [[bus.check]]"),
         (BUS.replace("[[bus]]", "[bus]"), "bus: a list of tables: write [[bus]]"),
         (BUS + "[[memory]]\n", "memory: one table: write [memory]"),
-        (BUS + "databse = []\n", "bus[0].databse: unknown key; did you mean database?"),
-        (BUS + "xyz = 1\n", "bus[0].xyz: unknown key; the keys here are check, codes, database,"),
+        (BUS + "databse = []\n", "bus[0].databse: unknown key; did you mean database or data_bitrate?"),
+        (BUS + "xyz = 1\n", "bus[0].xyz: unknown key; the keys here are bitrate, check, codes, data_bitrate,"),
         (BUS + 'match = "pgm"\n', "did you mean pgn?"),
         ('[[bus]]\nuri = "virtual:b"\n', "bus[0].name: this key is missing: how other parts refer"),
         (

@@ -331,14 +331,15 @@ def opened(folder):
     return [line for line in lines if json.loads(line)["state"] == "open"]
 
 
-def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path):
+@pytest.mark.parametrize("name", ["gateway", "gateway-page"])
+def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path, name):
     analyze = shutil.which("systemd-analyze")
     if analyze is None:
         if os.environ.get("CI"):
             pytest.fail("systemd-analyze is not installed (apt-get install systemd)")
         pytest.skip("no systemd-analyze here")
-    unit = tmp_path / "gateway.service"
-    text = (ROOT / "deploy/gateway.service").read_text()
+    unit = tmp_path / f"{name}.service"
+    text = (ROOT / f"deploy/{name}.service").read_text()
     unit.write_text(text.replace("/opt/gateway/venv/bin/gateway", "/bin/true"))
     verified = subprocess.run([analyze, "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False)
     assert verified.returncode == 0, verified.stderr
@@ -349,4 +350,4 @@ def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path):
     )  # fmt: skip
     assert exposure.returncode == 0, exposure.stdout[-400:]
     (command,) = re.findall(r"^ExecStart=\S+/gateway (.*)$", text, re.M)
-    assert command.split()[0] == "run"
+    assert command.split()[0] == {"gateway": "run", "gateway-page": "serve"}[name]

@@ -1,0 +1,266 @@
+"""What passes on the buses: how many bits, stuff bits counted, and each identifier's period and latest payload.
+
+Bits are those of ISO 11898-1, from the start of frame to the end of the intermission. A classical frame is walked bit
+by bit with its CRC; the stuff bits of a CAN FD frame are counted to the end of its data field, those of its CRC field
+stand at fixed places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, empty
+from gateway.jit import COMPILED, Record, bound, i8, kernel, means, u1, u4, u8s
+
+#: Identifiers that are told apart; those beyond are counted only.
+IDENTIFIERS = 1024
+#: A power of two, so that the table of identifiers stays half empty.
+_PLACES = 2 * IDENTIFIERS
+
+_EXTENDED, _REMOTE, _ERROR = np.int64(EXTENDED), np.int64(REMOTE), np.int64(ERROR)
+_FD, _BRS = np.int64(FD), np.int64(BRS)
+#: CRC delimiter, acknowledgement and its delimiter, end of frame, intermission.
+_TAIL = 1 + 2 + 7 + 3
+_DLC = np.zeros(65, np.int64)
+for _length in range(65):
+    _DLC[_length] = next(code for code, most in enumerate(FD_LENGTHS) if _length <= most)
+
+
+_CELLS = FRAME.itemsize // 8
+
+
+class Load(Record):
+    """One bus since the start."""
+
+    frames: i8
+    errors: i8 = means("error frames, and conditions")
+    nominal_bits: i8 = means("sent at the nominal bit rate, the whole of a frame without bit rate switch")
+    data_bits: i8 = means("sent at the data bit rate")
+    others: i8 = means("frames of identifiers that there was no place for")
+
+
+class Seen(Record):
+    """One identifier of one bus; gaps are since the last look."""
+
+    used: u1
+    bus: u1
+    length: u1
+    form: u1 = means("flags of the latest frame: FD, BRS, ...")
+    can_id: u4
+    count: i8
+    last_ns: i8 = means(unit="ns")
+    gaps: i8
+    shortest_ns: i8 = means(unit="ns")
+    longest_ns: i8 = means(unit="ns")
+    sum_ns: i8 = means(unit="ns")
+    words: Annotated[u8s, 8] = means("payload of the latest frame")
+
+
+@kernel
+def _stuffed(bits: Any, count: int) -> int:
+    """Return how many stuff bits so many bits need: one after five alike, which counts itself."""
+    made, alike, last = 0, 0, -1
+    for k in range(count):
+        bit = bits[k]
+        if bit == last:
+            alike += 1
+        else:
+            last, alike = bit, 1
+        if alike == 5:
+            made += 1
+            last, alike = 1 - bit, 1
+    return made
+
+
+@kernel
+def _put(bits: Any, at: int, value: int, width: int) -> int:
+    for k in range(width):
+        bits[at + k] = (value >> (width - 1 - k)) & 1
+    return at + width
+
+
+@kernel
+def _payload(bits: Any, at: int, words: Any, length: int) -> int:
+    for k in range(length):
+        at = _put(bits, at, int((words[k >> 3] >> np.uint64(8 * (k & 7))) & np.uint64(0xFF)), 8)
+    return at
+
+
+@kernel
+def _crc15(bits: Any, count: int) -> int:
+    crc = 0
+    for k in range(count):
+        top = ((crc >> 14) & 1) ^ bits[k]
+        crc = (crc << 1) & 0x7FFF
+        if top == 1:
+            crc ^= 0x4599
+    return crc
+
+
+@kernel
+def bits_of(can_id: int, flags: int, length: int, words: Any, bits: Any, codes: Any) -> tuple[int, int]:
+    """Return the bits of one frame on the wire, those at the nominal and those at the data bit rate.
+
+    Args:
+        can_id: with EXTENDED and REMOTE.
+        flags: of the frame.
+        length: payload [byte].
+        words: payload, eight words, the first byte lowest.
+        bits: room for 640 bits.
+        codes: DLC of each length, shape (65,).
+    """
+    fd = flags & _FD != 0
+    remote = can_id & _REMOTE != 0
+    at = _put(bits, 0, 0, 1)
+    if can_id & _EXTENDED:
+        at = _put(bits, at, (can_id >> 18) & 0x7FF, 11)
+        at = _put(bits, at, 3, 2)  # SRR, IDE
+        at = _put(bits, at, can_id & 0x3FFFF, 18)
+        at = _put(bits, at, 1 if remote and not fd else 0, 1)
+        if not fd:
+            at = _put(bits, at, 0, 2)
+    else:
+        at = _put(bits, at, can_id & 0x7FF, 11)
+        at = _put(bits, at, 1 if remote and not fd else 0, 1)
+        at = _put(bits, at, 0, 1 if fd else 2)
+    if not fd:
+        at = _put(bits, at, codes[length], 4)
+        at = _payload(bits, at, words, 0 if remote else length)
+        at = _put(bits, at, _crc15(bits, at), 15)
+        return at + _stuffed(bits, at) + _TAIL, 0
+    at = _put(bits, at, 2, 2)  # FDF, res
+    fast = flags & _BRS != 0
+    at = _put(bits, at, 1 if fast else 0, 1)
+    arbitration = at + _stuffed(bits, at)
+    at = _put(bits, at, (flags >> 2) & 1, 1)
+    at = _put(bits, at, codes[length], 4)
+    at = _payload(bits, at, words, length)
+    # Stuff count and CRC, with a fixed stuff bit before them and after each four bits.
+    check = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
+    total = at + _stuffed(bits, at) + check + _TAIL
+    data = total - arbitration - _TAIL if fast else 0
+    return total - data, data
+
+
+@kernel
+def _place(seen: Any, bus: int, can_id: int) -> int:
+    """Return the place of an identifier, a free one if it has none; -1: there is none left."""
+    mask = seen.shape[0] - 1
+    at = (((can_id & 0x1FFF_FFFF) * 0x9E37_79B1 + bus * 0x85EB_CA6B) >> 7) & mask
+    for _ in range(seen.shape[0] // 2):
+        row = seen[at]
+        if row.used == 0 or (row.can_id == can_id and row.bus == bus):
+            return int(at)
+        at = (at + 1) & mask
+    return -1
+
+
+@kernel
+def count_frames(loads: Any, seen: Any, bits: Any, codes: Any, used: Any, frames: Any, cells: Any) -> None:
+    """Count a batch of frames.
+
+    Args:
+        loads: shape (buses,) of Load.
+        seen: shape (a power of two,) of Seen.
+        bits: room for 640 bits.
+        codes: DLC of each length.
+        used: shape (1,), how many places of ``seen`` are taken.
+        frames: shape (n,) of FRAME.
+        cells: the same batch as uint64, shape (n, 10).
+    """
+    for i in range(frames.shape[0]):
+        frame = frames[i]
+        bus, can_id = int(frame["bus"]), int(frame["can_id"])
+        if bus >= loads.shape[0]:
+            continue
+        load = loads[bus]
+        if can_id & _ERROR:
+            load.errors += 1
+            continue
+        length, flags = int(frame["length"]), int(frame["flags"])
+        nominal, data = bits_of(can_id, flags, length, cells[i, 2:], bits, codes)
+        load.frames += 1
+        load.nominal_bits += nominal
+        load.data_bits += data
+        at = _place(seen, bus, can_id)
+        if at < 0 or (seen[at].used == 0 and used[0] >= seen.shape[0] // 2):
+            load.others += 1
+            continue
+        row = seen[at]
+        if row.used == 0:
+            row.used = 1
+            row.bus = bus
+            row.can_id = can_id
+            used[0] += 1
+        elif frame["t_ns"] >= row.last_ns:
+            gap = frame["t_ns"] - row.last_ns
+            if row.gaps == 0 or gap < row.shortest_ns:
+                row.shortest_ns = gap
+            if row.gaps == 0 or gap > row.longest_ns:
+                row.longest_ns = gap
+            row.sum_ns += gap
+            row.gaps += 1
+        row.count += 1
+        row.last_ns = frame["t_ns"]
+        row.length = length
+        row.form = flags
+        for k in range(8):
+            row.words[k] = cells[i, 2 + k]
+
+
+class Traffic:
+    """Counts what passes on some buses.
+
+    Args:
+        buses: how many.
+    """
+
+    def __init__(self, buses: int) -> None:
+        self.loads: Any = _table(buses, Load)
+        self._seen: Any = _table(_PLACES, Seen)
+        self._bits = np.zeros(640, np.int64)
+        self._used = np.zeros(1, np.int64)
+        mine = (self.loads, self._seen, self._bits, _DLC, self._used)
+        none = empty(0)
+        self._count = bound(count_frames, *mine, rest=(none, none.view("<u8").reshape(0, _CELLS)))
+
+    def write(self, frames: Frames) -> None:
+        """Count a batch."""
+        if not len(frames):
+            return
+        if not (frames.flags.c_contiguous and frames.flags.writeable):
+            frames = frames.copy()  # the kernel is compiled for one kind of array
+        self._count(frames, frames.view("<u8").reshape(len(frames), _CELLS))
+
+    def identifiers(self) -> NDArray[np.void]:
+        """Return what was seen of each identifier, by bus and identifier, and begin the gaps anew."""
+        rows = np.flatnonzero(self._seen["used"])
+        found: NDArray[np.void] = np.array(self._seen[rows], Seen.dtype)
+        for name in ("gaps", "shortest_ns", "longest_ns", "sum_ns"):
+            self._seen[name] = 0
+        return found[np.lexsort((found["can_id"], found["bus"]))]
+
+
+def load_of(bits: Sequence[int], rates: Sequence[int | None], seconds: float) -> float | None:
+    """Return the share of time that a bus was busy, 0..1; None where a bit rate that is needed is not known.
+
+    Args:
+        bits: at the nominal and at the data bit rate.
+        rates: nominal and data bit rate [bit/s].
+        seconds: in which they were sent.
+    """
+    busy = 0.0
+    for count, rate in zip(bits, rates, strict=True):
+        if count and not rate:
+            return None
+        busy += count / rate if rate else 0.0
+    return busy / seconds if seconds > 0 and rates[0] else None
+
+
+def _table(count: int, kind: type[Record]) -> Any:
+    array = np.zeros(count, kind.dtype)
+    return array if COMPILED else array.view(np.recarray)

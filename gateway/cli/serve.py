@@ -1,0 +1,102 @@
+"""``gateway serve``: the page of a daemon, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from gateway.cli.present import find_config, say
+from gateway.common.extras import need
+from gateway.common.log import get_logger
+from gateway.config.load import load_config
+from gateway.config.model import Config
+
+#: How far a page beside a gateway gives way to it.
+NICE = 10
+
+log = get_logger(__name__)
+
+
+def socket_of(config: Config, memory: Path | None = None, given: Path | None = None) -> Path:
+    """Return the status socket of a configuration: the given one, its own, or one beside its fault memory."""
+    if given is not None:
+        return given
+    if config.status is not None:
+        return config.status.socket
+    file = memory or config.memory.path
+    return file.with_name(file.name + ".status")
+
+
+def serve(
+    config_path: Path | None,
+    *,
+    status: Path | None,
+    host: str,
+    port: int,
+    names: Sequence[str],
+    read_token_file: Path | None,
+    control_token_file: Path | None,
+    certificate: Path | None,
+    key: Path | None,
+    open_page: bool,
+    parent: int | None,
+) -> int:
+    """Serve until a signal comes; returns the exit code. Arguments as the command has them."""
+    need("serve", "pages")
+    from gateway.serve.server import ServeSettings, open_socket, rights_of, url_of  # noqa: PLC0415 - of an extra
+    from gateway.serve.server import serve as work  # noqa: PLC0415
+
+    place = status or socket_of(load_config(find_config(config_path)))
+    settings = ServeSettings(
+        place, host, port, tuple(names), read_token_file, control_token_file, certificate, key, parent
+    )
+    if parent is not None:
+        os.nice(NICE)  # beside a gateway that has no time to lose
+    rights = rights_of(settings)
+    with open_socket(settings) as listener:
+        url = url_of(settings, rights, listener.getsockname()[1])
+        say(f"page: {url}")
+        if open_page:
+            import webbrowser  # noqa: PLC0415 - few want it
+
+            webbrowser.open(url)
+        work(settings, rights, listener)
+    return 0
+
+
+class PageProcess:
+    """``gateway serve`` beside a gateway: it ends with it, and what becomes of it changes nothing else.
+
+    Args:
+        status: the gateway's status socket.
+        port: of the page; 0: any that is free.
+        open_page: whether a browser is to open it.
+    """
+
+    def __init__(self, status: Path, port: int, *, open_page: bool = False) -> None:
+        need("serve", "pages", key="--serve")
+        program = "from gateway.cli import main; main()"
+        command = [sys.executable, "-c", program, "serve", "--status", str(status), "--port", str(port)]
+        command += ["--parent", str(os.getpid()), *(["--open"] if open_page else [])]
+        self._ending = False
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)  # noqa: S603 - our own command
+        threading.Thread(target=self._watch, name="page", daemon=True).start()
+
+    def _watch(self) -> None:
+        code = self._process.wait()
+        if not self._ending:
+            log.warning("the page has ended; monitoring goes on", exit_code=code)
+
+    def close(self) -> None:
+        """End the page."""
+        self._ending = True
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self._process.kill()

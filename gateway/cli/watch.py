@@ -1,0 +1,183 @@
+"""``gateway watch``: what a running gateway shows, in a terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gateway.cli.present import find_config, print_json, say
+from gateway.cli.serve import socket_of
+from gateway.config.load import load_config
+from gateway.faults.status import Status
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from gateway.serve.hub import Hub
+
+#: Pace of the screen, and how long a gateway is waited for where it is shown once [s].
+DRAW_S, PATIENCE_S = 0.25, 5.0
+#: Tests that are shown, and characters of a bar, of which two thirds are up to the limit.
+NEAREST, WIDTH = 14, 30
+
+
+def watch(config_path: Path | None, *, status: Path | None, once: bool, json: bool) -> int:
+    """Show until a signal comes, or once; returns the exit code."""
+    place = status or socket_of(load_config(find_config(config_path)))
+    return asyncio.run(_watch(place, once=once or json or not sys.stdout.isatty(), json=json))
+
+
+async def _watch(place: Path, *, once: bool, json: bool) -> int:
+    from gateway.serve.hub import Hub  # noqa: PLC0415 - few want it
+
+    hub = Hub(place)
+    work = asyncio.create_task(hub.run())
+    try:
+        if once:
+            return await _show_once(hub, json=json)
+        await _show(hub)
+    finally:
+        work.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await work
+    return 0
+
+
+async def _show_once(hub: Hub, *, json: bool) -> int:
+    for _ in range(round(PATIENCE_S / 0.1)):
+        await asyncio.sleep(0.1)
+        if hub.connected and hub.buses and hub.latest:
+            break
+    if not hub.connected:
+        say(f"no gateway: {hub.reason}")
+        return 2
+    if json:
+        print_json(told(hub))
+    else:
+        from rich.console import Console  # noqa: PLC0415 - slow to load
+
+        Console().print(drawn(hub))
+    return 0
+
+
+async def _show(hub: Hub) -> None:
+    from rich.live import Live  # noqa: PLC0415 - slow to load
+
+    ended = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    with Live(drawn(hub), auto_refresh=False, screen=True) as live:
+        while not ended.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(ended.wait(), DRAW_S)
+            live.update(drawn(hub), refresh=True)
+
+
+def told(hub: Hub) -> dict[str, Any]:
+    """Return what is shown, for programs."""
+    faults = hub.hello["faults"]
+    return {
+        "name": hub.hello["name"],
+        "connected": hub.connected,
+        "dtcs": hub.memory["entries"],
+        "nearest": [
+            {"fault": faults[row["fault"]]["id"], **{k: row.get(k) for k in ("value", "threshold", "ratio", "fdc")}}
+            for row in nearest(hub)
+        ],
+        "buses": hub.buses,
+    }
+
+
+def nearest(hub: Hub) -> list[dict[str, Any]]:
+    """Return the latest of each test, the nearest to a fault first."""
+    return sorted(hub.latest.values(), key=lambda row: (-row["ratio"], row["fault"]))
+
+
+def drawn(hub: Hub) -> Group:
+    """Return what is shown, for people."""
+    from rich.console import Group  # noqa: PLC0415 - slow to load
+
+    return Group(_head(hub), _dtcs(hub), _nearest(hub), _buses(hub))
+
+
+def _head(hub: Hub) -> Text:
+    from rich.text import Text  # noqa: PLC0415 - slow to load
+
+    failing = [e for e in hub.memory["entries"] if e["status"] & Status.TEST_FAILED]
+    line = Text(f"{hub.hello['name'] or 'gateway'}  ", style="bold")
+    if not hub.connected:
+        line.append(f"not reached: {hub.reason}", style="bold red")
+    elif failing:
+        line.append(f"{len(failing)} now: " + ", ".join(e["dtc"] for e in failing), style="bold red")
+    else:
+        line.append("no faults now", style="green")
+    cycles = ", ".join(f"{name} {cycle['number']}" for name, cycle in hub.memory["cycles"].items())
+    line.append(f"   cycle {cycles or '-'}", style="dim")
+    if hub.memory["error"]:
+        line.append(f"\n{hub.memory['error']}", style="yellow")
+    return line
+
+
+def _table(title: str, *columns: str) -> Table:
+    from rich.table import Table  # noqa: PLC0415 - slow to load
+
+    made = Table(*columns, title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    made.columns[0].no_wrap = True
+    return made
+
+
+def _dtcs(hub: Hub) -> Table:
+    made = _table("\nTrouble codes", "DTC", "fault", "state", "counter", "count", "latest")
+    fdc = {hub.hello["faults"][k]["id"]: row.get("fdc", 0) for k, row in hub.latest.items()}
+    entries = sorted(hub.memory["entries"], key=lambda e: (-(e["status"] & 1), -(e["last_ns"] or 0)))
+    for entry in entries:
+        failing = entry["status"] & Status.TEST_FAILED
+        state = "[bold red]failing[/]" if failing else "[yellow]stored[/]"
+        made.add_row(
+            entry["dtc"], entry["fault"], state, f"{fdc.get(entry['fault'], 0):+d}", str(entry["occurrence"]),
+            _time(entry["last_ns"]),
+        )  # fmt: skip
+    if not entries:
+        made.add_row("none")
+    return made
+
+
+def _nearest(hub: Hub) -> Table:
+    made = _table("\nNearest to a fault", "test", "", "of what is allowed", "value", "limit")
+    for row in nearest(hub)[:NEAREST]:
+        near = row["ratio"]
+        filled = min(round(near * WIDTH * 2 / 3), WIDTH)
+        colour = "red" if near >= 1 else "yellow" if near >= 0.8 else "blue"
+        bar = f"[{colour}]{'━' * filled}[/][dim]{'─' * (WIDTH - filled)}[/]"
+        number = [f"{row[name]:.5g}" if row[name] is not None else "-" for name in ("value", "threshold")]
+        made.add_row(hub.hello["faults"][row["fault"]]["id"], bar, f"{near:.2f}", *number)
+    if not hub.latest:
+        made.add_row("no test has run")
+    return made
+
+
+def _buses(hub: Hub) -> Table:
+    made = _table("\nBuses", "bus", "state", "load", "frames/s", "lost", "errors")
+    for bus in hub.buses:
+        colour = "green" if bus.get("state") == "open" else "bold red"
+        load = "-" if bus["load"] is None else f"{bus['load']:.1%}"
+        rate = "-" if bus["frames_per_s"] is None else f"{bus['frames_per_s']:.0f}"
+        errors = ", ".join(f"{name} {count}" for name, count in bus["errors"].items()) or "none"
+        lost = str(bus.get("overflow", 0))
+        made.add_row(bus["bus"], f"[{colour}]{bus.get('state', '?')}[/]", load, rate, lost, errors)
+    return made
+
+
+def _time(t_ns: int | None) -> str:
+    if t_ns is None:
+        return "-"
+    if t_ns < 10**17:
+        return f"{t_ns / 1e9:.3f} s"
+    return datetime.fromtimestamp(t_ns / 1e9, UTC).strftime("%H:%M:%S")

@@ -1,0 +1,23 @@
+"""JSON as this project writes it: no numbers that JSON lacks, one document a line."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+
+def strict(value: Any) -> Any:
+    """Return a value in which numbers that JSON lacks (NaN, infinities) are null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(item) for item in value]
+    return value
+
+
+def line(value: Any) -> str:
+    """Return a value as one line of JSON, without its end."""
+    return json.dumps(strict(value))

@@ -1,0 +1,414 @@
+"""The status socket: a unix socket on which a daemon shows what it does, and takes commands of who may open it.
+
+Whoever may open it (mode 0600: its owner, and root) may read and intervene; :mod:`gateway.serve` puts HTTP and rights
+before it, in another process. All of it is done in the daemon's loop, between two batches, without waiting:
+
+- Out, a line of JSON each, of some with ``size`` bytes behind it: ``hello`` (what there is to see), ``event`` (the JSON
+  contract), ``tick`` (20 times a second, buckets as rows of :class:`gateway.engine.buckets.TickRow`), ``buses`` (twice
+  a second), ``messages`` (once a second), ``answer``. ``protocol`` in the first line is 1.
+- In, a line of JSON each: see :mod:`gateway.live.status_commands`.
+
+A reader that does not keep up misses ticks and the like, which are counted and told to it, and no event; one that
+leaves events lying beyond :data:`MOST_BYTES` is sent away. Without a reader nothing is counted and nothing encoded.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import stat
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway import __version__
+from gateway.bus.frames import Frames
+from gateway.bus.traffic import Traffic
+from gateway.common.jsonlines import line
+from gateway.common.log import get_logger
+from gateway.engine.buckets import TickRow
+from gateway.errors import InputError
+from gateway.live.status_commands import Commands
+from gateway.runtime.app import Gateway
+
+PROTOCOL = 1
+#: Readers at a time.
+READERS = 8
+#: A reader that has so much lying there gets no ticks [byte].
+ENOUGH_BYTES = 256 << 10
+#: One that has so much lying there, all of it events, is sent away [byte].
+MOST_BYTES = 4 << 20
+#: Longest line that a reader may send, and most that is read or sent at once [byte].
+LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
+#: No connection is taken for so long where no descriptors are left [s].
+DEAF_S = 1.0
+#: How often what is shown [s].
+TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
+#: Identifiers that are shown.
+MOST_MESSAGES = 512
+
+log = get_logger(__name__)
+
+
+class _Reader:
+    """One connection."""
+
+    def __init__(self, connection: socket.socket, number: int) -> None:
+        self.socket, self.number = connection, number
+        self.heard = bytearray()
+        self.lines: deque[bytes] = deque()
+        self.waiting: deque[bytes] = deque()
+        self.bytes = 0
+        self.missed = 0
+        self.behind = False  # waits until its socket takes more
+
+    def put(self, data: bytes) -> None:
+        self.waiting.append(data)
+        self.bytes += len(data)
+
+
+class StatusSocket:
+    """Listens for readers, and serves them.
+
+    Args:
+        path: of the socket.
+        gateway: that is shown.
+        buses: returns how the buses do, as events of the JSON contract.
+        readers: most at a time.
+
+    Attributes:
+        sent_away: readers that did not take their events.
+        refused: connections beyond the most.
+
+    Raises:
+        InputError: another process listens there, or something else is at this path.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        gateway: Gateway,
+        buses: Callable[[], Sequence[dict[str, Any]]] = lambda: (),
+        *,
+        readers: int = READERS,
+    ) -> None:
+        self.path, self._most = path, readers
+        self._buses = buses
+        self._selector = selectors.DefaultSelector()
+        self._socket = _listen(path)
+        self._inode = path.stat().st_ino
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._readers: list[_Reader] = []
+        self._pending: list[_Reader] = []  # of whom commands wait
+        self._due = [0.0, 0.0, 0.0]
+        self._count = 0
+        self._deaf_until = 0.0
+        self.sent_away = self.refused = self.ticks = 0
+        self.replace(gateway)
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when a reader wants something, or can take more."""
+        return self._selector.fileno()
+
+    def replace(self, gateway: Gateway) -> None:
+        """Show another gateway from now on; the readers are told what there is now."""
+        self._gateway = gateway
+        self._commands = Commands(gateway)
+        self._hello = b""
+        self._traffic = Traffic(len(gateway.config.bus))
+        self._counters = np.zeros(len(gateway.engine.faults), np.int8)
+        for reader in self._readers:
+            reader.put(self._greeting())
+
+    def listening(self) -> bool:
+        """Tell whether somebody reads."""
+        return bool(self._readers)
+
+    def on_frames(self, frames: Frames) -> None:
+        """Count frames on the buses, while somebody reads."""
+        if self._readers:
+            self._traffic.write(frames)
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Pass on an event of the JSON contract."""
+        if self._readers:
+            self._send(_message("event", event=event), event=True)
+
+    def turn(self, now_s: float, *, wanted: bool = True) -> None:
+        """Serve the readers, without waiting.
+
+        Args:
+            now_s: of a clock that is never set [s].
+            wanted: whether the descriptor was readable.
+        """
+        if self._deaf_until and now_s >= self._deaf_until:
+            self._deaf_until = 0.0
+            self._selector.register(self._socket, selectors.EVENT_READ)
+        if wanted:
+            self._attend(now_s)
+        if not self._readers:
+            return
+        for k, (every_s, show) in enumerate(
+            ((TICK_S, self._tick), (BUSES_S, self._show_buses), (MESSAGES_S, self._show_messages))
+        ):
+            if now_s >= self._due[k]:
+                self._due[k] = now_s + every_s
+                show()
+        if self._pending and not self._gateway.writing:
+            self._obey()
+        for reader in list(self._readers):
+            if reader.waiting and not reader.behind:
+                self._flush(reader)
+
+    def close(self) -> None:
+        """Send what the readers take at once, and close."""
+        for reader in list(self._readers):
+            self._flush(reader)
+        for reader in list(self._readers):
+            self._drop(reader)
+        self._selector.close()
+        self._socket.close()
+        try:
+            if self.path.stat().st_ino == self._inode:
+                self.path.unlink()
+        except OSError:
+            return  # somebody has tidied up already
+
+    # Readers
+
+    def _attend(self, now_s: float) -> None:
+        for key, mask in self._selector.select(0):
+            if key.fileobj is self._socket:
+                self._accept(now_s)
+                continue
+            reader: _Reader = key.data
+            if mask & selectors.EVENT_WRITE:
+                self._flush(reader)
+            if mask & selectors.EVENT_READ and reader in self._readers:
+                self._hear(reader)
+
+    def _accept(self, now_s: float) -> None:
+        try:
+            connection, _ = self._socket.accept()
+        except BlockingIOError:
+            return  # gone again
+        except OSError as error:
+            # No descriptors left: the socket stays readable, and the loop would turn for nothing.
+            log.warning("status socket: a reader cannot be taken", reason=error.strerror)
+            self._selector.unregister(self._socket)
+            self._deaf_until = now_s + DEAF_S
+            return
+        if len(self._readers) >= self._most:
+            self.refused += 1
+            log.warning("status socket: too many readers, one refused", most=self._most, refused=self.refused)
+            connection.close()
+            return
+        connection.setblocking(False)
+        self._count += 1
+        reader = _Reader(connection, self._count)
+        if not self._readers:  # what was before nobody has seen, and it is of no time
+            self._gateway.engine.take_buckets()
+            self._traffic = Traffic(len(self._gateway.config.bus))
+            self._due = [0.0, 0.0, 0.0]
+        self._readers.append(reader)
+        self._selector.register(connection, selectors.EVENT_READ, reader)
+        reader.put(self._greeting())
+
+    def _hear(self, reader: _Reader) -> None:
+        try:
+            data = reader.socket.recv(CHUNK_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(reader)
+            return
+        reader.heard += data
+        *lines, rest = bytes(reader.heard).split(b"\n")
+        reader.heard[:] = rest
+        reader.lines.extend(lines)
+        if len(reader.lines) > 16 or max(len(rest), *map(len, lines), 0) > LINE_BYTES:
+            log.warning("status socket: a reader asks too much, sent away", reader=reader.number)
+            self._drop(reader)
+        elif reader.lines and reader not in self._pending:
+            self._pending.append(reader)
+
+    def _obey(self) -> None:
+        """Do one command a turn."""
+        reader = self._pending.pop(0)
+        answer = self._commands.answer(reader.lines.popleft(), reader.number)
+        reader.put(_message("answer", **answer))
+        if reader.lines:
+            self._pending.append(reader)
+
+    def _send(self, data: bytes, *, event: bool = False) -> None:
+        for reader in list(self._readers):
+            if not event and reader.bytes > ENOUGH_BYTES:
+                reader.missed += 1
+            elif reader.bytes > MOST_BYTES:
+                self.sent_away += 1
+                log.warning("status socket: a reader does not take its events, sent away", reader=reader.number)
+                self._drop(reader)
+            else:
+                reader.put(data)
+
+    def _flush(self, reader: _Reader) -> None:
+        room = CHUNK_BYTES
+        try:
+            while reader.waiting and room > 0:
+                data = reader.waiting[0]
+                sent = reader.socket.send(data[:CHUNK_BYTES])
+                reader.bytes -= sent
+                room -= sent
+                if sent == len(data):
+                    reader.waiting.popleft()
+                else:
+                    reader.waiting[0] = data[sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop(reader)
+            return
+        if bool(reader.waiting) != reader.behind:
+            reader.behind = bool(reader.waiting)
+            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if reader.behind else 0)
+            self._selector.modify(reader.socket, events, reader)
+
+    def _drop(self, reader: _Reader) -> None:
+        self._selector.unregister(reader.socket)
+        reader.socket.close()
+        self._readers.remove(reader)
+        if reader in self._pending:
+            self._pending.remove(reader)
+        self._commands.leave(reader.number)
+
+    # What is shown
+
+    def _greeting(self) -> bytes:
+        if not self._hello:
+            self._hello = _message("hello", **_described(self._gateway))
+        return self._hello
+
+    def _tick(self) -> None:
+        engine = self._gateway.engine
+        buckets, counters = engine.take_buckets(), engine.fault_detection_counters()
+        told = np.flatnonzero((buckets["count"] > 0) | (counters != self._counters))
+        self._counters = counters
+        rows = np.zeros(len(told), TickRow.dtype)
+        for name in buckets.dtype.names or ():
+            rows[name] = buckets[name][told]
+        rows["fault"], rows["fdc"] = told, counters[told]
+        self.ticks += 1
+        t_ns = engine.wall_ns(engine.now_ns)
+        self._send(_message("tick", rows.tobytes(), t_ns=t_ns, number=self.ticks, rows=len(rows)))
+
+    def _show_buses(self) -> None:
+        engine = self._gateway.engine
+        told = []
+        states = {state["bus"]: state for state in self._buses()}
+        for k, bus in enumerate(self._gateway.config.bus):
+            load = self._traffic.loads[k]
+            counted = {name: int(load[name]) for name in load.dtype.names}
+            errors = {name: count for name, count in engine.error_counters(k).items() if count}
+            told.append({"bus": bus.name, **states.get(bus.name, {}), "traffic": counted, "errors": errors})
+        t_ns, counters = engine.wall_ns(engine.now_ns), engine.counters()
+        receive = self._gateway.controls.receive
+        self._send(_message("buses", t_ns=t_ns, buses=told, counters=counters, receive=receive))
+        for reader in self._readers:
+            if reader.missed and reader.bytes <= ENOUGH_BYTES:
+                reader.put(_message("missed", count=reader.missed))
+                reader.missed = 0
+
+    def _show_messages(self) -> None:
+        engine = self._gateway.engine
+        rows = self._traffic.identifiers()
+        data = np.ascontiguousarray(rows[:MOST_MESSAGES]).tobytes()
+        t_ns = engine.wall_ns(engine.now_ns)
+        told = min(len(rows), MOST_MESSAGES)
+        left_out = len(rows) - told
+        self._send(_message("messages", data, t_ns=t_ns, offset_ns=engine.offset_ns, rows=told, left_out=left_out))
+
+
+def _message(kind: str, data: bytes = b"", **fields: Any) -> bytes:
+    if data:
+        fields["size"] = len(data)
+    return line({"kind": kind, **fields}).encode() + b"\n" + data
+
+
+def _described(gateway: Gateway) -> dict[str, Any]:
+    """Return what there is to see."""
+    config = gateway.config
+    told = gateway.describe()
+    owners = {monitor.name: monitor.type for monitor in config.monitor}
+    file = gateway.store.path
+    return {
+        "protocol": PROTOCOL,
+        "version": __version__,
+        "name": config.name,
+        "memory": None if file is None else str(file.resolve()),
+        "faults": [
+            {**fault, "bus": _bus_of(gateway, k), "monitor": fault["id"].rpartition(".")[0],
+             "type": owners.get(fault["id"].split(".")[0], "check")}
+            for k, fault in enumerate(told["faults"])
+        ],
+        "buses": [
+            {"name": bus.name, "uri": bus.uri, "bitrate": bus.bitrate, "data_bitrate": bus.data_bitrate,
+             "database": [str(path.resolve()) for path in bus.database],
+             "filtered": gateway.identifiers_on(k) is not None}
+            for k, bus in enumerate(config.bus)
+        ],
+        "signals": list(gateway.signal_slots),
+        "notes": list(gateway.notes),
+    }  # fmt: skip
+
+
+def _bus_of(gateway: Gateway, fault: int) -> str:
+    bus = gateway.engine.faults[fault].bus
+    return gateway.config.bus[bus].name if bus < len(gateway.config.bus) else ""
+
+
+def _listen(path: Path) -> socket.socket:
+    """Return a socket that listens at a path, for its owner alone; one that nobody listens at any more gives way.
+
+    Raises:
+        InputError: somebody does, or what is there is no socket.
+    """
+    _tidy(path)
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o177)
+    try:
+        made.bind(str(path))
+    except OSError as error:
+        made.close()
+        raise InputError(f"no status socket can be made here: {error.strerror or error}", value=str(path)) from error
+    finally:
+        os.umask(before)
+    made.listen(16)
+    made.setblocking(False)
+    return made
+
+
+def _tidy(path: Path) -> None:
+    try:
+        kind = path.lstat().st_mode
+    except OSError:
+        return
+    if not stat.S_ISSOCK(kind):
+        raise InputError("this is no socket; the status socket does not replace it", value=str(path))
+    probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    probe.setblocking(False)
+    try:
+        probe.connect(str(path))
+    except ConnectionRefusedError:
+        path.unlink(missing_ok=True)  # of a process that was killed
+        return
+    except OSError as error:
+        raise InputError(f"the status socket: {error.strerror}", value=str(path)) from error
+    finally:
+        probe.close()
+    raise InputError("another gateway listens at this status socket", value=str(path))

@@ -1,0 +1,220 @@
+"""What stands before the page: whose requests are answered, and what they may ask.
+
+- **Host** must be one that this server is known by: a page of another site that has its name pointed at this machine
+  (DNS rebinding) is refused. **Origin**, where it is sent, must be the same.
+- **Reading** needs no token on a loopback address, elsewhere the reading one; **changing** (clear, operation cycle)
+  needs the control token everywhere: whoever may open a loopback port is not who may open the status socket.
+- Bodies, headers, time and connections are bounded; every refusal closes its connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import ipaddress
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from typing import Any
+
+#: Largest body of a request [byte], and how long it may take [s].
+BODY_BYTES, BODY_S = 16 << 10, 5.0
+#: Longest time for one part of an answer [s].
+SEND_S = 30.0
+#: Longest path with its query [byte].
+PATH_BYTES = 2048
+#: Largest headers together [byte].
+HEAD_BYTES = 8 << 10
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+#: Of every answer. Nothing is loaded from elsewhere, nothing is evaluated, nobody may frame it.
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=()",
+    "cache-control": "no-store",
+}
+
+
+@dataclass(frozen=True)
+class Rights:
+    """Who may what.
+
+    Attributes:
+        hosts: names that this server is known by, without port, in lower case.
+        read_token: for reading; "": anybody may.
+        control_token: for changing.
+        secure: whether it is reached by TLS.
+    """
+
+    hosts: frozenset[str]
+    read_token: str
+    control_token: str
+    secure: bool = False
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether an address is one that no other machine can reach."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+class Guard:
+    """Refuses what may not be; the rest goes to the application.
+
+    Args:
+        app: the application.
+        rights: who may what.
+
+    Attributes:
+        refused: requests that were refused.
+    """
+
+    def __init__(self, app: App, rights: Rights) -> None:
+        self._app, self._rights = app, rights
+        self.refused = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            return
+        headers = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
+        wrong = self._wrong(scope, headers)
+        body = b""
+        if wrong is None and scope["method"] == "POST":
+            try:
+                body = await asyncio.wait_for(_body(receive), BODY_S)
+            except TimeoutError:
+                wrong = (408, "the request took too long")
+            except _TooLargeError:
+                wrong = (413, "the request is too large")
+        if wrong is not None:
+            self.refused += 1
+            await _refuse(send, *wrong)
+            return
+        await self._app(scope, _given(body, receive), _guarded(send, self._rights))
+
+    def _wrong(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
+        """Return what is wrong with a request: status and text."""
+        hosts = [value for name, value in headers if name == "host"]
+        if len(hosts) != 1 or _name(hosts[0]) not in self._rights.hosts:
+            return 421, "this is not a name of this server"
+        origins = [value for name, value in headers if name == "origin"]
+        own = f"{'https' if self._rights.secure else 'http'}://{hosts[0].lower()}"
+        if any(origin.lower() != own for origin in origins):
+            return 403, "a page of another origin may not ask"
+        if any(name == "sec-fetch-site" and value not in ("same-origin", "none") for name, value in headers):
+            return 403, "a page of another site may not ask"
+        return self._wrong_shape(scope, headers) or self._wrong_right(scope, headers, bool(origins))
+
+    def _wrong_shape(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
+        if len(scope["raw_path"]) + len(scope["query_string"]) > PATH_BYTES:
+            return 414, "the path is too long"
+        if sum(len(name) + len(value) for name, value in headers) > HEAD_BYTES:
+            return 431, "the headers are too large"
+        lengths = [value for name, value in headers if name == "content-length"]
+        chunked = any(name == "transfer-encoding" for name, _ in headers)
+        if scope["method"] in ("GET", "HEAD"):
+            return (400, "no body here") if chunked or any(value != "0" for value in lengths) else None
+        if scope["method"] != "POST":
+            return 405, "GET, HEAD or POST"
+        if lengths and (not lengths[0].isdigit() or int(lengths[0]) > BODY_BYTES):
+            return 413, "the request is too large"
+        kinds = [value.partition(";")[0].strip().lower() for name, value in headers if name == "content-type"]
+        return None if kinds == ["application/json"] else (415, "application/json")
+
+    def _wrong_right(self, scope: Scope, headers: list[tuple[str, str]], has_origin: bool) -> tuple[int, str] | None:
+        path: str = scope["path"]
+        if scope["method"] != "POST" and not path.startswith(("/api/", "/metrics")):
+            return None  # the page itself: it is the same everywhere, and says nothing of this gateway
+        given = [value for name, value in headers if name == "authorization"]
+        token = given[0][7:] if len(given) == 1 and given[0][:7].lower() == "bearer " else ""
+        may_control = bool(self._rights.control_token) and _same(token, self._rights.control_token)
+        if scope["method"] == "POST":
+            return None if may_control else (401, "the control token is needed")
+        may_read = not self._rights.read_token or _same(token, self._rights.read_token) or may_control
+        return None if may_read else (401, "a token is needed")
+
+
+class _TooLargeError(Exception):
+    """More came than is allowed."""
+
+
+def _same(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(), other.encode())
+
+
+def _name(host: str) -> str:
+    """Return a Host header without its port."""
+    host = host.strip().lower()
+    if host.startswith("["):
+        return host.partition("]")[0][1:]
+    return host.partition(":")[0]
+
+
+async def _body(receive: Receive) -> bytes:
+    body = b""
+    while True:
+        message = dict(await receive())
+        if message["type"] != "http.request":
+            return body
+        body += bytes(message.get("body", b""))
+        if len(body) > BODY_BYTES:
+            raise _TooLargeError
+        if not message.get("more_body"):
+            return body
+
+
+def _given(body: bytes, receive: Receive) -> Receive:
+    """Return what hands out a body that was read already, then what comes after it (the end of the connection)."""
+    told = False
+
+    async def given() -> MutableMapping[str, Any]:
+        nonlocal told
+        if told:
+            return await receive()
+        told = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return given
+
+
+def _guarded(send: Send, rights: Rights) -> Send:
+    more = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+    if rights.secure:
+        more.append((b"strict-transport-security", b"max-age=31536000"))
+
+    async def guarded(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            own = {name.lower() for name, _ in message["headers"]}
+            message["headers"] = [*message["headers"], *(pair for pair in more if pair[0] not in own)]
+        await asyncio.wait_for(send(message), SEND_S)
+
+    return guarded
+
+
+async def _refuse(send: Send, status: int, text: str) -> None:
+    data = text.encode() + b"\n"
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(data)).encode())]
+    headers += [(b"connection", b"close"), *((n.encode(), v.encode()) for n, v in HEADERS.items())]
+    if status == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": data})

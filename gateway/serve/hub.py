@@ -1,0 +1,223 @@
+"""What the page shows now, and whom it is told."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.common.jsonlines import line
+from gateway.common.log import get_logger
+from gateway.engine.buckets import TickRow
+from gateway.serve.buses import BusLoads
+from gateway.serve.history import History
+from gateway.serve.link import StatusLink
+from gateway.serve.memory import BITS, MemoryFile
+from gateway.serve.messages import MessageNames
+
+#: Events that a page gets when it comes.
+EVENTS = 300
+#: Messages that wait for one page at most; ticks beyond a few are merged, not queued.
+MOST_WAITING = 2000
+#: Least time between two looks into the fault memory's file, and longest [s].
+READ_S, LOOK_S = 0.1, 2.0
+#: Kinds of events that the page lists.
+LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected"}
+
+log = get_logger(__name__)
+
+
+class Viewer:
+    """One page that is open: what waits for it. Ticks are given up when it does not keep up, events are not."""
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[str, str]] = deque()
+        self.news = asyncio.Event()
+        self.ended = False
+        self.ticks = 0
+
+    def put(self, kind: str, text: str) -> None:
+        """Add a message."""
+        if kind != "event" and self.ticks > 40:
+            return  # the next one says more
+        if len(self.waiting) >= MOST_WAITING:
+            self.ended = True  # it comes again, and gets all there is
+            self.news.set()
+            return
+        self.ticks += kind != "event"
+        self.waiting.append((kind, text))
+        self.news.set()
+
+    def take(self) -> list[tuple[str, str]]:
+        """Take what waits."""
+        taken = list(self.waiting)
+        self.waiting.clear()
+        self.ticks = 0
+        self.news.clear()
+        return taken
+
+
+class Hub:
+    """Listens to a daemon, and tells viewers.
+
+    Args:
+        socket: the daemon's status socket.
+    """
+
+    def __init__(self, socket: Path) -> None:
+        self.link = StatusLink(socket, self._on_message, self._on_link)
+        self.connected, self.reason = False, "not reached yet"
+        self.hello: dict[str, Any] = {"name": "", "faults": [], "buses": [], "version": "", "memory": None}
+        self.memory_file = MemoryFile(None)
+        self.memory: dict[str, Any] = self.memory_file.read(())
+        self.buses: list[dict[str, Any]] = []
+        self.counters: dict[str, int] = {}
+        self.messages: list[dict[str, Any]] = []
+        self.history = History(0)
+        self.latest: dict[int, dict[str, Any]] = {}
+        self.worst: dict[int, float] = {}  # since the metrics were read
+        self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
+        self.missed = 0
+        self._names, self._loads = MessageNames(()), BusLoads(())
+        self._takes = {
+            "hello": self._on_hello,
+            "tick": self._on_tick,
+            "event": self._on_event,
+            "buses": self._on_buses,
+            "messages": self._on_messages,
+            "missed": self._on_missed,
+        }
+        self._viewers: set[Viewer] = set()
+        self._number = itertools.count(1)
+        self._stale = asyncio.Event()
+
+    async def run(self) -> None:
+        """Listen until cancelled."""
+        await asyncio.gather(self.link.run(), self._read_memory())
+
+    def open(self) -> Viewer:
+        """Begin to tell a page; the first message is all there is."""
+        viewer = Viewer()
+        viewer.put("state", self._state())
+        self._viewers.add(viewer)
+        return viewer
+
+    def close(self, viewer: Viewer) -> None:
+        """End telling a page."""
+        self._viewers.discard(viewer)
+
+    @property
+    def viewers(self) -> int:
+        """Pages that are open."""
+        return len(self._viewers)
+
+    def ask_memory(self) -> None:
+        """Have the fault memory's file read soon."""
+        self._stale.set()
+
+    def _state(self) -> str:
+        return line(
+            {
+                "connected": self.connected,
+                "reason": self.reason,
+                "hello": self.hello,
+                "bits": BITS,
+                "memory": self.memory,
+                "buses": self.buses,
+                "messages": self.messages,
+                "latest": list(self.latest.values()),
+                "events": list(self.events),
+                "wrong": self._names.wrong,
+            }
+        )
+
+    def _tell(self, kind: str, value: Any) -> None:
+        if self._viewers:
+            text = line(value)
+            for viewer in self._viewers:
+                viewer.put(kind, text)
+
+    def _on_link(self, connected: bool, reason: str) -> None:
+        if (connected, reason) == (self.connected, self.reason):
+            return
+        if connected != self.connected:
+            log.info("gateway reached" if connected else "gateway gone", reason=reason)
+        self.connected, self.reason = connected, reason
+        self._tell("link", {"connected": connected, "reason": reason})
+
+    def _on_message(self, message: dict[str, Any], block: bytes) -> None:
+        take = self._takes.get(message["kind"])
+        if take is not None:
+            take(message, block)
+
+    def _on_hello(self, message: dict[str, Any], _: bytes) -> None:
+        old = [fault["id"] for fault in self.hello["faults"]]
+        self.hello = {key: value for key, value in message.items() if key not in ("kind", "protocol")}
+        if [fault["id"] for fault in message["faults"]] != old:
+            self.history, self.latest, self.worst = History(len(message["faults"])), {}, {}
+        path = message["memory"]
+        self.memory_file = MemoryFile(None if path is None else Path(path))
+        self._names, self._loads = MessageNames(message["buses"]), BusLoads(message["buses"])
+        self.memory = self.memory_file.read(message["faults"])
+        self._tell("state", json.loads(self._state()))
+
+    def _on_tick(self, message: dict[str, Any], block: bytes) -> None:
+        rows = np.frombuffer(block, TickRow.dtype)
+        t_ms = message["t_ns"] / 1e6
+        self.history.add(t_ms, rows)
+        told = []
+        for row in rows:
+            fault = int(row["fault"])
+            now = self.latest.setdefault(fault, {"fault": fault, "ratio": 0.0, "value": None, "threshold": None})
+            now["fdc"], now["t_ms"] = int(row["fdc"]), t_ms
+            if row["numbers"]:
+                now.update(value=float(row["last"]), threshold=float(row["limit"]), ratio=float(row["ratio"]))
+                self.worst[fault] = max(self.worst.get(fault, 0.0), float(row["ratio"]))
+            told.append(
+                [fault, int(row["fdc"]), int(row["count"]), int(row["failed"])]
+                + [float(f"{row[name]:.9g}") for name in ("low", "high", "last", "limit", "ratio", "worst")]
+                + [int(row["numbers"]), row["worst_ns"] / 1e6]
+            )
+        self._tell("tick", {"t": t_ms, "rows": told})
+
+    def _on_event(self, message: dict[str, Any], _: bytes) -> None:
+        if message["event"]["event"] == "monitor":
+            return  # ticks say more of it, and there may be thousands a second
+        event = dict(message["event"], number=next(self._number))
+        event["t_ms"] = event.get("t_ns", 0) / 1e6
+        if event["event"] in LISTED:
+            self.events.append(event)
+        self._stale.set()
+        self._tell("event", event)
+
+    def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
+        self.buses, self.counters = self._loads.shown(message), message["counters"]
+        self._tell("buses", self.buses)
+
+    def _on_messages(self, message: dict[str, Any], block: bytes) -> None:
+        self.messages = self._names.shown(block, message["t_ns"] - message["offset_ns"])
+        self._tell("messages", self.messages)
+
+    def _on_missed(self, message: dict[str, Any], _: bytes) -> None:
+        self.missed += message["count"]
+        log.warning("this process does not keep up with the gateway; what it missed", ticks=message["count"])
+
+    async def _read_memory(self) -> None:
+        while True:
+            try:
+                await asyncio.wait_for(self._stale.wait(), LOOK_S)
+            except TimeoutError:
+                if not self.connected:
+                    continue
+            self._stale.clear()
+            file, faults = self.memory_file, self.hello["faults"]
+            found = await asyncio.to_thread(file.read, faults)
+            if file is self.memory_file and found != self.memory:
+                self.memory = found
+                self._tell("memory", found)
+            await asyncio.sleep(READ_S)

@@ -1,0 +1,96 @@
+"""What the fault memory's file says, read beside the daemon that writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from gateway.errors import GatewayError
+from gateway.faults import service
+from gateway.faults.dtc import Dtc
+from gateway.faults.lock import is_unsaved
+from gateway.faults.status import Status
+from gateway.faults.store import Store
+from gateway.serve.words import told_in_words
+
+#: Bits of the status byte, the lowest first, as ISO 14229-1 calls them.
+BITS = (
+    "testFailed",
+    "testFailedThisOperationCycle",
+    "pendingDTC",
+    "confirmedDTC",
+    "testNotCompletedSinceLastClear",
+    "testFailedSinceLastClear",
+    "testNotCompletedThisOperationCycle",
+    "warningIndicatorRequested",
+)
+
+
+class MemoryFile:
+    """Reads a fault memory; what cannot be read says why, under ``error``.
+
+    Args:
+        path: of the file; None: the daemon keeps it in its process only.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+
+    def read(self, faults: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return entries, the status byte of each fault, operation cycles and readiness.
+
+        Args:
+            faults: the catalogue, as the status socket's hello has it.
+        """
+        if self._path is None:
+            return {"error": "this gateway keeps its faults in its process only", **_NOTHING}
+        try:
+            entries = service.list_entries(self._path)
+            store = Store(self._path, write=False)
+            try:
+                status = {record.id: record.status for record in store.load()}
+                cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
+            finally:
+                store.close()
+            stored = not is_unsaved(self._path)
+        except (GatewayError, OSError) as error:
+            return {"error": str(error), **_NOTHING}
+        for entry in entries:
+            entry["words"] = told_in_words(entry)
+        return {
+            "error": "",
+            "entries": entries,
+            "status": status,
+            "cycles": cycles,
+            "stored": stored,
+            "readiness": readiness(faults, status),
+        }
+
+    def recording(self, dtc: str, number: int) -> Any:
+        """Return a recording of a DTC, the oldest has number 1; None: there is none.
+
+        Raises:
+            InputError: it is not a DTC, or there is no entry of it.
+        """
+        if self._path is None:
+            return None
+        found = service.recordings(self._path, str(Dtc.parse(dtc)))
+        return found[number - 1] if 1 <= number <= len(found) else None
+
+
+_NOTHING: dict[str, Any] = {"entries": [], "status": {}, "cycles": {}, "stored": True, "readiness": []}
+
+
+def readiness(faults: Sequence[Mapping[str, Any]], status: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Return of each monitor how many of its tests have run to their end since the clear, and in this cycle."""
+    made: dict[str, dict[str, Any]] = {}
+    for fault in faults:
+        row = made.setdefault(
+            fault["monitor"], {"monitor": fault["monitor"], "tests": 0, "since_clear": 0, "this_cycle": 0}
+        )
+        bits = status.get(fault["id"], int(Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE))
+        row["tests"] += 1
+        row["since_clear"] += not bits & Status.NOT_COMPLETED_SINCE_CLEAR
+        row["this_cycle"] += not bits & Status.NOT_COMPLETED_THIS_CYCLE
+    return list(made.values())

@@ -1,0 +1,100 @@
+"""Metrics for Prometheus. Names are fixed; labels are those of the catalogue and of the configured buses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from prometheus_client.registry import Collector
+
+from gateway.serve.memory import BITS
+
+if TYPE_CHECKING:
+    from prometheus_client.core import Metric
+
+    from gateway.serve.hub import Hub
+
+
+class Metrics(Collector):
+    """What the hub knows, as Prometheus asks for it.
+
+    Args:
+        hub: what there is.
+    """
+
+    content_type = CONTENT_TYPE_LATEST
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._registry = CollectorRegistry()
+        self._registry.register(self)
+
+    def text(self) -> bytes:
+        """Return all of them; what is the worst since the last time begins anew."""
+        return generate_latest(self._registry)
+
+    def describe(self) -> list[Metric]:
+        """Say nothing before the first time."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics."""
+        yield GaugeMetricFamily("gateway_up", "Whether the gateway runs.", value=float(self._hub.connected))
+        yield from self._faults()
+        yield from self._buses()
+        decoded = self._hub.counters
+        for name, text in (
+            ("frames", "Frames taken in."),
+            ("decoded", "Frames whose signals were taken."),
+            ("timeouts", "Messages that did not come in time."),
+            ("crc_failed", "Frames whose protection is wrong."),
+            ("events_lost", "Events that there was no room for."),
+        ):
+            if name in decoded:
+                yield CounterMetricFamily(f"gateway_engine_{name}", text, value=float(decoded[name]))
+        yield CounterMetricFamily("gateway_page_missed_ticks", "Ticks that the page missed.", value=self._hub.missed)
+
+    def _faults(self) -> Iterator[Metric]:
+        hub = self._hub
+        bits = GaugeMetricFamily("gateway_dtc_status", "Bits of the DTC's status byte.", labels=["fault", "dtc", "bit"])
+        ratio = GaugeMetricFamily(
+            "gateway_test_ratio", "Nearest to a failure since the last scrape; 1: at the limit.", labels=["fault"]
+        )
+        entries = GaugeMetricFamily("gateway_dtc_occurrences", "Failures since the entry.", labels=["fault", "dtc"])
+        known = {entry["fault"]: entry for entry in hub.memory["entries"]}
+        for k, fault in enumerate(hub.hello["faults"]):
+            status = hub.memory["status"].get(fault["id"])
+            if status is not None:
+                for place, name in enumerate(BITS):
+                    bits.add_metric([fault["id"], fault["dtc"], name], float(status >> place & 1))
+            if k in hub.worst:
+                ratio.add_metric([fault["id"]], hub.worst[k])
+            if fault["id"] in known:
+                entries.add_metric([fault["id"], fault["dtc"]], float(known[fault["id"]]["occurrence"]))
+        hub.worst = {}
+        yield from (bits, ratio, entries)
+        yield GaugeMetricFamily(
+            "gateway_memory_stored", "Whether the file has all that is known.", value=float(hub.memory["stored"])
+        )
+
+    def _buses(self) -> Iterator[Metric]:
+        state = GaugeMetricFamily("gateway_bus_open", "Whether the bus is open.", labels=["bus"])
+        load = GaugeMetricFamily("gateway_bus_load_ratio", "Share of time that the bus is busy.", labels=["bus"])
+        frames = CounterMetricFamily("gateway_bus_frames", "Frames received.", labels=["bus"])
+        lost = CounterMetricFamily("gateway_bus_frames_lost", "Frames lost before they were read.", labels=["bus"])
+        gone = CounterMetricFamily("gateway_bus_losses", "How often the bus was lost.", labels=["bus"])
+        errors = CounterMetricFamily("gateway_bus_errors", "Error frames by class.", labels=["bus", "class"])
+        for bus in self._hub.buses:
+            name = bus["bus"]
+            state.add_metric([name], float(bus.get("state") == "open"))
+            if bus["load"] is not None:
+                load.add_metric([name], bus["load"])
+            for family, key in ((frames, "received"), (lost, "overflow"), (gone, "losses")):
+                if key in bus:
+                    family.add_metric([name], float(bus[key]))
+            for kind, count in bus["errors"].items():
+                errors.add_metric([name, kind], float(count))
+        yield from (state, load, frames, lost, gone, errors)

@@ -1,0 +1,190 @@
+"""MQTT: what the gateway knows, as retained states of a broker.
+
+| topic | retained | what |
+|---|---|---|
+| ``BASE/status`` | yes | ``online`` or ``offline``, which the broker says when this process dies (last will) |
+| ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
+| ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
+
+Nothing is queued while the broker is away: what is told is the state, all of it anew when the broker is back. So memory
+stays flat however many events there are.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from paho.mqtt.client import Client, MQTTMessageInfo
+from paho.mqtt.enums import CallbackAPIVersion
+
+from gateway.common.jsonlines import line
+from gateway.common.log import get_logger
+from gateway.errors import GatewayError
+from gateway.faults.status import Status
+from gateway.serve.hub import Hub
+from gateway.serve.link import Refused
+
+#: Pace of looking for changes [s].
+LOOK_S = 0.1
+ONLINE, OFFLINE = "online", "offline"
+#: Of an entry, what is told.
+_TOLD = ("dtc", "fault", "status", "occurrence", "first_ns", "last_ns", "evidence", "description", "severity", "remedy")
+
+log = get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class BrokerSettings:
+    """Where the broker is, and what it is told.
+
+    Attributes:
+        host, port: of the broker.
+        base: first part of all topics; "": ``gateway/NAME``.
+        signals: full names of signals.
+        rate_hz: how often each of them is told at most.
+        user, password: for the broker.
+        tls: whether by TLS, and ``ca``: by whose certificates.
+    """
+
+    host: str
+    port: int = 1883
+    base: str = ""
+    signals: Sequence[str] = ()
+    rate_hz: float = 1.0
+    user: str = ""
+    password: str = ""
+    tls: bool = False
+    ca: Path | None = None
+
+
+class Publisher:
+    """Tells a broker what a hub knows.
+
+    Args:
+        hub: that listens to a gateway.
+        settings: of the broker.
+        name: of the gateway, for the topics.
+    """
+
+    def __init__(self, hub: Hub, settings: BrokerSettings, name: str) -> None:
+        self._hub, self._settings = hub, settings
+        self.base = settings.base.strip("/") or f"gateway/{topic_part(name)}"
+        self._told: dict[str, str] = {}  # topic -> retained state that the broker has
+        self._anew = True
+        self._next_s = 0.0
+        client = Client(CallbackAPIVersion.VERSION2, client_id=f"gateway-{topic_part(name)}")
+        client.will_set(f"{self.base}/status", OFFLINE, qos=1, retain=True)
+        client.reconnect_delay_set(1, 10)
+        client.max_queued_messages_set(1000)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        if settings.user:
+            client.username_pw_set(settings.user, settings.password or None)
+        if settings.tls:
+            client.tls_set(ca_certs=None if settings.ca is None else str(settings.ca))
+        self._client = client
+
+    async def run(self) -> None:
+        """Tell until cancelled."""
+        self._client.connect_async(self._settings.host, self._settings.port, keepalive=10)
+        self._client.loop_start()
+        try:
+            while True:
+                if self._client.is_connected():
+                    self._tell_states()
+                    await self._tell_signals()
+                await asyncio.sleep(LOOK_S)
+        finally:
+            await asyncio.to_thread(self._end)
+
+    def _end(self) -> None:
+        if self._client.is_connected():
+            self._publish(f"{self.base}/status", OFFLINE).wait_for_publish(2.0)
+            self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        """Note that all is to be told anew; called in the client's thread."""
+        if reason.is_failure:
+            log.warning("the broker refuses", broker=self._settings.host, reason=str(reason))
+            return
+        log.info("broker reached", broker=self._settings.host)
+        self._anew = True
+
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            log.warning("broker gone; it is tried again", broker=self._settings.host, reason=str(reason))
+
+    def states(self) -> dict[str, str]:
+        """Return what the broker is to have: topic -> payload."""
+        made = {f"{self.base}/status": ONLINE if self._hub.connected else OFFLINE}
+        for entry in self._hub.memory["entries"]:
+            told = {name: entry.get(name) for name in _TOLD}
+            status = Status(entry["status"])
+            told["failed"] = bool(status & Status.TEST_FAILED)
+            told["confirmed"] = bool(status & Status.CONFIRMED_DTC)
+            made[f"{self.base}/dtc/{topic_part(entry['fault'])}"] = line(told)
+        return made
+
+    def _tell_states(self) -> None:
+        if self._anew:
+            self._anew = False
+            # What an earlier process left there of faults that have no entry now goes, too.
+            known = [f"{self.base}/dtc/{topic_part(fault['id'])}" for fault in self._hub.hello["faults"]]
+            self._told = dict.fromkeys(known, "?")
+        states = self.states()
+        for topic, payload in states.items():
+            if self._told.get(topic) != payload:
+                self._publish(topic, payload)
+                self._told[topic] = payload
+        for topic in [topic for topic in self._told if topic not in states]:
+            self._publish(topic, "")
+            del self._told[topic]
+
+    async def _tell_signals(self) -> None:
+        now = asyncio.get_running_loop().time()
+        if not self._settings.signals or now < self._next_s or not self._hub.connected:
+            return
+        self._next_s = now + 1.0 / self._settings.rate_hz
+        try:
+            answer = await self._hub.link.ask("values", signals=list(self._settings.signals))
+        except Refused as error:
+            log.warning("signals cannot be read", reason=str(error))
+            self._next_s = now + 10.0
+            return
+        for name, value in answer["values"].items():
+            self._client.publish(f"{self.base}/signal/{topic_part(name)}", line({"value": value}), qos=0)
+
+    def _publish(self, topic: str, payload: str) -> MQTTMessageInfo:
+        return self._client.publish(topic, payload, qos=1, retain=True)
+
+
+def topic_part(name: str) -> str:
+    """Return a name as one part of a topic."""
+    return re.sub(r"[/+#\x00-\x1f]", "_", name) or "_"
+
+
+async def publish(socket: Path, settings: BrokerSettings, name: str, stop: asyncio.Event) -> None:
+    """Tell a broker what the gateway of a status socket knows, until told to stop.
+
+    Raises:
+        GatewayError: it cannot be told: a certificate that is none, ...
+    """
+    hub = Hub(socket)
+    try:
+        publisher = Publisher(hub, settings, name)
+    except (OSError, ValueError) as error:
+        raise GatewayError(f"{settings.host}: {error}") from error
+    work = [asyncio.create_task(hub.run()), asyncio.create_task(publisher.run())]
+    ended = asyncio.create_task(stop.wait())
+    await asyncio.wait([*work, ended], return_when=asyncio.FIRST_COMPLETED)
+    for task in work:
+        task.cancel()
+    for result in await asyncio.gather(*work, return_exceptions=True):
+        if isinstance(result, Exception) and not isinstance(result, asyncio.CancelledError):
+            raise GatewayError(f"{settings.host}: {result}") from result

@@ -1,0 +1,168 @@
+"""The figures of a report, by bokeh."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bokeh.core.json_encoder import serialize_json
+from bokeh.document import Document
+from bokeh.models import ColumnDataSource, HoverTool
+from bokeh.plotting import figure
+
+from gateway.serve.report.collect import STEP_NS, Collector
+
+BAND, BAD, GOOD, INK, EDGE = "#3d7fc0", "#b3261e", "#1a6b3f", "#55616e", "#dfe4ea"
+HEIGHT = 190
+_ID = re.compile(r'"id": ?"(p\d+)"')
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure with its place in the page and what it shows, for those who do not see it."""
+
+    place: str
+    model: Any
+    text: str
+
+
+def documents(figures: Sequence[Figure]) -> tuple[str, str]:
+    """Return the figures as JSON for BokehJS, and which goes where; the same figures give the same text."""
+    document = Document()
+    for each in figures:
+        document.add_root(each.model)
+    text = serialize_json(document.to_json(deferred=False))
+    numbers: dict[str, str] = {}
+
+    def renamed(found: re.Match[str]) -> str:
+        return f'"id": "{numbers.setdefault(found[1], f"f{len(numbers)}")}"'
+
+    text = _ID.sub(renamed, text)
+    roots = {numbers[each.model.id]: each.place for each in figures}
+    return _safe(text), _safe(json.dumps([{"docid": "report", "roots": roots, "root_ids": list(roots)}]))
+
+
+def _safe(text: str) -> str:
+    """Return JSON that cannot end the script that it stands in."""
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _blank(title: str, **more: Any) -> Any:
+    made: Any = figure(height=HEIGHT, sizing_mode="stretch_width", toolbar_location=None, tools="", title=title, **more)
+    made.title.text_font_size, made.title.text_color = "13px", INK
+    made.background_fill_color = made.border_fill_color = None
+    made.outline_line_color = None
+    for axis in (*made.xaxis, *made.yaxis):
+        axis.axis_line_color = axis.major_tick_line_color = EDGE
+        axis.minor_tick_line_color = None
+        axis.major_label_text_color = axis.axis_label_text_color = INK
+        axis.axis_label_text_font_style = "normal"
+    for grid in (*made.xgrid, *made.ygrid):
+        grid.grid_line_color = EDGE
+    return made
+
+
+def band(title: str, columns: Iterable[tuple[float, float, Any]], *, marks: Sequence[float] = ()) -> Any:
+    """Return a residual over time.
+
+    Args:
+        title: of the figure.
+        columns: middle and width [s], and the bucket.
+        marks: times to be marked [s].
+    """
+    rows = list(columns)
+    data = {
+        "x": [_short(x) for x, _, _ in rows],
+        "w": [_short(w) for _, w, _ in rows],
+        "low": [_short(row["low"]) for _, _, row in rows],
+        "high": [_short(row["high"]) for _, _, row in rows],
+        "limit": [_short(row["limit"]) for _, _, row in rows],
+        "near": [_short(row["ratio"]) for _, _, row in rows],
+        "c": [BAD if row["ratio"] >= 1 else BAND for _, _, row in rows],
+    }
+    made = _blank(title)
+    source = ColumnDataSource(data)
+    bars = made.vbar(
+        x="x", width="w", top="high", bottom="low", fill_color="c", line_color="c", fill_alpha=0.75, source=source
+    )
+    made.line(x="x", y="limit", line_color=BAD, line_dash=[6, 4], line_width=1.6, source=source)
+    if marks:
+        made.vspan(x="x", line_color=INK, line_dash="dotted", source=ColumnDataSource({"x": list(marks)}))
+    shown = [("time", "@x s"), ("values", "@low to @high"), ("limit", "@limit"), ("of what is allowed", "@near")]
+    made.add_tools(HoverTool(renderers=[bars], tooltips=shown))
+    made.xaxis.axis_label = "s"
+    return made
+
+
+def timeline(rows: Sequence[tuple[str, float, float, bool]], points: Sequence[tuple[str, float]], end: float) -> Any:
+    """Return what was when: truth, and DTCs.
+
+    Args:
+        rows: name, from, to [s], whether it is a fault.
+        points: name and time [s] of what was injected.
+        end: of the run [s].
+    """
+    names = list(dict.fromkeys([*(name for name, *_ in rows), *(name for name, _ in points)]))[::-1]
+    made = _blank("", y_range=names or [""], x_range=(0.0, max(end, 1e-3)))
+    made.height = 70 + 26 * max(len(names), 1)
+    bars: dict[str, list[Any]] = {
+        "y": [r[0] for r in rows],
+        "left": [r[1] for r in rows],
+        "right": [r[2] for r in rows],
+        "c": [BAD if r[3] else GOOD for r in rows],
+    }
+    made.hbar(
+        y="y", left="left", right="right", height=0.5, fill_color="c", line_color="c", source=ColumnDataSource(bars)
+    )
+    dots = {"y": [name for name, _ in points], "x": [t for _, t in points]}
+    made.scatter(
+        x="x", y="y", size=11, marker="diamond", fill_color="#f0a93b", line_color=INK, source=ColumnDataSource(dots)
+    )
+    made.xaxis.axis_label = "s"
+    return made
+
+
+def load(name: str, found: Collector, bus: int, rates: tuple[int | None, int | None]) -> Any:
+    """Return how busy a bus was: share of time where the bit rate is known, else kbit/s."""
+    width = found.width_ns / 1e9
+    places = sorted(found.loads)
+    if rates[0]:
+        values = [
+            found.loads[k][bus][0] / rates[0] / width + (found.loads[k][bus][1] / rates[1] / width if rates[1] else 0.0)
+            for k in places
+        ]
+        unit = "share of time"
+    else:
+        values = [float(found.loads[k][bus][:2].sum()) / width / 1e3 for k in places]
+        unit = "kbit/s; no bit rate is configured"
+    made = _blank(f"{name}: {unit}")
+    data = {
+        "x": [_short((k + 0.5) * width - found.first_ns / 1e9) for k in places],
+        "top": [_short(v) for v in values],
+    }
+    made.vbar(x="x", top="top", width=width, fill_color=BAND, line_color=BAND, source=ColumnDataSource(data))
+    made.xaxis.axis_label = "s"
+    return made
+
+
+def columns_of(found: Collector, fault: int) -> list[tuple[float, float, Any]]:
+    """Return the columns of a fault over the whole run: middle and width [s], bucket."""
+    width = found.width_ns / 1e9
+    return [
+        ((place * found.width_ns - found.first_ns) / 1e9 + width / 2, width, buckets[fault])
+        for place, buckets in sorted(found.columns.items())
+        if buckets[fault]["count"] > 0 and buckets[fault]["numbers"] > 0
+    ]
+
+
+def fine_columns(columns: dict[int, Any], first_ns: int) -> list[tuple[float, float, Any]]:
+    """Return the columns around a failure: middle and width [s], bucket."""
+    width = STEP_NS / 1e9
+    return [((k * STEP_NS - first_ns) / 1e9 + width / 2, width, row) for k, row in sorted(columns.items())]
+
+
+def _short(value: float) -> float:
+    return float(f"{float(value):.7g}")

@@ -1,0 +1,289 @@
+"""The page of a report."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import bokeh
+import numpy as np
+
+from gateway import __version__
+from gateway.common.jsonlines import line
+from gateway.faults.entries import Entry
+from gateway.faults.remedy import severity_names
+from gateway.faults.service import as_dict
+from gateway.faults.status import Status
+from gateway.runtime.app import Gateway
+from gateway.serve.bokeh_files import bokeh_folder
+from gateway.serve.report.collect import Collector
+from gateway.serve.report.figures import Figure, band, columns_of, documents, fine_columns, load, timeline
+from gateway.serve.words import number, told_in_words
+
+#: Figures of residuals without a failure.
+MOST_OTHERS = 6
+STYLE = Path(__file__).parent.parent / "static" / "page.css"
+#: What is of this machine and this moment, and not of the run.
+OF_THE_MOMENT = ("seconds", "frames_per_s")
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a report says of its run.
+
+    Attributes:
+        title: of the run.
+        source: what was read or played, and its hash, one line each: name, text.
+        config_file: the configuration.
+        findings: whether it is as expected, and what; none: nothing was expected.
+        truth: what was injected: text and time [ns].
+        events: of the JSON contract, after those that the collector has.
+    """
+
+    title: str
+    source: Sequence[tuple[str, str]]
+    config_file: Path
+    findings: Sequence[tuple[bool, str]] = ()
+    truth: Sequence[tuple[str, int]] = ()
+    events: Sequence[Mapping[str, Any]] = ()
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, or of all files of a folder in the order of their names."""
+    made = hashlib.sha256()
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        with file.open("rb") as opened:
+            while part := opened.read(1 << 20):
+                made.update(part)
+    return made.hexdigest()
+
+
+def write_report(path: Path, gateway: Gateway, found: Collector, told: Told) -> None:
+    """Write the report of a run that is over.
+
+    Args:
+        path: of the file.
+        gateway: that it went through, still open.
+        found: what was collected.
+        told: what else there is to say.
+    """
+    path.write_text(_Page(gateway, found, told).text(), encoding="utf-8")
+
+
+class _Page:
+    def __init__(self, gateway: Gateway, found: Collector, told: Told) -> None:
+        self._gateway, self._found, self._told = gateway, found, told
+        self._figures: list[Figure] = []
+        self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.first_ns or 0, str(entry.dtc)))
+        self._events = [_lasting(event) for event in (*found.events, *told.events)]
+
+    def text(self) -> str:
+        parts = [
+            self._verdict(), self._timeline(), self._codes(), self._residuals(), self._tests(), self._buses(),
+            self._settings(),
+        ]  # fmt: skip
+        document, places = documents(self._figures)
+        script = (bokeh_folder() / "bokeh.min.js").read_text(encoding="utf-8").replace("</script", "<\\/script")
+        policy = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+        title = escape(f"{self._told.title} - gateway")
+        return "\n".join(
+            [
+                '<!doctype html>\n<html lang="en" data-theme="light">\n<head>\n<meta charset="utf-8">',
+                f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+                '<meta name="viewport" content="width=device-width, initial-scale=1">',
+                f"<title>{title}</title>\n<style>{STYLE.read_text(encoding='utf-8')}</style>\n</head>\n<body>",
+                f'<header class="top"><div class="brand"><h1>{escape(self._told.title)}</h1></div></header>\n<main>',
+                *parts,
+                "</main>",
+                f'<script type="application/json" id="events">{_json(self._events)}</script>',
+                f'<script type="application/json" id="figures">{document}</script>',
+                f'<script type="application/json" id="places">{places}</script>',
+                f"<script>{script}</script>",
+                "<script>const of = (id) => JSON.parse(document.getElementById(id).textContent);"
+                'Bokeh.set_log_level("warn");'
+                'Bokeh.embed.embed_items({report: of("figures")}, of("places"));</script>',
+                "</body>\n</html>\n",
+            ]
+        )
+
+    def _seconds(self, t_ns: int | None) -> float:
+        return 0.0 if t_ns is None else round((t_ns - self._found.first_ns) / 1e9, 6)
+
+    def _figure(self, model: Any, text: str) -> str:
+        place = f"figure-{len(self._figures)}"
+        self._figures.append(Figure(place, model, text))
+        return f'<div id="{place}" class="figure" role="img" aria-label="{escape(text)}"></div>'
+
+    def _verdict(self) -> str:
+        findings, entries = self._told.findings, self._entries
+        if findings:
+            good = all(good for good, _ in findings)
+            text = "As expected" if good else "Not as expected"
+        else:
+            good = not entries
+            codes = ", ".join(str(entry.dtc) for entry in entries)
+            text = "No trouble codes" if good else f"Trouble codes: {codes}"
+        lines = "".join(
+            f"<li>{'as expected' if ok else 'NOT as expected'}: {escape(what)}</li>" for ok, what in findings
+        )
+        facts = [
+            *self._told.source,
+            ("length", f"{self._seconds(self._found.last_ns):.3f} s"),
+            ("frames", str(self._gateway.engine.counters()["frames"])),
+        ]
+        kind = "good" if good else "bad"
+        head = f'<section class="verdict {kind}"><p>{escape(text)}</p><ul class="plain">{lines}</ul></section>'
+        return head + _card("Run", _facts(facts))
+
+    def _timeline(self) -> str:
+        since: dict[str, float] = {}
+        rows: list[tuple[str, float, float, bool]] = []
+        end = self._seconds(self._found.last_ns)
+        for event in self._found.events:
+            if event["event"] != "dtc":
+                continue
+            name = f"{event['dtc']} {event['fault']}"
+            failed = bool(event["status"] & Status.TEST_FAILED)
+            if failed:
+                since.setdefault(name, self._seconds(event["t_ns"]))
+            elif name in since:
+                rows.append((name, since.pop(name), self._seconds(event["t_ns"]), True))
+        rows += [(name, begun, end, True) for name, begun in since.items()]
+        points = [(f"injected: {text}", self._seconds(t_ns)) for text, t_ns in self._told.truth]
+        if not rows and not points:
+            return _card("Timeline", '<p class="none">Nothing failed.</p>')
+        said = "; ".join(f"{name} from {a:.3f} s to {b:.3f} s" for name, a, b, _ in rows)
+        return _card("Timeline", self._figure(timeline(rows, points, end), said or "what was injected"))
+
+    def _codes(self) -> str:
+        if not self._entries:
+            return _card("Trouble codes", '<p class="none">No trouble codes.</p>')
+        return _card("Trouble codes", "".join(self._code(entry) for entry in self._entries))
+
+    def _code(self, entry: Entry) -> str:
+        shown = as_dict(entry)
+        definition = self._gateway.memory.definition(entry.fault)
+        severity, _ = severity_names(definition.severity)
+        words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity})
+        bits = " ".join(bit.name or "" for bit in Status(entry.status)) or "none"
+        parts = [
+            f'<article class="dtc" data-dtc="{entry.dtc}"><div class="more"><h3>{entry.dtc} {escape(entry.fault)}</h3>',
+            f'<p class="muted">{escape(definition.description)}</p>',
+            f"<p>status 0x{int(entry.status):02X}: {escape(bits)}; occurrence {entry.occurrence};"
+            f" first {self._seconds(entry.first_ns):.4f} s, last {self._seconds(entry.last_ns):.4f} s</p>",
+            "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in words) + "</ul>",
+        ]
+        if entry.inputs:
+            parts.append(_values("What its monitor saw then", entry.inputs))
+        parts += [
+            _values(f"Freeze frame {frame.number}, {self._seconds(frame.t_ns):.4f} s", frame.content)
+            for frame in entry.freeze_frames
+        ]
+        return "".join(parts) + "</div></article>"
+
+    def _residuals(self) -> str:
+        found, index = self._found, {d.id: k for k, d in enumerate(self._gateway.catalogue)}
+        failed: dict[str, list[float]] = {}
+        for window in found.windows:
+            failed.setdefault(window.fault, []).append(self._seconds(window.t_ns))
+        parts = []
+        for window in found.windows:
+            columns = fine_columns(window.columns, found.first_ns)
+            if columns:
+                at = self._seconds(window.t_ns)
+                title = f"{window.fault} around its failure at {at:.3f} s"
+                parts.append(self._figure(band(title, columns, marks=[at]), title))
+        total = found.total
+        order = sorted(index, key=lambda name: (name not in failed, -float(total[index[name]]["ratio"]), index[name]))
+        others = 0
+        for name in order:
+            columns = columns_of(found, index[name])
+            others += name not in failed
+            if columns and (name in failed or (others <= MOST_OTHERS and total[index[name]]["ratio"] > 0)):
+                title = f"{name} over the whole run, {number(float(total[index[name]]['ratio']))} of what is allowed"
+                parts.append(self._figure(band(title, columns, marks=failed.get(name, ())), title))
+        return _card("Residuals against their limits", "".join(parts) or '<p class="none">No test has run.</p>')
+
+    def _tests(self) -> str:
+        rows = []
+        for definition, row in zip(self._gateway.catalogue, self._found.total, strict=True):
+            count = int(row["count"])
+            cells = [f"<th scope=row>{escape(definition.id)}</th>", f"<td>{definition.dtc}</td>", _number(count)]
+            cells.append(_number(int(row["failed"]) if count else 0))
+            known = count > 0 and row["numbers"] > 0
+            cells += [
+                _number(float(row[name])) if known else '<td class="number"></td>' for name in ("low", "high", "ratio")
+            ]
+            rows.append(cells)
+        head = ("Test", "DTC", "Results", "Failed", "Least", "Greatest", "Nearest (1: the limit)")
+        return _card("Tests", _table(head, rows))
+
+    def _buses(self) -> str:
+        found = self._found
+        parts = []
+        for k, bus in enumerate(self._gateway.config.bus):
+            frames = int(sum(load_[k][2] for load_ in found.loads.values()))
+            errors = {name: n for name, n in self._gateway.engine.error_counters(k).items() if n}
+            parts.append(f"<p>{escape(bus.name)}: {frames} frames; errors: {escape(str(errors or 'none'))}</p>")
+            if frames:
+                parts.append(
+                    self._figure(load(bus.name, found, k, (bus.bitrate, bus.data_bitrate)), f"load of {bus.name}")
+                )
+        return _card("Buses", "".join(parts))
+
+    def _settings(self) -> str:
+        text = self._told.config_file.read_text(encoding="utf-8")
+        facts = [
+            ("configuration", f"{self._told.config_file.name}, SHA-256 {file_hash(self._told.config_file)}"),
+            ("gateway", __version__),
+            ("Python, NumPy, bokeh", f"{platform.python_version()}, {np.__version__}, {bokeh.__version__}"),
+        ]
+        if self._found.left_out:
+            facts.append(("events left out of this file", str(self._found.left_out)))
+        return _card(
+            "Configuration and versions",
+            f"{_facts(facts)}<details><summary>{escape(self._told.config_file.name)}</summary>"
+            f'<pre class="mono">{escape(text)}</pre></details>',
+        )
+
+
+def _lasting(event: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an event without what another run of the same would say otherwise."""
+    made = {name: value for name, value in event.items() if name not in OF_THE_MOMENT}
+    if made["event"] == "log":
+        made["file"] = Path(made["file"]).name
+    return made
+
+
+def _json(value: Any) -> str:
+    return line(value).replace("<", "\\u003c")
+
+
+def _card(title: str, body: str) -> str:
+    return f'<section class="card"><h2>{escape(title)}</h2>{body}</section>'
+
+
+def _number(value: float | None) -> str:
+    return f'<td class="number">{number(value)}</td>'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    numbers = [k for k, cell in enumerate(rows[0] if rows else ()) if cell.startswith('<td class="number"')]
+    kinds = [' class="number"' if k in numbers else "" for k in range(len(head))]
+    titles = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for text, kind in zip(head, kinds, strict=True))
+    body = "".join(f"<tr>{''.join(cells)}</tr>" for cells in rows)
+    return f"<table>{f'<thead><tr>{titles}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def _facts(facts: Sequence[tuple[str, str]]) -> str:
+    return _table((), [[f"<th scope=row>{escape(name)}</th>", f"<td>{escape(text)}</td>"] for name, text in facts])
+
+
+def _values(title: str, values: Mapping[str, float | None]) -> str:
+    rows = [[f"<th scope=row>{escape(name)}</th>", _number(value)] for name, value in values.items()]
+    return f'<p class="muted">{escape(title)}</p>{_table((), rows)}'

@@ -1,0 +1,210 @@
+"""The server: uvicorn, with connections that do not say what they want closed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import secrets
+import signal
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from gateway.errors import GatewayError, InputError
+from gateway.serve.app import Page
+from gateway.serve.guard import Guard, Rights, is_loopback
+from gateway.serve.hub import Hub
+
+#: A connection that has not said within so long [s] what it wants is closed.
+HEAD_S = 10.0
+#: Connections at a time.
+MOST_CONNECTIONS = 128
+#: How often a server looks for who started it [s].
+PARENT_S = 1.0
+
+
+@dataclass(frozen=True)
+class ServeSettings:
+    """Where the page is served.
+
+    Attributes:
+        socket: the daemon's status socket.
+        host: address that is listened at.
+        port: 0: any that is free.
+        names: further names that this server is known by.
+        read_token_file, control_token_file: files of the tokens.
+        certificate, key: PEM files for TLS.
+        parent: end when this process is not the parent any more; None: do not look.
+    """
+
+    socket: Path
+    host: str = "127.0.0.1"
+    port: int = 8808
+    names: tuple[str, ...] = ()
+    read_token_file: Path | None = None
+    control_token_file: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    parent: int | None = None
+
+
+class _Protocol(H11Protocol):
+    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away."""
+
+    _silent: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._arm()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._arm()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._silent is not None:
+            self._silent.cancel()
+        super().connection_lost(exc)
+
+    def _arm(self) -> None:
+        if self._silent is not None:
+            self._silent.cancel()
+        self._silent = self.loop.call_later(HEAD_S, self._end_if_silent)
+
+    def _end_if_silent(self) -> None:
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.abort()
+
+
+def rights_of(settings: ServeSettings) -> Rights:
+    """Return who may what.
+
+    Raises:
+        InputError: an address that others can reach without tokens and TLS; a token file that is no good.
+    """
+    local = is_loopback(settings.host)
+    if (settings.certificate is None) != (settings.key is None):
+        raise InputError("certificate and key go together", key="--cert, --key")
+    if not local:
+        for name, given in (("--read-token-file", settings.read_token_file), ("--cert", settings.certificate)):
+            if given is None:
+                raise InputError(
+                    f"an address that other machines can reach needs tokens and TLS; give {name}",
+                    key="--host",
+                    value=settings.host,
+                )
+    read = _token(settings.read_token_file)
+    control = _token(settings.control_token_file) or (secrets.token_urlsafe(24) if local else "")
+    if read and read == control:
+        raise InputError("reading and changing are two rights: two tokens", key="--control-token-file")
+    names = {settings.host.strip("[]").lower(), *(name.lower() for name in settings.names)}
+    if local:
+        names |= {"localhost", "127.0.0.1", "::1"}
+    names -= {"0.0.0.0", "::"}  # noqa: S104 - these are no names
+    if not names:
+        raise InputError("listening everywhere needs the names that this server is known by", key="--name")
+    return Rights(frozenset(names), read, control, secure=settings.certificate is not None)
+
+
+def _token(file: Path | None) -> str:
+    if file is None:
+        return ""
+    try:
+        token = file.read_text(encoding="ascii").strip()
+        mode = file.stat().st_mode
+    except (OSError, ValueError) as error:
+        raise InputError(f"no token can be read here: {error}", file=file) from error
+    if mode & 0o077:
+        raise InputError("others can read this token: chmod 600", file=file)
+    if len(token) < 16 or not token.isprintable() or " " in token:
+        raise InputError("a token is one word of 16 characters or more", file=file)
+    return token
+
+
+def open_socket(settings: ServeSettings) -> socket.socket:
+    """Return a socket that listens at the address.
+
+    Raises:
+        InputError: it cannot be.
+    """
+    host = settings.host.strip("[]")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    made = socket.socket(family, socket.SOCK_STREAM)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((host, settings.port))
+        made.listen(64)  # from here on who comes waits until the server is there
+    except OSError as error:
+        made.close()
+        raise InputError(f"{error.strerror or error}", key="--host, --port", value=f"{host}:{settings.port}") from error
+    return made
+
+
+def url_of(settings: ServeSettings, rights: Rights, port: int) -> str:
+    """Return the address of the page, the control token behind its #, where no server sees it."""
+    host = f"[{settings.host}]" if ":" in settings.host and "[" not in settings.host else settings.host
+    scheme = "https" if rights.secure else "http"
+    own = rights.control_token and settings.control_token_file is None
+    return f"{scheme}://{host}:{port}/" + (f"#control={rights.control_token}" if own else "")
+
+
+class _Server(uvicorn.Server):
+    """Ends, too, when who started it is gone."""
+
+    def __init__(self, config: uvicorn.Config, parent: int | None) -> None:
+        super().__init__(config)
+        self._parent = parent
+        self._looked = 0.0
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """End in good order at SIGINT and SIGTERM; uvicorn's own would raise them again, and end with their code."""
+        before = {number: signal.signal(number, self.handle_exit) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    async def on_tick(self, counter: int) -> bool:
+        if self._parent is not None and counter % 10 == 0 and os.getppid() != self._parent:
+            self.should_exit = True
+        return await super().on_tick(counter)
+
+
+def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> None:
+    """Serve until a signal comes.
+
+    Raises:
+        GatewayError: it cannot: a certificate that is none, ...
+    """
+    more: dict[str, Any] = {}
+    if settings.certificate is not None:
+        more = {"ssl_certfile": settings.certificate, "ssl_keyfile": settings.key}
+    hub = Hub(settings.socket)
+    config = uvicorn.Config(
+        Guard(Page(hub).app(), rights),
+        http=_Protocol,
+        loop="asyncio",
+        ws="none",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_keep_alive=5,
+        timeout_graceful_shutdown=1,  # streams never end by themselves
+        h11_max_incomplete_event_size=16 << 10,
+        **more,
+    )
+    try:
+        _Server(config, settings.parent).run(sockets=[listener])
+    except OSError as error:
+        raise GatewayError(f"the page cannot be served: {error}") from error

@@ -1,0 +1,33 @@
+// Small helpers: elements from texts, never from markup.
+
+export function make(name, attributes = {}, ...children) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else element.setAttribute(key, value === true ? "" : value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+export const byId = (id) => document.getElementById(id);
+
+// Sets a text only where it changed: screen readers and selections stay calm.
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function number(value, digits = 4) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  return Number(value.toPrecision(digits)).toLocaleString("en", { maximumSignificantDigits: digits, useGrouping: false });
+}
+
+// A gateway's time [ms]: the clock's, or seconds of a simulation.
+export function clock(ms) {
+  if (ms === null || ms === undefined) return "–";
+  if (ms < 1e11) return `${(ms / 1000).toFixed(3)} s`;
+  const date = new Date(ms);
+  const two = (n, width = 2) => String(n).padStart(width, "0");
+  return `${two(date.getHours())}:${two(date.getMinutes())}:${two(date.getSeconds())}.${two(date.getMilliseconds(), 3)}`;
+}

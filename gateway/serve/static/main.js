@@ -1,0 +1,214 @@
+// The page: what the stream tells goes to its parts; drawing has its own pace.
+
+import { get, keepToken, listen, mayChange, post } from "/static/api.js";
+import { byId, clock, say } from "/static/dom.js";
+import { Dtcs } from "/static/dtcs.js";
+import { Residuals } from "/static/residuals.js";
+import { showBuses, showCycle, showInjected, showLog, showMessages, textOf } from "/static/tables.js";
+
+const DRAW_MS = 200;
+const state = {
+  connected: false, reason: "", memory: { entries: [], cycles: {}, readiness: [], stored: true, error: "" }, bits: [],
+  events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
+};
+const residuals = new Residuals();
+const dtcs = new Dtcs((dtc) => askClear(dtc));
+
+// What comes
+
+const takes = {
+  state(told) {
+    const again = state.hello !== undefined;
+    Object.assign(state, { hello: told.hello, connected: told.connected, reason: told.reason, memory: told.memory,
+      bits: told.bits, events: told.events, messages: told.messages });
+    say(byId("name"), told.hello.name || "gateway");
+    document.title = told.hello.name ? `${told.hello.name} – gateway` : "gateway";
+    say(byId("version"), told.hello.version ? `gateway ${told.hello.version}` : "");
+    residuals.begin(told.hello.faults);
+    if (again) residuals.forget();
+    for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
+    showBuses(told.buses);
+    showMessages(state.messages, byId("find").value);
+    showMemory();
+    showEvents();
+    showLink();
+  },
+  link(told) {
+    Object.assign(state, told);
+    showLink();
+  },
+  tick(tick) {
+    state.latest = tick.t;
+    state.came = performance.now();
+    residuals.tick(tick);
+  },
+  event(event) {
+    if (event.event === "monitor") return;
+    state.events.push(event);
+    if (state.events.length > 300) state.events.shift();
+    if (event.event === "dtc" && event.status & 1) {
+      say(byId("announce"), textOf(event));
+      if (byId("freeze").checked && !state.paused) state.asked = { at: event.t_ms, dtc: event.dtc };
+    }
+    soon(showEvents);
+  },
+  memory(memory) {
+    state.memory = memory;
+    showMemory();
+  },
+  buses: (buses) => soon(() => showBuses(buses), "buses"),
+  messages(messages) {
+    state.messages = messages;
+    if (!state.paused) showMessages(messages, byId("find").value);
+  },
+};
+
+const waiting = new Map();
+function soon(work, name = work.name) {
+  if (!waiting.size) setTimeout(() => { const all = [...waiting.values()]; waiting.clear(); all.forEach((f) => f()); }, 100);
+  waiting.set(name, work);
+}
+
+function showEvents() {
+  showLog(state.events);
+  showInjected(state.events);
+}
+
+function showMemory() {
+  dtcs.show(state.memory, state.bits);
+  dtcs.counters(residuals);
+  showCycle(state.memory);
+  showVerdict();
+}
+
+function showLink() {
+  const pill = byId("link");
+  say(pill, state.connected ? "monitoring" : "gateway not reached");
+  pill.className = `pill ${state.connected ? "good" : "bad"}`;
+  pill.title = state.reason;
+  showVerdict();
+}
+
+function showVerdict() {
+  const place = byId("verdict");
+  const failing = state.memory.entries.filter((entry) => entry.status & 1);
+  const stored = state.memory.entries.length - failing.length;
+  const count = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
+  let [kind, text, more] = ["good", "No faults", "All tests that have run have passed."];
+  if (!state.connected) {
+    [kind, text, more] = ["", "The gateway is not reached", state.reason];
+  } else if (failing.length) {
+    const named = failing.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
+    [kind, text, more] = ["bad", `${count(failing.length, "fault")} now`, named.slice(0, 3).join("; ")];
+  } else if (stored) {
+    [kind, text, more] = ["warning", "No faults now", `${count(stored, "trouble code")} stored of faults that were there.`];
+  }
+  place.className = `verdict ${kind}`;
+  say(byId("verdict-text"), text);
+  say(byId("verdict-more"), more);
+}
+
+// What is drawn
+
+function view() {
+  const seconds = Number(byId("window").value);
+  const running = Math.min(performance.now() - state.came, 1000);
+  const end = state.paused ? state.end : state.latest + (state.connected ? running : 0);
+  return { from: end - seconds * 1000, to: end, zero: state.paused ? state.zero : end, seconds };
+}
+
+function draw() {
+  const seconds = Number(byId("window").value);
+  if (state.asked && state.latest >= state.asked.at + Math.min(seconds * 300, 3000)) {
+    const { at, dtc } = state.asked;
+    pause(true, at + Math.min(seconds * 300, 3000), at, `Frozen at ${clock(at)}, when ${dtc} failed. Time 0 is the failure.`);
+    state.asked = null;
+  }
+  if (!document.hidden) {
+    residuals.redraw(view());
+    dtcs.counters(residuals);
+  }
+  setTimeout(draw, DRAW_MS);
+}
+
+function pause(on, end = state.latest, zero = end, why = `Paused at ${clock(end)}. Monitoring goes on.`) {
+  Object.assign(state, { paused: on, end, zero });
+  const button = byId("pause");
+  button.setAttribute("aria-pressed", String(on));
+  say(button, on ? "Go on" : "Pause");
+  byId("frozen").hidden = !on;
+  say(byId("frozen"), on ? why : "");
+}
+
+// What is asked
+
+function ask(title, text, yes, work) {
+  const dialog = byId("dialog");
+  say(byId("dialog-title"), title);
+  say(byId("dialog-text"), text);
+  say(byId("dialog-yes"), yes);
+  byId("dialog-error").hidden = true;
+  byId("dialog-token-row").hidden = mayChange();
+  byId("dialog-yes").onclick = async () => {
+    const token = byId("dialog-token").value;
+    if (token) keepToken("control", token);
+    byId("dialog-token").value = "";
+    try {
+      await work();
+      dialog.close();
+    } catch (error) {
+      byId("dialog-error").hidden = false;
+      say(byId("dialog-error"), error.status === 401 ? "This needs the control token, which the gateway said at its start." : error.message);
+      if (error.status === 401) {
+        keepToken("control", "");
+        byId("dialog-token-row").hidden = false;
+        byId("dialog-token").focus();
+      }
+    }
+  };
+  dialog.showModal();
+}
+
+function askClear(dtc) {
+  const what = dtc ?? "all trouble codes";
+  ask(`Clear ${what}?`, "Freeze frames, evidence and recordings of it are gone then, for testers too.", "Clear",
+    () => post("/api/clear", dtc ? { dtc } : {}));
+}
+
+byId("clear").addEventListener("click", () => askClear(null));
+byId("cycle").addEventListener("click", () => ask("Begin a new operation cycle?",
+  "The running one ends, as at key off and on: counters of confirming, healing and aging go on.", "New cycle",
+  () => post("/api/cycle", {})));
+byId("pause").addEventListener("click", () => pause(!state.paused));
+byId("find").addEventListener("input", () => showMessages(state.messages, byId("find").value));
+document.addEventListener("keydown", (event) => {
+  if (event.key === "p" && !event.target.closest("input, select, dialog") && !event.ctrlKey && !event.metaKey) pause(!state.paused);
+});
+
+const THEMES = ["auto", "light", "dark"];
+function theme(name) {
+  localStorage.setItem("theme", name);
+  if (name === "auto") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = name;
+  say(byId("theme"), `Theme: ${name}`);
+  residuals.recolour();
+}
+byId("theme").addEventListener("click", () => {
+  theme(THEMES[(THEMES.indexOf(localStorage.getItem("theme") ?? "auto") + 1) % THEMES.length]);
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => residuals.recolour());
+theme(localStorage.getItem("theme") ?? "auto");
+
+async function begin() {
+  try {
+    await get("/api/history?faults=");
+  } catch (error) {
+    if (error.status === 401) {
+      const token = prompt("Token for reading this page");
+      if (token) keepToken("read", token);
+    }
+  }
+  listen((kind, told) => takes[kind]?.(told), (why) => takes.link({ connected: false, reason: why }));
+  draw();
+}
+begin();

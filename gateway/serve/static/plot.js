@@ -1,0 +1,87 @@
+// One residual over time: a column for each bucket, from its least to its greatest value, and the limit.
+
+const Bokeh = globalThis.Bokeh;
+
+const colour = (name) => {
+  const probe = document.createElement("span");
+  probe.style.color = `var(--${name})`;
+  document.body.append(probe);
+  const found = getComputedStyle(probe).color;
+  probe.remove();
+  return found;
+};
+
+export class Plot {
+  constructor(place, title) {
+    this.place = place;
+    this.title = title;
+    this.source = new Bokeh.ColumnDataSource({ data: { x: [], low: [], high: [], width: [], colour: [] } });
+    this.limit = new Bokeh.ColumnDataSource({ data: { x: [], y: [] } });
+    this.x = new Bokeh.Range1d({ start: -30, end: 0 });
+    this.y = new Bokeh.Range1d({ start: 0, end: 1 });
+    this.draw();
+  }
+
+  async draw() {
+    const ink = colour("muted");
+    this.good = colour("band");
+    this.bad = colour("bad");
+    const edge = colour("edge");
+    const figure = Bokeh.Plotting.figure({
+      height: 160, sizing_mode: "stretch_width", tools: "", toolbar_location: null, x_range: this.x, y_range: this.y,
+      background_fill_color: null, border_fill_color: null, outline_line_color: null, min_border: 4,
+      name: this.title,
+    });
+    for (const axis of [...figure.xaxis, ...figure.yaxis]) {
+      axis.axis_line_color = edge;
+      axis.major_tick_line_color = edge;
+      axis.minor_tick_line_color = null;
+      axis.major_label_text_color = ink;
+      axis.axis_label_text_color = ink;
+      axis.major_label_text_font = axis.axis_label_text_font = "system-ui, sans-serif";
+      axis.major_label_text_font_size = axis.axis_label_text_font_size = "12px";
+      axis.axis_label_text_font_style = "normal";
+      axis.axis_label_standoff = 2;
+    }
+    for (const grid of [...figure.xgrid, ...figure.ygrid]) grid.grid_line_color = edge;
+    figure.vbar({
+      x: { field: "x" }, width: { field: "width" }, top: { field: "high" }, bottom: { field: "low" },
+      fill_color: { field: "colour" }, line_color: { field: "colour" }, line_width: 1.4, fill_alpha: 0.75, source: this.source,
+    });
+    figure.line({
+      x: { field: "x" }, y: { field: "y" }, line_color: this.bad, line_dash: [6, 4], line_width: 1.8, source: this.limit,
+    });
+    this.view?.remove?.();
+    this.place.replaceChildren();
+    this.view = await Bokeh.Plotting.show(figure, this.place);
+  }
+
+  // Columns as Series.between gives them; times relative to zero [ms].
+  update(part, zero, from, to) {
+    // A column begins where the one before it ended: on a busy machine a look comes late, and says more.
+    const spans = part.t.map((t, k) => {
+      const gap = k ? t - part.t[k - 1] : part.width;
+      return gap < 8 * part.width ? gap : part.width;
+    });
+    const seconds = part.t.map((t, k) => (t - zero - spans[k] / 2) / 1000);
+    const colours = part.ratio.map((ratio) => (ratio >= 1 ? this.bad : this.good));
+    const width = spans.map((span) => span / 1000);
+    this.x.setv({ start: (from - zero) / 1000, end: (to - zero) / 1000 });
+    const least = Math.min(...part.low, ...part.threshold);
+    const most = Math.max(...part.high, ...part.threshold);
+    if (Number.isFinite(least)) {
+      const room = (most - least || Math.abs(most) || 1) * 0.08;
+      const [low, high] = [least - room, most + room];
+      // Only where it is needed: an axis that moves with each value cannot be read.
+      const span = this.y.end - this.y.start;
+      if (low < this.y.start || high > this.y.end || high - low < span * 0.6) this.y.setv({ start: low, end: high });
+    }
+    this.source.data = { x: seconds, low: part.low, high: part.high, width, colour: colours };
+    this.limit.data = { x: seconds, y: part.threshold };
+  }
+
+  close() {
+    this.view?.remove?.();
+    this.place.replaceChildren();
+  }
+}

@@ -1,0 +1,94 @@
+// Buses, messages, operation cycle and events.
+
+import { byId, clock, make, number, say } from "/static/dom.js";
+
+const fact = (name, value) => make("span", {}, `${name} `, make("b", {}, value));
+
+export function showBuses(buses) {
+  byId("buses").replaceChildren(...buses.map((bus) => {
+    const open = bus.state === "open";
+    const fill = make("span");
+    const load = make("span", { class: `bar plain${bus.load > 0.9 ? " failed" : bus.load > 0.7 ? " near-limit" : ""}`,
+      "aria-hidden": "true" }, fill);
+    fill.style.width = `${Math.min(bus.load ?? 0, 1) * 100}%`;
+    const errors = Object.entries(bus.errors).filter(([name]) => name !== "lost").map(([name, count]) => `${name} ${count}`);
+    const facts = [
+      bus.load === null ? fact("load", bus.bitrate ? "–" : "bit rate not configured") : fact("load", `${(bus.load * 100).toFixed(1)} %`),
+      fact("", bus.kbit_per_s === null ? "–" : `${number(bus.kbit_per_s, 3)} kbit/s`),
+      fact("", bus.frames_per_s === null ? "–" : `${number(bus.frames_per_s, 4)} frames/s`),
+      ...[["received", "received"], ["sent", "sent"], ["frames lost", "overflow"], ["times lost", "losses"]]
+        .filter(([, key]) => key in bus).map(([name, key]) => fact(name, String(bus[key]))),
+      fact("errors", errors.join(", ") || "none"),
+    ];
+    if (bus.filtered) facts.push(make("span", {}, "load of the frames that are listened to"));
+    const state = make("span", { class: `pill ${open ? "good" : "bad"}` }, bus.state ?? "unknown");
+    return make("div", { class: "bus" }, make("div", { class: "line" }, make("h3", {}, bus.bus), state),
+      make("p", { class: "muted mono" }, bus.reason || bus.uri || ""), bus.load === null ? null : load,
+      make("div", { class: "facts" }, ...facts));
+  }));
+}
+
+export function showMessages(messages, find) {
+  const wanted = find.trim().toLowerCase();
+  const found = messages.filter((m) => !wanted || [m.name, m.id, m.bus, ...m.signals.map((s) => s[0])].join(" ").toLowerCase().includes(wanted));
+  const head = ["Bus", "Id", "Message", "Period", "Least, greatest", "Count", "Signals"];
+  const rows = found.map((m) => {
+    const signals = m.signals.map(([name, value, unit]) => `${name} ${typeof value === "number" ? number(value) : value ?? "–"}${unit ? ` ${unit}` : ""}`);
+    const late = m.expected_ms && m.period_ms > 1.5 * m.expected_ms;
+    return make("tr", {}, make("td", { class: "hide-small" }, m.bus), make("td", { class: "mono number" }, m.id), make("td", {}, m.name ?? "unknown"),
+      make("td", { class: `number${late ? " warn" : ""}` }, m.period_ms === null ? "–" : `${number(m.period_ms, 3)} ms`),
+      make("td", { class: "number hide-small" }, m.period_ms === null ? "–" : `${number(m.shortest_ms, 3)}, ${number(m.longest_ms, 3)}`),
+      make("td", { class: "number hide-small" }, String(m.count)),
+      make("td", { class: signals.length ? "" : "mono" }, signals.join(" · ") || m.data));
+  });
+  const place = byId("messages");
+  if (!rows.length) {
+    place.replaceChildren(make("p", { class: "none" }, messages.length ? "None of that name." : "No frames yet."));
+    return;
+  }
+  const small = new Set(["Bus", "Least, greatest", "Count"]);
+  const titles = head.map((text, k) => make("th", { scope: "col", class: `${k === 1 || k > 2 && k < 6 ? "number" : ""}${small.has(text) ? " hide-small" : ""}` }, text));
+  place.replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
+}
+
+export function showCycle(memory) {
+  const cycles = Object.entries(memory.cycles).map(([name, c]) => `${name}: number ${c.number}, ${c.open ? "running" : "ended"}`);
+  say(byId("cycle-text"), cycles.join("; ") || "unknown");
+  const rows = memory.readiness.map((row) => {
+    const ready = row.this_cycle === row.tests;
+    return make("tr", {}, make("th", { scope: "row" }, row.monitor),
+      make("td", { class: "number" }, `${row.this_cycle} of ${row.tests}`),
+      make("td", { class: "number" }, `${row.since_clear} of ${row.tests}`),
+      make("td", {}, make("span", { class: `pill ${ready ? "good" : ""}` }, ready ? "ready" : "not yet")));
+  });
+  const titles = ["Monitor", "This cycle", "Since clear", ""].map((t, k) => make("th", { scope: "col", class: k && k < 3 ? "number" : "" }, t || make("span", { class: "unseen" }, "Ready")));
+  byId("readiness").replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
+}
+
+export function textOf(event) {
+  switch (event.event) {
+    case "dtc": return `${event.dtc} ${event.status & 1 ? "failed" : "healed"}: ${event.fault}`;
+    case "clear": return `cleared: ${event.faults.join(", ") || "no entry was there"}`;
+    case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
+    case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;
+    case "bus": return `bus ${event.bus} ${event.state}${event.reason ? `: ${event.reason}` : ""}`;
+    case "clock": return `the clock was set by ${number(event.step_s)} s`;
+    case "memory": return `fault memory ${event.state} ${event.reason}`;
+    case "config": return `configuration ${event.state} ${event.reason}`;
+    case "injected": return `injected: ${event.text}`;
+    default: return event.event;
+  }
+}
+
+export function showLog(events) {
+  const rows = [...events].reverse().slice(0, 200).map((event) =>
+    make("li", {}, make("time", {}, clock(event.t_ms)), make("span", {}, textOf(event))));
+  byId("log").replaceChildren(...(rows.length ? rows : [make("li", { class: "none" }, "Nothing has happened yet.")]));
+}
+
+export function showInjected(events) {
+  const found = events.filter((event) => event.event === "injected");
+  byId("injected-card").hidden = !found.length;
+  byId("injected").replaceChildren(...found.slice(-12).reverse().map((event) =>
+    make("li", {}, make("time", { class: "muted" }, clock(event.t_ms)), ` ${event.text}`)));
+}

@@ -1,0 +1,103 @@
+"""Metrics: what a scraper reads, named by the catalogue, and what the shipped rules and dashboard ask for is there."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from gateway.common.resources import shipped
+from gateway.config.load import load_config
+from gateway.engine.buckets import TickRow
+from gateway.live.status import _described
+from gateway.runtime.app import Gateway
+from gateway.serve.hub import Hub
+from gateway.serve.metrics import Metrics
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+
+
+@pytest.fixture
+def hub(tmp_path):
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    made = Hub(tmp_path / "nobody")
+    made._on_link(True, "")
+    made._on_hello(json.loads(json.dumps(_described(gateway))), b"")
+    gateway.close()
+    made.memory = {**made.memory, "status": {"crank.missed_pulse": 0x2F}}
+    rows = np.zeros(1, TickRow.dtype)
+    rows["count"] = rows["numbers"] = 1
+    rows["ratio"] = 0.75
+    made._on_tick({"t_ns": 10**9}, rows.tobytes())
+    traffic = {"frames": 7, "errors": 0, "nominal_bits": 900, "data_bits": 0, "others": 0}
+    state = {"bus": "powertrain", "state": "open", "received": 7, "overflow": 2, "losses": 1, "errors": {"bus_off": 1}}
+    for t_ns in (10**9, 2 * 10**9):
+        bus = {**state, "traffic": {**traffic, "nominal_bits": 50_000 * t_ns // 10**9}}
+        counters = dict.fromkeys(("frames", "decoded", "timeouts", "crc_failed", "events_lost"), 5)
+        made._on_buses({"t_ns": t_ns, "buses": [bus], "counters": counters}, b"")
+    return made
+
+
+def samples(text):
+    families = list(text_string_to_metric_families(text.decode()))
+    return {(s.name, *sorted(s.labels.items())): s.value for family in families for s in family.samples}
+
+
+def test_metrics_say_what_is(hub):
+    metrics = Metrics(hub)
+    found = samples(metrics.text())
+    fault, dtc = ("fault", "crank.missed_pulse"), ("dtc", "P0336-39")
+    assert found["gateway_up",] == 1.0
+    assert found["gateway_dtc_status", ("bit", "testFailed"), dtc, fault] == 1.0
+    assert found["gateway_dtc_status", ("bit", "warningIndicatorRequested"), dtc, fault] == 0.0
+    assert found["gateway_test_ratio", fault] == 0.75
+    assert found["gateway_bus_load_ratio", ("bus", "powertrain")] == pytest.approx(0.1)
+    assert found["gateway_bus_frames_lost_total", ("bus", "powertrain")] == 2.0
+    assert ("gateway_test_ratio", fault) not in samples(metrics.text()), "the worst since the last scrape"
+
+
+def test_labels_are_those_of_the_catalogue(hub):
+    """Whatever the wire says: no label is of a frame, a reason or a file."""
+    known = {fault["id"] for fault in hub.hello["faults"]} | {fault["dtc"] for fault in hub.hello["faults"]}
+    known |= {"powertrain", "bus_off", *hub_bits()}
+    for key in samples(Metrics(hub).text()):
+        assert {value for _, value in key[1:]} <= known
+
+
+def hub_bits():
+    from gateway.serve.memory import BITS
+
+    return BITS
+
+
+def test_what_the_rules_and_the_dashboard_ask_for_is_there(hub):
+    told = {key[0] for key in samples(Metrics(hub).text())} | {"gateway_dtc_occurrences"}
+    asked = set()
+    for file in ("prometheus/gateway.rules.yml", "grafana/gateway.json"):
+        text = (DEPLOY / file).read_text()
+        names = re.findall(r"gateway_[a-z_]+", text)
+        assert names, file
+        asked |= set(names)
+    assert asked <= told, asked - told
+
+
+def test_promtool_accepts_metrics_and_rules(hub):
+    promtool = os.environ.get("GATEWAY_PROMTOOL") or shutil.which("promtool")
+    if promtool is None:
+        assert not os.environ.get("CI"), ".ci/run installs prometheus"
+        pytest.skip("no promtool: apt-get install prometheus")
+    said = subprocess.run([promtool, "check", "metrics"], input=Metrics(hub).text(), capture_output=True, check=False)
+    assert said.returncode == 0, said.stdout + said.stderr
+    folder = DEPLOY / "prometheus"
+    for command in (("check", "rules", "gateway.rules.yml"), ("test", "rules", "gateway.rules.test.yml")):
+        ended = subprocess.run([promtool, *command], cwd=folder, capture_output=True, text=True, check=False)
+        assert ended.returncode == 0, ended.stdout + ended.stderr
+    ended = subprocess.run(
+        [promtool, "check", "config", "prometheus.yml"], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
