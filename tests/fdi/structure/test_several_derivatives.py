@@ -74,7 +74,7 @@ def driven(servo, leak=1.0, samples=4000):
 
 
 def test_residuals_that_run(servo):
-    """Every generator that can be written is zero on healthy data, to rounding or the filter's step, and sees a leak."""
+    """Each generator that can be written is zero on healthy data, to rounding or the filter's step; and sees a leak."""
     healthy, leaking = driven(servo), driven(servo, leak=3.0)
     found = analyse(servo)
     usable = found.candidates.chosen("SDI", "unique")

@@ -196,6 +196,4 @@ def _transformation(
             raise NotSolvableError(f"equation {consistency} is not linear in der({x}): (20a) does not hold")
     first = slopes[avoided[0]]
     b = residual.subs(dict.fromkeys(derivatives.values(), 0)) / first
-    return b, {
-        x: sympy.cancel(slope / first) if slope is not first else sympy.Integer(1) for x, slope in slopes.items()
-    }
+    return b, {x: sympy.cancel(slope / first) for x, slope in slopes.items()}
