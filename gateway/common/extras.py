@@ -20,7 +20,7 @@ PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
     "plot": "pictures (--plot)",
-    "structure": "gateway structure --residual, and monitors of your own equations",
+    "structure": "gateway structure --residual; monitors, and plants, of your own equations",
     "zst": "logs in Zstandard",
 }
 
