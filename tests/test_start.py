@@ -291,11 +291,11 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {"gateway.cli.drawing", "gateway.cli.structure_figures"}
+    pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
         for name in ("code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
-    }
+    } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     assert len(names) > 200
     assert refused == pictures | algebra | {"gateway.monitors.structural.choice"}
 

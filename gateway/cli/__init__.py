@@ -317,6 +317,20 @@ def replay(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
+    signals: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write what the monitors compute over time: .parquet or .csv (docs/series.md)."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw it: values against limits, DTCs marked; .svg, .png, .pdf."),
+    ] = None,
+    signal: Annotated[
+        list[str] | None,
+        typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals, --plot: this signal too. May be repeated."),
+    ] = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -339,10 +353,28 @@ def replay(
             trace=trace,
             injections=inject or (),
             seed=seed,
+            series=signals,
+            plot=plot,
+            chosen=signal or (),
             json=json,
             fail_on_dtc=fail_on_dtc,
         )
     )
+
+
+@app.command("plot")
+def plot_command(
+    series: Annotated[Path, typer.Argument(help="File of gateway replay --signals: .parquet or .csv.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture: .svg, .png, .pdf.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="This monitor, fault, quantity or signal alone. May be repeated."),
+    ] = None,
+) -> None:
+    """Draw what monitors computed over time: values against their limits, DTCs marked."""
+    from gateway.cli.watched import plot_file
+
+    raise typer.Exit(plot_file(series, output, only or ()))
 
 
 @app.command()

@@ -16,6 +16,7 @@ from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.trace import Trace, only, single
+from gateway.cli.watched import Watched
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -39,6 +40,9 @@ def replay(
     trace: bool = False,
     injections: Sequence[str] = (),
     seed: int = 1,
+    series: Path | None = None,
+    plot: Path | None = None,
+    chosen: Sequence[str] = (),
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
@@ -55,16 +59,18 @@ def replay(
     if trace and len(config.monitor) != 1:
         raise InputError("of one monitor: --only NAME", key="--trace")
     channels = channels_of(config, maps)
+    watched = Watched(series, plot, chosen)
     printer = EventPrinter(as_json=json)
     reader = read_recording(log, channels)
-    parts = prepare(config, path)
+    parts = prepare(config, path, extra=chosen)
     injectors = _injectors(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts)
     gateway.listen(printer)
     try:
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
-        damage = _feed(_Faulty(gateway, injectors) if injectors else gateway, reader, printer, log.name, traced)
+        with watched.of(gateway, parts) as consumer:
+            damage = _feed(_Faulty(consumer, injectors) if injectors else consumer, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = contents(
             reader,
@@ -77,6 +83,7 @@ def replay(
         )
         summary = gateway.summary(seconds)
         found.notes += _notes(found, config, summary, dict(zip(injections, injectors, strict=True)))
+        found.notes += watched.notes
         printer(found.event())
         printer(summary)
     finally:
@@ -114,7 +121,7 @@ def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) ->
 class _Faulty:
     """A gateway that is fed frames with faults in them."""
 
-    def __init__(self, gateway: Gateway, injectors: Sequence[Injector]) -> None:
+    def __init__(self, gateway: FrameConsumer, injectors: Sequence[Injector]) -> None:
         self._gateway, self._injectors = gateway, injectors
         self.start, self.stop, self.without_own = gateway.start, gateway.stop, gateway.without_own
 

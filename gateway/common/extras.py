@@ -11,6 +11,7 @@ from gateway.errors import InputError
 EXTRAS = {
     "auth": "cryptography",
     "mf4": "asammdf",
+    "parquet": "pyarrow",
     "plot": "matplotlib",
     "structure": "sympy",
     "zst": "backports.zstd",
@@ -19,7 +20,8 @@ EXTRAS = {
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
-    "plot": "pictures (--plot)",
+    "parquet": "series as Parquet (replay --signals)",
+    "plot": "pictures (--plot, gateway plot)",
     "structure": "gateway structure --residual; monitors, and plants, of your own equations",
     "zst": "logs in Zstandard",
 }

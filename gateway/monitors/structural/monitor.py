@@ -7,12 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gateway.errors import InputError, nearest
 from gateway.fdi import cusum
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.sources import load_source
-from gateway.fdi.structure.model import Model, Quantity
+from gateway.fdi.structure.model import Model
+from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
     Arrivals,
@@ -23,6 +26,8 @@ from gateway.monitors.contract import (
     Monitor,
     Notes,
     Parts,
+    Quantities,
+    Quantity,
     Signal,
     Warnings,
 )
@@ -78,6 +83,17 @@ class _Made:
                     sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
                     peaks=lambda s: s["own"]["cusum"]["peak"][:count],
                 ),
+                Quantities(
+                    lambda _: tuple(
+                        q
+                        for test in plan.tests
+                        for q in (
+                            Quantity(f"residual of {test.name}", test.unit),
+                            Quantity(f"T over J of {test.name}", limit=1.0),
+                        )
+                    ),
+                    lambda s: np.stack([s["own"]["residual"][:count], s["own"]["norm"][:count]], 1).ravel(),
+                ),
                 Notes(lambda _: summary.notes(self.model, plan)),
                 Parts(self._parts),
                 Warnings(lambda p: summary.warnings(plan, p)),
@@ -118,7 +134,7 @@ class _Made:
                 return False
             text = f'the tests need this known variable of the model: signals = {{ {known} = "Message.Signal" }}'
             raise InputError(f"{text}; {error.message}", key=f"signals.{known}") from error
-        wanted, told = self.model.quantities.get(known, Quantity()).unit, str(signal.unit or "")
+        wanted, told = self.model.quantities.get(known, Known()).unit, str(signal.unit or "")
         if differ(wanted, told):
             text = f'{signal.name} is in "{told}", {known} of the model in "{wanted}"'
             raise InputError(text, key=f"signals.{known}", value=told)
@@ -197,7 +213,7 @@ def _condition(model: Model, p: Params) -> Program | None:
     names = (*model.knowns, *measured)
 
     def unit_of(name: str) -> str | None:
-        return model.quantities.get(name, Quantity()).unit or None
+        return model.quantities.get(name, Known()).unit or None
 
     try:
         program = compile_text(p.active, unit_of, named=names)
