@@ -281,6 +281,20 @@ def record(
     )
 
 
+SeriesOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write what the monitors compute over time: .parquet or .csv (docs/series.md)."),
+]
+SeriesPlot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw it: values against limits, DTCs marked; .svg, .png, .pdf."),
+]
+SeriesSignals = Annotated[
+    list[str] | None,
+    typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals, --plot: this signal too. May be repeated."),
+]
+
+
 @app.command()
 def replay(
     log: Annotated[
@@ -317,20 +331,9 @@ def replay(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
-    signals: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Write what the monitors compute over time: .parquet or .csv (docs/series.md)."
-        ),
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw it: values against limits, DTCs marked; .svg, .png, .pdf."),
-    ] = None,
-    signal: Annotated[
-        list[str] | None,
-        typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals, --plot: this signal too. May be repeated."),
-    ] = None,
+    signals: SeriesOption = None,
+    plot: SeriesPlot = None,
+    signal: SeriesSignals = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -371,7 +374,10 @@ def plot_command(
         typer.Option(metavar="NAME", help="This monitor, fault, quantity or signal alone. May be repeated."),
     ] = None,
 ) -> None:
-    """Draw what monitors computed over time: values against their limits, DTCs marked."""
+    """Draw what monitors computed over time.
+
+    Values against their limits, DTCs marked.
+    """
     from gateway.cli.watched import plot_file
 
     raise typer.Exit(plot_file(series, output, only or ()))
