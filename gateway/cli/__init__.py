@@ -152,6 +152,10 @@ def structure(
         str | None,
         typer.Option(help="A residual generator's sequence and code: its name, or SET:EQUATION."),
     ] = None,
+    export: Annotated[
+        str | None, typer.Option(metavar="LANGUAGE", help="With --residual: its code in another language: c (C99).")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="With --export: the file to write.")] = None,
     sensors: Annotated[
         str | None,
         typer.Option(help="Which of these unknowns to measure (a,b,c or all) so that faults are found."),
@@ -160,7 +164,8 @@ def structure(
     """Find which residual generators a model has, and what they tell."""
     from gateway.cli.structure import structure as work
 
-    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors))
+    made = {"export": export, "output": None if output is None else str(output)}
+    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors, **made))
 
 
 @app.command()
