@@ -79,8 +79,9 @@ def _given(model: Model, symbols: Symbols, name: str, variable: Algebra) -> Alge
     equation = model.by_name.get(name)
     if equation is None or equation.solvable.get(str(variable)) is not Solvable.UNIQUE:
         return None
-    if str(variable) in equation.solutions:
-        return symbols.expression(equation.solutions[str(variable)][0])
+    given = equation.solutions.get(str(variable))
+    if given and set(equation.faults) <= set(given[0].names):  # else its faults are left out of it
+        return symbols.expression(given[0])
     relation = equation.relation
     if relation is not None:
         for side, other in ((relation.left, relation.right), (relation.right, relation.left)):
