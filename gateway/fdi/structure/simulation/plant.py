@@ -129,6 +129,8 @@ class Plant:
 
     def _rest(self, free: Sequence[int]) -> None:
         """Let states begin where they stay."""
+        if not free:
+            return
         told, _ = self._told(1e-9)
         nothing, none = np.zeros(len(told)), np.zeros(len(self.model.faults))
 
