@@ -14,6 +14,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.faults.status import Status
 from gateway.fdi.structure.file import load_model
 from gateway.runtime.app import Gateway
@@ -111,10 +112,17 @@ def dtcs(plant: str, drive: Frames) -> list[tuple[float, str]]:
     return found
 
 
+def settles_s(plant: str) -> float:
+    """Return how long a plant's monitor settles [s]."""
+    (entry,) = load_config(scenario(plant).config).monitor
+    _, params = monitor_of(entry)
+    return float(params.model_dump()["settle_s"])
+
+
 def run(plant: str, case: Case, seed: int) -> Outcome:
     """Return what is said of one fault, which begins at a time drawn from the seed."""
     rng = np.random.default_rng([seed, 29])
-    begin = round(case.lasts_s * (0.6 + 0.6 * rng.random()), 3)
+    begin = round(settles_s(plant) + case.lasts_s * (0.2 + 0.8 * rng.random()), 3)
     fault = case.fault.model_copy(update={"from_s": begin, "to_s": None})
     found = dtcs(plant, frames(plant, seed, begin + case.lasts_s, fault))
     behind = [(t, code) for t, code in found if t >= begin]
