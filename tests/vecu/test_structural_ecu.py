@@ -110,7 +110,7 @@ def test_a_value_that_freezes(tmp_path):
     [
         ('"motor.toml"', '"moter.toml"', r"ecu\[0\].model.*no such file beside the scenario.*did you mean motor"),
         ('"motor.toml"', '"own.toml"', "this file is a scenario, not a model"),
-        ("inputs = { u", "inputs = { v", r"ecu\[0\].inputs.*known variables are u, i, w"),
+        ("inputs = { u", "inputs = { v", r"ecu\[0\].inputs.*without a derivative, are u, i, w, I, T"),
         ("inputs = { u", "inputs = { i = 1, u", r"ecu\[0\].model.*more equations than variables"),
         ("inputs = {", "# {", r"ecu\[0\].model.*equations too few"),
         ("[1.5, 7]]", "[0.5, 7]]", "times of the points must not fall"),

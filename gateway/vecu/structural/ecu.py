@@ -48,7 +48,8 @@ def _checked(params: StructuralParams, model: Model, faults: Sequence[Structural
         InputError: the first of them.
     """
     everything = (*model.knowns, *model.full_variables)
-    _known(params.inputs, model.knowns, "known variables", "inputs")
+    inputs = (*model.knowns, *(x for x in model.unknowns if x not in model.states))
+    _known(params.inputs, inputs, "known variables, and unknowns without a derivative,", "inputs")
     _known(params.parameters, model.parameters, "parameters", "parameters")
     _known(params.start, model.states, "states", "start")
     _known(params.noise, everything, "variables", "noise")

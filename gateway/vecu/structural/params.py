@@ -58,7 +58,7 @@ class StructuralParams(EcuParams):
     model: Path = Field(description="the model; relative to the scenario, or of those that come with the gateway")
     inputs: dict[str, Input] = Field(
         default_factory=dict,
-        description="known variable that the plant is given -> value, [[time s, value], ...], or"
+        description="variable that the plant is given (a command, a load) -> value, [[time s, value], ...], or"
         " { points = [...], repeat_s = ... }; the other known variables are computed",
     )
     parameters: dict[str, Finite] = Field(default_factory=dict, description="values instead of the model's")

@@ -139,6 +139,17 @@ def test_what_cannot_be_simulated(tmp_path, equations, unknown, known, inputs, s
         run()
 
 
+def test_a_load_is_told(load):
+    """The induction motor of the toolbox has a load torque that no equation determines."""
+    motor = load("induction_motor")
+    voltages = {u: constant(1.0) for u in motor.knowns if u.startswith("u")}
+    with pytest.raises(NotSimulatedError, match="1 equations too few"):
+        Plant(motor, voltages)
+    found = Plant(motor, voltages | {"Tl": Course((0.0, 4.0), (0.0, 0.1))}).run(TIMES)
+    assert np.abs(found["Tl"] - 0.025 * TIMES).max() < 1e-9
+    assert np.abs(found["y3"] - found["w"]).max() == 0.0
+
+
 def test_rest_and_starts(load, tmp_path):
     tanks = Plant(load("three_tanks"), {"y3": constant(0.5)}, rest=True)
     found = tanks.run(TIMES)

@@ -84,7 +84,7 @@ class Plant:
 
     Args:
         model: the model.
-        inputs: a course for each known variable that is told; the others are computed.
+        inputs: a course for each variable that is told: commands, loads; the others are computed.
         parameters: values instead of the model's.
         start: where states begin; those that it does not name begin at the model's start value.
         rest: states without a start value begin where they stay; else at 0.

@@ -98,6 +98,8 @@ class Reduced:
 def equations_of(model: Model, symbols: Symbols, inputs: Sequence[str]) -> Equations:
     """Return a model's equations; what is measured is a variable, too, unless it is an input.
 
+    An unknown that no equation determines (a load, a slope) may be an input.
+
     Raises:
         NotSimulatedError: an equation is known by its structure only.
     """
@@ -113,7 +115,7 @@ def equations_of(model: Model, symbols: Symbols, inputs: Sequence[str]) -> Equat
         [-1] * len(own),
         {of[x]: of[der(x)] for x in model.states},
         {of[z]: sympy.Symbol(f"{z}_rate1", real=True) for z in inputs},
-        {of[x] for x in (*model.full_variables, *outputs)},
+        {of[x] for x in (*model.full_variables, *outputs) if x not in inputs},
     )
 
 
@@ -140,7 +142,7 @@ def _determined(model: Model, found: Equations) -> None:
     free = sorted(str(x) for x in set(whole.values()) - owner.keys())
     if free:
         could = [str(x) for x in sorted(found.unknown, key=str) if str(x) in model.knowns]
-        hint = f"; of {', '.join(could)} those that the plant is given are inputs" if could else ""
+        hint = f"; of {', '.join(could)} those that the plant is given are inputs, and so is a load" if could else ""
         raise NotSimulatedError(f"{len(free)} equations too few ({', '.join(free)} left over){hint}")
     if left:
         raise NotSimulatedError(f"{', '.join(left)}: more equations than variables; fewer inputs would help")
@@ -229,7 +231,7 @@ def reduce(
     Args:
         model: the model.
         symbols: with its faults.
-        inputs: known variables that are told.
+        inputs: variables that are told.
         values: of parameters, inputs and states, where the choice of states is made.
         kept: states that are to be such, if there is a choice.
 
