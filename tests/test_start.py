@@ -294,7 +294,7 @@ for name in {names!r}:
     pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
-        for name in ("code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
+        for name in ("c_code", "code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
     } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     assert len(names) > 200
     assert refused == pictures | algebra | {"gateway.monitors.structural.choice"}

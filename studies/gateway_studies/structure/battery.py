@@ -1,8 +1,8 @@
 """A battery pack of n cells in series as a structural model: two tests a cell, and one of the pack.
 
-    C_k  the cell's own sensor against its model, by the current
-    P_k  the pack's sensor against cell k by its model and all others by their sensors
-    P    the pack's sensor against the sum of all cells' sensors
+C_k  the cell's own sensor against its model, by the current
+P_k  the pack's sensor against cell k by its model and all others by their sensors
+P    the pack's sensor against the sum of all cells' sensors
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ def battery_model(cells: int) -> str:
     numbers = range(1, cells + 1)
     lines = [
         f"# A battery pack of {cells} cells in series, written by gateway_studies.structure.battery.",
-        f'text = "battery pack of {cells} cells in series; each cell\'s voltage, the pack\'s and the current measured"',
+        f"text = \"battery pack of {cells} cells in series; each cell's voltage, the pack's and the current measured\"",
         "",
         "[unknown]",
         'I = { unit = "A", text = "current out of the pack" }',
