@@ -291,11 +291,11 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {"gateway.cli.drawing", "gateway.cli.structure_figures"}
+    pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
-        for name in ("code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
-    }
+        for name in ("c_code", "code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
+    } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
     assert refused == pictures | algebra | pages | {"gateway.monitors.structural.choice"}

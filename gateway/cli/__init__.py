@@ -271,6 +271,10 @@ def structure(
         str | None,
         typer.Option(help="A residual generator's sequence and code: its name, or SET:EQUATION."),
     ] = None,
+    export: Annotated[
+        str | None, typer.Option(metavar="LANGUAGE", help="With --residual: its code in another language: c (C99).")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="With --export: the file to write.")] = None,
     sensors: Annotated[
         str | None,
         typer.Option(help="Which of these unknowns to measure (a,b,c or all) so that faults are found."),
@@ -279,7 +283,8 @@ def structure(
     """Find which residual generators a model has, and what they tell."""
     from gateway.cli.structure import structure as work
 
-    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors))
+    made = {"export": export, "output": None if output is None else str(output)}
+    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors, **made))
 
 
 @app.command()
@@ -400,6 +405,20 @@ def record(
     )
 
 
+SeriesOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write what the monitors compute over time: .parquet or .csv (docs/series.md)."),
+]
+SeriesPlot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw it: values against limits, DTCs marked; .svg, .png, .pdf."),
+]
+SeriesSignals = Annotated[
+    list[str] | None,
+    typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals, --plot: this signal too. May be repeated."),
+]
+
+
 @app.command()
 def replay(
     log: Annotated[
@@ -437,6 +456,9 @@ def replay(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
     html: HtmlOption = None,
+    signals: SeriesOption = None,
+    plot: SeriesPlot = None,
+    signal: SeriesSignals = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -460,10 +482,31 @@ def replay(
             injections=inject or (),
             seed=seed,
             html=html,
+            series=signals,
+            plot=plot,
+            chosen=signal or (),
             json=json,
             fail_on_dtc=fail_on_dtc,
         )
     )
+
+
+@app.command("plot")
+def plot_command(
+    series: Annotated[Path, typer.Argument(help="File of gateway replay --signals: .parquet or .csv.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture: .svg, .png, .pdf.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="This monitor, fault, quantity or signal alone. May be repeated."),
+    ] = None,
+) -> None:
+    """Draw what monitors computed over time.
+
+    Values against their limits, DTCs marked.
+    """
+    from gateway.cli.watched import plot_file
+
+    raise typer.Exit(plot_file(series, output, only or ()))
 
 
 @app.command()

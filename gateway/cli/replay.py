@@ -17,6 +17,7 @@ from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.report import RunReport
 from gateway.cli.trace import Trace, only, single
+from gateway.cli.watched import Watched
 from gateway.common.extras import need
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
@@ -42,6 +43,9 @@ def replay(
     injections: Sequence[str] = (),
     seed: int = 1,
     html: Path | None = None,
+    series: Path | None = None,
+    plot: Path | None = None,
+    chosen: Sequence[str] = (),
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
@@ -54,15 +58,12 @@ def replay(
     if html is not None:
         need("serve", "reports", key="--html")
     path = find_config(config_path)
-    config = load_config(path)
-    if monitor is not None:
-        config = only(config, monitor)
-    if trace and len(config.monitor) != 1:
-        raise InputError("of one monitor: --only NAME", key="--trace")
+    config = _configured(path, monitor, trace=trace)
     channels = channels_of(config, maps)
+    watched = Watched(series, plot, chosen)
     printer = EventPrinter(as_json=json)
     reader = read_recording(log, channels)
-    parts = prepare(config, path)
+    parts = prepare(config, path, extra=chosen)
     injectors = _injectors(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts)
     gateway.listen(printer)
@@ -70,8 +71,8 @@ def replay(
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
         report = None if html is None else RunReport(html, gateway, path)
-        fed = gateway if report is None else report.collector
-        damage = _feed(_Faulty(fed, injectors) if injectors else fed, reader, printer, log.name, traced)
+        with watched.of(gateway, parts, gateway if report is None else report.collector) as consumer:
+            damage = _feed(_Faulty(consumer, injectors) if injectors else consumer, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = contents(
             reader,
@@ -84,6 +85,7 @@ def replay(
         )
         summary = gateway.summary(seconds)
         found.notes += _notes(found, config, summary, dict(zip(injections, injectors, strict=True)))
+        found.notes += watched.notes
         printer(found.event())
         printer(summary)
         if report is not None:
@@ -103,6 +105,16 @@ def _notes(found: Contents, config: Config, summary: Mapping[str, Any], injected
     if found.left_out < found.frames and not summary["decoded"] and _watches(config):
         notes.append("none of its frames is one that a monitor or check here wants")
     return notes
+
+
+def _configured(path: Path, monitor: str | None, *, trace: bool) -> Config:
+    """Read the configuration, of one monitor if that is asked for."""
+    config = load_config(path)
+    if monitor is not None:
+        config = only(config, monitor)
+    if trace and len(config.monitor) != 1:
+        raise InputError("of one monitor: --only NAME", key="--trace")
+    return config
 
 
 def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) -> list[Injector]:

@@ -200,6 +200,45 @@ def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) ->
         console.print(source, markup=False, highlight=False, soft_wrap=True)
 
 
+def _exportable(export: str | None, output: str | None, residual: str | None) -> None:
+    """Refuse options that do not go together.
+
+    Raises:
+        InputError: which.
+    """
+    if export is not None and export != "c":
+        raise InputError("there is c", key="--export", value=export)
+    if export is not None and residual is None:
+        raise InputError("of a residual generator: --residual NAME, or SET:EQUATION", key="--export", value=export)
+    if output is not None and export is None:
+        raise InputError("goes with --export", key="--output", value=output)
+
+
+def _export(analysis: Analysis, name: str, output: str | None) -> None:
+    """Write a residual generator as C.
+
+    Raises:
+        InputError: it has no code, or the file cannot be written.
+    """
+    from gateway.fdi.structure.generator.c_code import c_source  # noqa: PLC0415 - algebra is slow to load
+    from gateway.fdi.structure.generator.loading import residual_generator  # noqa: PLC0415
+    from gateway.fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
+
+    choice = analysis.choice(name)
+    own = name if name in analysis.model.residuals else f"{analysis.model.name}_{choice.consistency}"
+    try:
+        text = c_source(residual_generator(analysis.model, choice.equations, choice.consistency, name=name), own)
+    except (NotSolvableError, ValueError) as error:
+        raise InputError(str(error), key="--residual", value=name) from error
+    if output is None:
+        print(text, end="")
+        return
+    try:
+        Path(output).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", key="--output", value=output) from error
+
+
 def _places(console: Console, model: Model, wanted: str, *, json: bool) -> None:
     names = None if wanted == "all" else [name.strip() for name in wanted.split(",")]
     try:
@@ -225,9 +264,12 @@ def structure(
     plot: Path | None,
     limit: int,
     residual: str | None,
+    export: str | None = None,
+    output: str | None = None,
     sensors: str | None,
 ) -> int:
     """Analyse a structural model; returns the exit code."""
+    _exportable(export, output, residual)
     if plot is not None and plot.suffix not in _FORMATS:
         raise InputError(f"a picture is {', '.join(_FORMATS)}", key="--plot", value=str(plot))
     if plot is not None:
@@ -252,7 +294,9 @@ def structure(
         from gateway.cli.structure_figures import draw  # noqa: PLC0415 - slow to load
 
         draw(plot, analysis)
-    if residual is not None:
+    if residual is not None and export is not None:
+        _export(analysis, residual, output)
+    elif residual is not None:
         _residual(console, analysis, residual, json=json)
     elif json:
         print_json(as_dict(analysis) | ({"files": [str(plot)]} if plot else {}))

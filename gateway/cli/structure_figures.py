@@ -79,9 +79,9 @@ def _decomposition(axes: Axes, analysis: Analysis) -> None:
     at = {name: k for k, name in enumerate(structure.equations)}
     for y, name in enumerate(rows):
         there = [structure.variables[v] for v in np.flatnonzero(structure.dense[at[name]])]
-        derivative = analysis.model.by_name[name].derivative
+        derivatives = analysis.model.by_name[name].derivatives
         for v in there:
-            if v == derivative and v in states:
+            if v in derivatives and v in states:
                 axes.text(place[v], y, "D", ha="center", va="center", fontsize=7, weight="bold")
             else:
                 axes.plot(place[v], y, "o", ms=3.4, color=_FAULT if name in faulty else "0.15")

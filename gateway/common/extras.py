@@ -12,6 +12,7 @@ EXTRAS = {
     "auth": "cryptography",
     "mf4": "asammdf",
     "mqtt": "paho.mqtt",
+    "parquet": "pyarrow",
     "plot": "matplotlib",
     "serve": "bokeh",
     "structure": "sympy",
@@ -22,9 +23,10 @@ PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
-    "plot": "pictures (--plot)",
+    "parquet": "series as Parquet (replay --signals)",
+    "plot": "pictures (--plot, gateway plot)",
     "serve": "the page (gateway serve), reports (--html), metrics",
-    "structure": "gateway structure --residual, and monitors of your own equations",
+    "structure": "gateway structure --residual; monitors, and plants, of your own equations",
     "zst": "logs in Zstandard",
 }
 

@@ -5,7 +5,7 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -79,8 +79,8 @@ class Resolved:
     codes: Mapping[str, tuple[str, ...]]
 
 
-def resolve(config: Config) -> Resolved:
-    """Look up everything that a configuration names.
+def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
+    """Look up everything that a configuration names, and ``extra`` signals.
 
     Raises:
         InputError, InputErrors: a database, message, signal or key function that is wrong.
@@ -90,6 +90,8 @@ def resolve(config: Config) -> Resolved:
     uds = config.output.uds
     _find_access(config, names)
     _find_usage(config, names)
+    for name in extra:
+        names.find(name, "--signal")
     notes: list[str] = []
     types = [monitor_of(entry) for entry in config.monitor]
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]

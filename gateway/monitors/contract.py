@@ -12,11 +12,12 @@ reported.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, Protocol, TypeAlias, TypeVar, cast
+from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -305,6 +306,33 @@ class Readout:
     names: tuple[str, ...]
 
 
+class Quantity(NamedTuple):
+    """A number that a monitor computes on the way to its results.
+
+    Attributes:
+        name: for people.
+        unit: of its values.
+        limit: what it is held against, NaN: nothing.
+    """
+
+    name: str
+    unit: str = ""
+    limit: float = math.nan
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """What a monitor computes on the way to its results: residuals, statistics (``gateway replay --signals``).
+
+    Attributes:
+        of: parameters -> names, units and limits.
+        values: state record -> a number for each of them, in this order.
+    """
+
+    of: Callable[[Any], Sequence[Quantity]]
+    values: Callable[[np.void], Iterable[float]]
+
+
 @dataclass(frozen=True)
 class Warnings:
     """What ``gateway check`` says of parameters that are not wrong.
@@ -353,7 +381,7 @@ class Arrivals:
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Readout | Warnings
+Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Quantities | Readout | Warnings
 C = TypeVar("C", Arrivals, Calibration, CusumCalibration, Notes, Parts, Readout, Warnings)
 
 

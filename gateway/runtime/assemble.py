@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,14 +70,19 @@ class Parts:
     codes: Mapping[str, tuple[str, ...]]
 
 
-def prepare(config: Config, file: Path | None = None) -> Parts:
+def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
     """Build what needs no fault memory; may be done in a thread beside a running gateway.
+
+    Args:
+        config: the configuration.
+        file: where it was read, for errors.
+        extra: names of signals that are to be decoded beside those that it needs.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
     try:
-        parts = assemble(resolve(config))
+        parts = assemble(resolve(config, extra=extra))
     except InputError as error:
         raise error.within(file) from error
     except InputErrors as errors:

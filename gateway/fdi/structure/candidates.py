@@ -12,7 +12,7 @@ without D, SD those without I, S those without either.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -264,13 +264,12 @@ def _solvability(model: Model, structure: Structure) -> Solvability:
     )
 
 
-def _portion(msos: Sets, choices: NDArray[np.int64], tacit: NDArray[np.int64]) -> Portion:
+def _portion(msos: Sets, choices: NDArray[np.int64], tacit: Sequence[tuple[int, ...]]) -> Portion:
     """Return sets, shape (sets, equations), with the choices of all of them one after the other."""
     members = []
     for row in msos:
         own = np.flatnonzero(row)
-        with_tacit = tacit[own]
-        members.append(np.concatenate([own, with_tacit[with_tacit >= 0]]))
+        members.append(np.array([*own, *(t for e in own for t in tacit[int(e)])], np.int64))
     return Portion(
         np.concatenate(members),
         np.cumsum([0, *(len(x) for x in members)]),
@@ -291,7 +290,6 @@ def classify(model: Model, msos: Sets, *, progress: Callable[[int], None] | None
     s = Structure(model)
     solve = _solvability(model, s)
     matching, changed = s.new_matching(), s.new_matching()
-    tacit = s.tacit[: len(model.equations)]
     mso, equation = np.nonzero(msos)
     results = np.zeros((len(mso), 3), np.int64)
     done = 0
@@ -299,14 +297,14 @@ def classify(model: Model, msos: Sets, *, progress: Callable[[int], None] | None
         sets = msos[begin : begin + PORTION]
         choices = equation[done : done + int(sets.sum())]
         _classify(
-            s.explicit, solve, _portion(sets, choices, tacit), matching, changed,
+            s.explicit, solve, _portion(sets, choices, s.tacit), matching, changed,
             s.order, s.work, results[done : done + len(choices)],
         )  # fmt: skip
         done += len(choices)
         if progress is not None:
             progress(min(begin + PORTION, len(msos)))
-    # A lumped consistency relation's derivative is a step of the explicit sequence; the paper's has none for it.
-    of_consistency = (tacit[equation] >= 0).astype(np.int64)
+    # A lumped consistency relation's derivatives are steps of the explicit sequence; the paper's has none for them.
+    of_consistency = np.array([len(s.tacit[int(e)]) for e in equation], np.int64)
     return Candidates(
         model,
         msos,

@@ -36,8 +36,9 @@ from typing import Any
 
 from pydantic import Field
 
-from gateway.common.tomlfile import StrictModel, load
-from gateway.errors import InputError, InputErrors
+from gateway.common.resources import shipped
+from gateway.common.tomlfile import StrictModel, load, read_toml
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.fdi.structure.model import (
     Equation,
     Loop,
@@ -310,3 +311,43 @@ def load_model(path: Path) -> Model:
         InputErrors: every key that is wrong.
     """
     return _Reader(load(path, ModelFile), path).model(path.stem)
+
+
+def find_model(path: Path, folder: Path, *, beside: str, key: str) -> Path:
+    """Return the file of a model: in a folder, else one that comes with the gateway.
+
+    Args:
+        path: as it was told.
+        folder: of the file that tells it.
+        beside: what that file is, for people.
+        key: of the file that tells it.
+
+    Raises:
+        InputError: there is neither.
+    """
+    found = folder / path
+    if found.exists():
+        return found
+    try:
+        return shipped(f"models/{path}")
+    except InputError as error:
+        known = sorted(each.name for each in shipped("models").glob("*.toml"))
+        text = f"no such file beside {beside}, and the gateway comes with {', '.join(known)} only"
+        raise InputError(f"{text}{nearest(str(path), known)}", key=key, value=str(path)) from error
+
+
+def load_own_model(path: Path, *, key: str) -> Model:
+    """Read a model that a configuration or a scenario names.
+
+    Raises:
+        InputError, InputErrors: what is wrong with it.
+    """
+    try:
+        return load_model(path)
+    except InputErrors as errors:
+        there = read_toml(path)
+        if not {"bus", "ecu"} & there.keys():
+            raise
+        kind = "configuration" if "bus" in there else "scenario"
+        text = f"this file is a {kind}, not a model: one of the two needs another name, or folder"
+        raise InputError(text, key=key, value=path.name) from errors

@@ -1,7 +1,7 @@
 """A structural model: equations, what each contains, and what each can be solved for.
 
-A dynamic variable, a **state** x, occurs differentiated as ``der(x)`` (semi-explicit form, paper 004, (1)). Two ways
-of writing it:
+A dynamic variable, a **state** x, occurs differentiated as ``der(x)`` (semi-explicit form, paper 004, (1); here an
+equation may contain the derivatives of several states). Two ways of writing it:
 
 - **lumped**, the paper's counts: x and der(x) are one variable, and the relation between them is tacit;
 - **explicit**, (3): an equation of the model says "der(x) is the derivative of x", and both are variables.
@@ -78,11 +78,11 @@ class Equation:
     note: str = ""
 
     @property
-    def derivative(self) -> str:
-        """The state whose derivative it contains, empty if none (and for a differential relation)."""
+    def derivatives(self) -> tuple[str, ...]:
+        """The states whose derivatives it contains (none for a differential relation)."""
         if self.differential:
-            return ""
-        return next((state_of(v) for v in self.variables if v.startswith("der(")), "")
+            return ()
+        return tuple(state_of(v) for v in self.variables if v.startswith("der("))
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class Model:
     @cached_property
     def states(self) -> tuple[str, ...]:
         """Variables that occur differentiated, in the order of the unknowns."""
-        found = {equation.derivative or equation.differential for equation in self.equations}
+        found = {x for equation in self.equations for x in (*equation.derivatives, equation.differential)}
         return tuple(name for name in self.unknowns if name in found)
 
     @cached_property
@@ -230,7 +230,7 @@ class Model:
         return replace(self, equations=self.full_equations, residuals=residuals)
 
     def _states_of(self, residual: ResidualChoice) -> set[str]:
-        return {self.by_name[name].derivative for name in residual.equations}
+        return {x for name in residual.equations for x in self.by_name[name].derivatives}
 
     def lumped(self) -> Model:
         """Return the same model with every state lumped; without residuals that check a relation of a state.
@@ -321,16 +321,11 @@ def _check(model: Model) -> None:
                 if name not in all_of_them:
                     raise ValueError(f'equation {e.name}: "{name}" is no {kind} of the model')
         _once(f"equation {e.name}: variable", e.variables)
-        derivatives = [v for v in e.variables if v.startswith("der(")]
-        if len(derivatives) > 1:
-            raise ValueError(
-                f"equation {e.name}: {len(derivatives)} derivatives; a semi-explicit model has one at most"
-            )
         for v in (*e.solvable, *e.solutions):
             if v not in e.variables:
                 raise ValueError(f'equation {e.name} does not contain "{v}", and cannot be solved for it')
-        if e.derivative:
-            owners.setdefault(e.derivative, []).append(e.name)
+        for state in e.derivatives:
+            owners.setdefault(state, []).append(e.name)
     _check_states(model, owners)
     _check_sets(model)
 

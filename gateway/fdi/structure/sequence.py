@@ -81,8 +81,8 @@ class Structure:
         )
         everything: NDArray[np.int64] = np.full(w, (1 << BITS) - 1, np.int64)
         self.explicit = Explicit(self.incidence.rows, state, everything)
-        #: For each equation, the tacit relation that comes with it in the explicit form, else -1.
-        self.tacit: NDArray[np.int64] = np.array([self._tacit(model, e) for e in model.full_equations], np.int64)
+        #: For each equation, the tacit relations that come with it in the explicit form.
+        self.tacit = tuple(self._tacit(model, e) for e in model.full_equations)
         self.matching = self.new_matching()
         self.order = Steps(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m + 1, np.int64))
         self.work = workspace(m, w)
@@ -99,9 +99,8 @@ class Structure:
             seen=np.zeros(words(n), np.int64),
         )
 
-    def _tacit(self, model: Model, equation: Equation) -> int:
-        state = equation.derivative
-        return self.place.get(f"d/dt {state}", -1) if state in model.lumped_states else -1
+    def _tacit(self, model: Model, equation: Equation) -> tuple[int, ...]:
+        return tuple(self.place[f"d/dt {x}"] for x in equation.derivatives if x in model.lumped_states)
 
     def members(self, equations: Seq[str] | frozenset[str]) -> NDArray[np.int64]:
         """Return the numbers of equations, and of the tacit relations that come with them, in order.
@@ -114,8 +113,7 @@ class Structure:
             if name not in self.place:
                 raise ValueError(f'there is no equation "{name}"')
             numbers.add(self.place[name])
-            if self.tacit[self.place[name]] >= 0:
-                numbers.add(int(self.tacit[self.place[name]]))
+            numbers.update(self.tacit[self.place[name]])
         return np.array(sorted(numbers), np.int64)
 
     def sequence(self, equations: frozenset[str], consistency: str) -> tuple[Step, ...]:

@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.common.resources import shipped
-from gateway.common.tomlfile import read_toml
-from gateway.errors import InputError, InputErrors, nearest
+import numpy as np
+
+from gateway.errors import InputError, nearest
 from gateway.fdi import cusum
-from gateway.fdi.structure.file import load_model
+from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.sources import load_source
-from gateway.fdi.structure.model import Model, Quantity
+from gateway.fdi.structure.model import Model
+from gateway.fdi.structure.model import Quantity as Known
+from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
     Arrivals,
     Connection,
@@ -24,6 +26,8 @@ from gateway.monitors.contract import (
     Monitor,
     Notes,
     Parts,
+    Quantities,
+    Quantity,
     Signal,
     Warnings,
 )
@@ -79,6 +83,17 @@ class _Made:
                     sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
                     peaks=lambda s: s["own"]["cusum"]["peak"][:count],
                 ),
+                Quantities(
+                    lambda _: tuple(
+                        q
+                        for test in plan.tests
+                        for q in (
+                            Quantity(f"residual of {test.name}", test.unit),
+                            Quantity(f"T over J of {test.name}", limit=1.0),
+                        )
+                    ),
+                    lambda s: np.stack([s["own"]["residual"][:count], s["own"]["norm"][:count]], 1).ravel(),
+                ),
                 Notes(lambda _: summary.notes(self.model, plan)),
                 Parts(self._parts),
                 Warnings(lambda p: summary.warnings(plan, p)),
@@ -119,8 +134,8 @@ class _Made:
                 return False
             text = f'the tests need this known variable of the model: signals = {{ {known} = "Message.Signal" }}'
             raise InputError(f"{text}; {error.message}", key=f"signals.{known}") from error
-        wanted, told = self.model.quantities.get(known, Quantity()).unit, str(signal.unit or "")
-        if _plain(wanted) and _plain(told) and _plain(wanted) != _plain(told):
+        wanted, told = self.model.quantities.get(known, Known()).unit, str(signal.unit or "")
+        if differ(wanted, told):
             text = f'{signal.name} is in "{told}", {known} of the model in "{wanted}"'
             raise InputError(text, key=f"signals.{known}", value=told)
         return True
@@ -173,12 +188,6 @@ class _Made:
         return faults_of(self.model, self.plan, p.given)
 
 
-def _plain(unit: str) -> str:
-    """Return a unit as it is compared: without spaces, and empty for a pure number."""
-    text = "".join(unit.split()).replace("·", "").replace("*", "").replace("²", "2")
-    return "" if text in ("1", "-") else text
-
-
 def _measured(model: Model) -> dict[str, str]:
     """Return unknowns that a sensor's equation gives as they are: unknown -> known variable."""
     found: dict[str, str] = {}
@@ -204,7 +213,7 @@ def _condition(model: Model, p: Params) -> Program | None:
     names = (*model.knowns, *measured)
 
     def unit_of(name: str) -> str | None:
-        return model.quantities.get(name, Quantity()).unit or None
+        return model.quantities.get(name, Known()).unit or None
 
     try:
         program = compile_text(p.active, unit_of, named=names)
@@ -216,46 +225,14 @@ def _condition(model: Model, p: Params) -> Program | None:
     return program
 
 
-def _file(p: Params, folder: Path) -> Path:
-    """Return the model's file: beside the configuration, else one that comes with the gateway.
-
-    Raises:
-        InputError: there is neither.
-    """
-    path = folder / p.model
-    if path.exists():
-        return path
-    try:
-        return shipped(f"models/{p.model}")
-    except InputError as error:
-        known = sorted(each.name for each in shipped("models").glob("*.toml"))
-        text = f"no such file beside the configuration, and the gateway comes with {', '.join(known)} only"
-        raise InputError(f"{text}{nearest(str(p.model), known)}", key="model", value=str(p.model)) from error
-
-
-def _model(path: Path) -> Model:
-    """Read the model.
-
-    Raises:
-        InputError, InputErrors: what is wrong with it.
-    """
-    try:
-        return load_model(path)
-    except InputErrors as errors:
-        if "bus" not in read_toml(path):
-            raise
-        text = "this file is a configuration, not a model: one of the two needs another name, or folder"
-        raise InputError(text, key="model", value=path.name) from errors
-
-
 #: Monitors by the names of their plans: the same one for the same model.
 _MONITORS: dict[str, Monitor[Params]] = {}
 
 
 def made(p: Params, folder: Path) -> Monitor[Params]:
     """Return the monitor that has these parameters."""
-    path = _file(p, folder)
-    model = _model(path)
+    path = find_model(p.model, folder, beside="the configuration", key="model")
+    model = load_own_model(path, key="model")
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
         "start": sorted(p.start.items()),

@@ -11,7 +11,7 @@ import numpy as np
 from gateway.fdi.structure.isolability import Isolability, isolability_of_tests
 
 #: Tests and faults that a monitor has room for.
-MOST_TESTS, MOST_FAULTS = 32, 60
+MOST_TESTS, MOST_FAULTS = 48, 60
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,22 @@ that is missing is stepped over; behind a gap of more than :data:`LONGEST` sets 
 from __future__ import annotations
 
 from gateway.jit import kernel
-from gateway.monitors.contract import CusumCalibration, Evidence, Fault, Monitor, Out, Readout
+from gateway.monitors.contract import (
+    CusumCalibration,
+    Evidence,
+    Fault,
+    Monitor,
+    Out,
+    Quantities,
+    Quantity,
+    Readout,
+)
 from gateway.monitors.truck import blanking, collection, decision, gate, isolation, motion, observer, static
 from gateway.monitors.truck.faults import faults_of
 from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
 from gateway.monitors.truck.messages import Inputs, connect
 from gateway.monitors.truck.params import QUANTITIES, Params
-from gateway.monitors.truck.records import Const, State, peaks, prepare, sums
+from gateway.monitors.truck.records import RESIDUAL_NAMES, Const, State, peaks, prepare, sums
 
 #: Sets that may be missing in a row.
 LONGEST = 5
@@ -91,6 +100,13 @@ MONITOR = Monitor(
             floors={"T7": observer.FLOOR},
             sums=sums,
             peaks=peaks,
+        ),
+        Quantities(
+            lambda p: (
+                *(Quantity(f"residual of {name}") for name in RESIDUAL_NAMES),
+                *(Quantity(f"T over J of {name}", limit=1.0) for name in isolation.TESTS[p.system]),
+            ),
+            lambda s: (*s["residual"], *s["level"]),
         ),
         Readout(("sets", "apart", "valid", "fired", "explained")),
     ),

@@ -34,7 +34,8 @@ from gateway.monitors.truck.params import QUANTITIES, Params
 
 #: Places of the residuals: of T1 to T4, of T3 and T4 with mixed causality, of T5 to T7.
 R1, R2, R3, R4, R3_MIXED, R4_MIXED, R5, R6, R7 = range(9)
-RESIDUALS = 9
+RESIDUAL_NAMES = ("T1", "T2", "T3", "T4", "T3 (mixed)", "T4 (mixed)", "T5", "T6", "T7")
+RESIDUALS = len(RESIDUAL_NAMES)
 
 #: Systems by their place.
 SYSTEMS = tuple(isolation.TESTS)

@@ -94,7 +94,7 @@ def test_structure_alone(tmp_path):
     """
     model = load_model(write(tmp_path, text))
     assert model.equations[0].relation is None
-    assert model.equations[0].derivative == "x"
+    assert model.equations[0].derivatives == ("x",)
 
 
 @pytest.mark.parametrize(

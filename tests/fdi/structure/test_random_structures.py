@@ -127,10 +127,11 @@ def block_sets(structure, rows, columns):
     return blocks
 
 
+@pytest.mark.parametrize("paired", [False, True])
 @pytest.mark.parametrize("seed", range(12))
-def test_sequences_and_classes(seed):
+def test_sequences_and_classes(seed, paired):
     """Each candidate of random models, classified again with SciPy's blocks and the rules as they are written."""
-    model = random_model(seed, 7 + seed % 3, 2, states=3)
+    model = random_model(seed, 7 + seed % 3, 2, states=4 if paired else 3, paired=paired)
     msos = find_msos(counted(model))
     found = classify(model, msos)
     structure, s = full(model), Structure(model)

@@ -69,9 +69,13 @@ def test_msos_of_the_truck(truck, count, explicit):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("paired", [False, True])
 @pytest.mark.parametrize("seed", range(20))
-def test_random_models(seed):
-    model = random_model(seed, 8 + seed, 2 + seed % 4, states=seed % 3)
+def test_random_models(seed, paired):
+    """``paired``: several derivatives in an equation, which counts as lumped and as explicit alike."""
+    model = random_model(seed, 8 + seed, 2 + seed % 4, states=2 + seed % 5 if paired else seed % 3, paired=paired)
+    if paired and seed % 2:
+        model = model.explicit()
     other = toolbox(model)
     found = find_msos(counted(model))
     assert sets(found) == theirs(other.MSO())

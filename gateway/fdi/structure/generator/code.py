@@ -31,7 +31,7 @@ from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
 from gateway.fdi.structure.sequence import shown
 
-#: Fields of STATE for (20): the residual, the variable, and b, of the sample before.
+#: Fields of STATE for (20): the residual, the first variable, and b, of the sample before.
 FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
 
 #: Binding of names and calls, just below which nothing needs parentheses.
@@ -64,6 +64,11 @@ _LOCALS = {
 def _shown(variable: str) -> str:
     """Return the field of STATE that shows a computed variable."""
     return f"shown_{identifier(variable)}"
+
+
+def _last(variable: str, first: str) -> str:
+    """Return the field of STATE for a variable of (20) at the sample before."""
+    return LAST if variable == first else f"{LAST}{field_name(variable)}"
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
@@ -170,12 +175,12 @@ class _Writer:
     # What is read -----------------------------------------------------------------------------------------------------
 
     def used(self) -> set[Algebra]:
-        expressions = [self.r.residual, *self.initial.values.values()]
+        expressions = [self.r.residual, *self.r.transformed.values(), *self.initial.values.values()]
         expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
         return {x for e in expressions for x in e.free_symbols}
 
     def tables(self) -> tuple[str, ...]:
-        expressions = [self.r.residual, *self.initial.values.values()]
+        expressions = [self.r.residual, *self.r.transformed.values(), *self.initial.values.values()]
         expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
         called = {type(f).__name__ for e in expressions for f in e.atoms(sympy.Function)}
         return tuple(name for name in self.model.tables if name in called)
@@ -249,8 +254,7 @@ class _Writer:
         lines += self.chain(first & computed)
         lines += [f"{self.state(x)} = {self.print(e)}" for x, e in self.initial.values.items()]
         behind = {self.of[x] for x in self.r.differentiated}
-        if self.r.transformed:
-            behind.add(self.of[self.r.transformed])
+        behind |= {self.of[x] for x in self.r.transformed}
         if behind:
             chain = self.chain(behind & computed)
             lines += ["dt = 0.0"] * any("dt" in line for line in chain)
@@ -258,12 +262,9 @@ class _Writer:
         for x in self.r.differentiated:
             lines.append(f"s.low_{field_name(x)}{self.index} = {self.names[self.of[x]]}")
         if self.r.transformed:
-            x = self.names[self.of[self.r.transformed]]
-            lines += [
-                f"s.{FILTERED}{self.index} = 0.0  # (25)",
-                f"s.{LAST}{self.index} = {x}",
-                f"s.{DRIVE}{self.index} = 0.0",
-            ]
+            lines.append(f"s.{FILTERED}{self.index} = 0.0  # (25)")
+            lines += [f"{self.last(x)} = {self.names[self.of[x]]}" for x in self.r.transformed]
+            lines.append(f"s.{DRIVE}{self.index} = 0.0")
         return self.branched(lines) if lines else ["pass"]
 
     def step(self) -> list[str]:
@@ -276,7 +277,7 @@ class _Writer:
             lines.append(f"s.d_{field_name(x)}{self.index} = {d} if isfinite({d}) else 0.0")
         residual = self.print(self.r.residual)
         if self.r.transformed:
-            lines += self.filtered(self.names[self.of[self.r.transformed]], residual)
+            lines += self.filtered(residual)
         else:
             lines.append(f"r = {residual}  # {self.r.consistency}")
         if not self.several:
@@ -284,16 +285,27 @@ class _Writer:
         best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
         return ["best = nan", *self.branched([*lines, *best]), "return float(best)"]
 
-    def filtered(self, x: str, residual: str) -> list[str]:
-        kept, last, drive = (f"s.{name}{self.index}" for name in (FILTERED, LAST, DRIVE))
+    def last(self, x: str) -> str:
+        """Return the field with a variable of (20) at the sample before."""
+        first = next(iter(self.r.transformed))
+        return f"s.{_last(x, first)}{self.index}"
+
+    def filtered(self, residual: str) -> list[str]:
+        kept, drive = (f"s.{name}{self.index}" for name in (FILTERED, DRIVE))
+        names = {x: self.names[self.of[x]] for x in self.r.transformed}
+        moved = " + ".join(
+            f"({self.print(factor)}) * ({names[x]} - {self.last(x)})".removeprefix("(1.0) * ")
+            for x, factor in self.r.transformed.items()
+        )
+        moved = moved if len(names) == 1 else f"({moved})"
         return [
             f"keep = exp(-c.{FILTER} * dt)",
             f"b = {residual}  # {self.r.consistency}",
-            f"r = (1.0 - keep) / dt * ({x} - {last}) if dt > 0.0 else c.{FILTER} * ({x} - {last})",
+            f"r = (1.0 - keep) / dt * {moved} if dt > 0.0 else c.{FILTER} * {moved}",
             f"r += keep * {kept} + (1.0 - keep) * {drive}  # (20)",
             "if isfinite(r):",
             f"    {kept} = r",
-            f"    {last} = {x}",
+            *(f"    {self.last(x)} = {name}" for x, name in names.items()),
             "if isfinite(b):",
             f"    {drive} = b",
             "else:",
@@ -306,7 +318,9 @@ class _Writer:
         form = f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
         states = [f"{name}: {form}" for x in self.r.integrated for name in (field_name(x), f"d_{field_name(x)}")]
         if self.r.transformed:
-            states += [f"{name}: {form}" for name in (FILTERED, LAST, DRIVE)]
+            first = next(iter(self.r.transformed))
+            lasts = [_last(x, first) for x in self.r.transformed]
+            states += [f"{name}: {form}" for name in (FILTERED, *lasts, DRIVE)]
         states += [f"low_{field_name(x)}: {form}" for x in self.r.differentiated]
         states += [f"{_shown(v)}: {form}" for v in self.r.outputs]
         used = self.used()

@@ -7,7 +7,7 @@ Three kinds of state:
   computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight and b held between
   two samples at a distance h, the filter is r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)), d = exp(-alpha h);
   its gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha
-  h / 2 of its slope.) It begins with r = 0, (25);
+  h / 2 of its slope.) It begins with r = 0, (25). Several such variables are one r~ = der(x) + a der(y) + b;
 - of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and
 the
   filter's slope is taken for der(x).
@@ -64,7 +64,7 @@ class Realisation:
         statements: in the order of computation.
         integrated: states in integral causality.
         residual: the residual, or b of (20) if ``transformed`` is not empty.
-        transformed: the variable x of (20), else empty.
+        transformed: each variable x of (20) with the factor of its derivative, that of the first is one; else empty.
         carried: states that begin at a given value, and keep theirs when the generator is started again; of each, the
             value.
         outputs: computed variables that its state shows, beside the residual.
@@ -78,7 +78,7 @@ class Realisation:
     statements: tuple[Statement, ...]
     integrated: tuple[str, ...]
     residual: Algebra
-    transformed: str = ""
+    transformed: Mapping[str, Algebra] = field(default_factory=dict)
     carried: Mapping[str, float] = field(default_factory=dict)
     outputs: tuple[str, ...] = ()
 
@@ -126,7 +126,7 @@ def realise(
     """
     symbols = Symbols(model)
     steps = Structure(model).sequence(equations, consistency)
-    transformed = _transformed(model, equations, consistency, steps)
+    avoided = _transformed(model, equations, consistency, steps)
     statements: list[Statement] = []
     integrated: list[str] = []
     for step in steps:
@@ -135,14 +135,14 @@ def realise(
             integrated.append(state)
         elif step.kind is not Kind.DIFFERENTIATE:
             statements.append(Statement(step.equations, solve(model, symbols, step)))
-        elif state != transformed:
+        elif state not in avoided:
             if not differentiate:
                 raise NotSolvableError(
                     f"the sequence differentiates {state}, and a transformation (20) avoids that in the consistency"
                     " relation only: check another equation of the set, or take another set"
                 )
             statements.append(Statement(step.equations, (), state))
-    residual = _residual(symbols, model, consistency, transformed)
+    residual, transformed = _residual(symbols, model, consistency, avoided)
     carried = {x: value for x in integrated if (value := _start(model, x, start)) is not None}
     computed = {v for statement in statements for v in statement.variables}
     for name in outputs:
@@ -162,34 +162,38 @@ def _start(model: Model, state: str, start: Mapping[str, float] | None) -> float
     return None if quantity is None else quantity.value
 
 
-def _residual(symbols: Symbols, model: Model, consistency: str, transformed: str) -> Algebra:
-    """Return the residual of a consistency relation, or b of (20) if a variable is transformed."""
+def _residual(
+    symbols: Symbols, model: Model, consistency: str, avoided: Sequence[str]
+) -> tuple[Algebra, dict[str, Algebra]]:
+    """Return the residual of a consistency relation; or b of (20), and the factors of the derivatives there."""
     check = model.by_name[consistency]
     if check.differential:
-        return symbols.of[check.differential] * 0 - symbols.of[der(check.differential)]
+        return -symbols.of[der(check.differential)], {check.differential: sympy.Integer(1)}
     if check.relation is None:
         raise NotSolvableError(f"equation {consistency} has no relation, only a structure")
     residual = symbols.residual(check.relation)
-    return _transformation(symbols, residual, transformed, consistency) if transformed else residual
+    return _transformation(symbols, residual, avoided, consistency) if avoided else (residual, {})
 
 
-def _transformed(model: Model, equations: frozenset[str], consistency: str, steps: tuple[Step, ...]) -> str:
-    """Return the variable whose derivative stands in the consistency relation and nowhere else, empty if none."""
+def _transformed(model: Model, equations: frozenset[str], consistency: str, steps: tuple[Step, ...]) -> tuple[str, ...]:
+    """Return the variables that are differentiated for the consistency relation, and stand so nowhere else."""
     check = model.by_name[consistency]
     if check.differential:
-        return check.differential
-    state = check.derivative
-    if not state or not any(s.kind is Kind.DIFFERENTIATE and state_of(s.variables[0]) == state for s in steps):
-        return ""
-    others = (e for e in model.equations if e.name in equations and not e.differential)
-    elsewhere = any(der(state) in e.variables for e in others if e.name != consistency)
-    return "" if elsewhere else state
+        return (check.differential,)
+    differentiated = {state_of(s.variables[0]) for s in steps if s.kind is Kind.DIFFERENTIATE}
+    others = [e for e in model.equations if e.name in equations and not e.differential and e.name != consistency]
+    return tuple(x for x in check.derivatives if x in differentiated and not any(der(x) in e.variables for e in others))
 
 
-def _transformation(symbols: Symbols, residual: Algebra, state: str, consistency: str) -> Algebra:
-    """Return b of r~ = der(x) + b, (20a)."""
-    derivative = symbols.of[der(state)]
-    slope = sympy.diff(residual, derivative)
-    if slope == 0 or slope.has(derivative):
-        raise NotSolvableError(f"equation {consistency} is not linear in der({state}): (20a) does not hold")
-    return residual.subs(derivative, 0) / slope
+def _transformation(
+    symbols: Symbols, residual: Algebra, avoided: Sequence[str], consistency: str
+) -> tuple[Algebra, dict[str, Algebra]]:
+    """Return b of r~ = der(x) + a der(y) + ... + b, (20a), and the factors."""
+    derivatives = {x: symbols.of[der(x)] for x in avoided}
+    slopes = {x: sympy.diff(residual, d) for x, d in derivatives.items()}
+    for x, slope in slopes.items():
+        if slope == 0 or slope.has(*derivatives.values()):
+            raise NotSolvableError(f"equation {consistency} is not linear in der({x}): (20a) does not hold")
+    first = slopes[avoided[0]]
+    b = residual.subs(dict.fromkeys(derivatives.values(), 0)) / first
+    return b, {x: sympy.cancel(slope / first) for x, slope in slopes.items()}

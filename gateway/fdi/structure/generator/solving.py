@@ -51,7 +51,7 @@ def solve(model: Model, symbols: Symbols, step: Step) -> tuple[Solution, ...]:
     return found
 
 
-def _linear(residual: Algebra, symbol: Algebra) -> Algebra | None:
+def linear(residual: Algebra, symbol: Algebra) -> Algebra | None:
     """Return the solution of an equation that is linear in a symbol, else None."""
     slope = sympy.diff(residual, symbol)
     if slope.has(symbol) or slope.has(sympy.Derivative) or slope == 0:
@@ -74,9 +74,9 @@ def _one(symbols: Symbols, equation: Equation, variable: str) -> tuple[tuple[Sol
         if side.text == variable and variable not in other.names:
             return ({variable: symbols.expression(other)},), declared
     residual = symbols.residual(relation)
-    linear = _linear(residual, symbol)
-    if linear is not None:
-        return ({variable: linear},), declared
+    straight = linear(residual, symbol)
+    if straight is not None:
+        return ({variable: straight},), declared
     return tuple({variable: one} for one in _solutions([residual], [symbol], equation.name)[0]), declared
 
 

@@ -45,21 +45,22 @@ class Symbols:
 
     Args:
         model: the model.
+        faulty: leave faults in expressions, instead of taking them as zero.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, *, faulty: bool = False) -> None:
         self.model = model
         names = (*model.full_variables, *model.knowns, *model.faults, *model.parameters)
         self.of: Mapping[str, Algebra] = {name: sympy.Symbol(name, real=True) for name in names}
         self.tables: Mapping[str, Algebra] = {name: sympy.Function(name) for name in model.tables}
-        self.nominal = {self.of[name]: sympy.Integer(0) for name in model.faults}
+        self.nominal = {} if faulty else {self.of[name]: sympy.Integer(0) for name in model.faults}
 
     def expression(self, expression: Expression) -> Algebra:
-        """Return an expression without faults."""
+        """Return an expression, without faults unless they are left in."""
         return self._tree(expression.tree).subs(self.nominal)
 
     def residual(self, relation: Relation) -> Algebra:
-        """Return left minus right of an equation, without faults."""
+        """Return left minus right of an equation, without faults unless they are left in."""
         return self.expression(relation.left) - self.expression(relation.right)
 
     def _tree(self, node: ast.expr) -> Algebra:
