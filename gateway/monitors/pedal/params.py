@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.fdi.voting import supply
 from gateway.monitors.contract import MonitorParams
 
 #: Voters by their number in the constants.
@@ -129,6 +130,23 @@ class Params(MonitorParams):
     )
     gain_error: float = Field(1.0, ge=0, le=50, description="difference of the channels' slopes that is usual [%]")
     overtravel: float = Field(5.0, ge=0, le=100, description="beyond 0 % and 100 % that is in range [% of the travel]")
+
+    lag_ms: float = Field(
+        10.0,
+        ge=0,
+        le=12.0,
+        description="by which one channel may lag behind another, through a filter; how much it is, is learned [ms]",
+    )
+    ratiometric: bool = Field(
+        True,
+        description="readings are in proportion to one supply: it is told from a channel's fault where slopes differ",
+    )
+
+    @property
+    def tells_supply(self) -> bool:
+        """Whether the channels tell their supply from the travel."""
+        rest = [channel.at_rest for channel in self.channels]
+        return self.ratiometric and supply.tells(rest, [c.at_full - c.at_rest for c in self.channels])
 
     @property
     def channels(self) -> tuple[Channel, ...]:
