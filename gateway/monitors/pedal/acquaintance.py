@@ -59,8 +59,8 @@ def _measure(s: State, c: Const) -> None:
     s.noise = noise.largest_noise(s.sensors, c.noise, n)
     s.resolution = noise.widest_step(s.sensors, c.noise, n)
     scale.measure(t.scale, s.noise, s.resolution, c.tracking.high - c.tracking.low, c.tracking.bend)
-    # Who is quieter than told repeats itself for longer.
-    t.scale.silent = scale.silent(noise.least_noise(s.sensors, c.noise, n), s.resolution)
+    if scale.silent(noise.least_noise(s.sensors, c.noise, n), s.resolution) == scale.NEVER:
+        t.scale.silent = scale.NEVER  # one of them is so quiet that it always repeats itself at rest
     if s.noise > DOUBT * max(before, c.noise.noise):
         _forgive(s, n)
 

@@ -22,6 +22,8 @@ from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 TRIED_MS = (1.0, 2.0, 3.5, 5.5, 8.0, 11.5, 16.0)
 BANK = len(TRIED_MS)
 PLACES = 2 * BANK + 1
+#: From this period of the samples on no lag is looked for [ms].
+COARSE_MS = 5.0
 #: What is slower is offset and mismatch, no lag [ms].
 SLOW_MS = 60.0
 #: Movement that tells lags apart: sum of squares of what a lag of this makes, over those of noise, either way.
@@ -104,7 +106,8 @@ def prepare(c: Const, *, period_ms: float, most_ms: float) -> None:
         c.pole[k] = math.exp(-period_ms / tau)
         c.tau[BANK + 1 + k], c.tau[BANK - 1 - k] = tau / period_ms, -tau / period_ms
     c.slow = 1.0 - math.exp(-period_ms / SLOW_MS)
-    c.most, c.least = most_ms / period_ms, LEAST_MS / period_ms
+    # Between samples that are far from each other nobody sees a lag.
+    c.most, c.least = most_ms / period_ms if period_ms <= COARSE_MS else 0.0, LEAST_MS / period_ms
     c.widest = min((k for k, tau in enumerate(TRIED_MS) if tau >= 1.2 * most_ms), default=BANK - 1)
     c.none = 1e-3
     c.fade = c.pole[c.widest] ** FADES

@@ -142,7 +142,7 @@ def largest_noise(s: State, c: Const, n: int) -> float:
 
 @kernel
 def least_noise(s: State, c: Const, n: int) -> float:
-    """Return the noise that makes the quietest channel repeat itself; as told until it is known."""
+    """Return the noise of the quietest channel; as told until it is known."""
     least = c.noise
     for i in range(n):
         if s.taken[i] >= FIRST:
