@@ -303,6 +303,8 @@ def align(s: State, c: Const, n: int, y: f8s, smooth: int, out: f8s) -> None:
         if s.begun[i] == 0:
             s.aligned[i] = y[i]
             s.begun[i] = 1
+        if smooth & (1 << i) == 0:
+            s.aligned[i] += y[i] - s.older[i]  # a jump is no movement: it shows as it is
         s.aligned[i] = y[i] + s.pole[i] * (s.aligned[i] - y[i])
         out[i] = s.aligned[i]
         if smooth & (1 << i):

@@ -211,7 +211,9 @@ def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
                     s.mismatch.level[i] += z[i] - centre
                     z[i] = centre
             bits, members = trusted, 2
-        if members == 2 and near:  # what a lag is allowed is no agreement to go on from
+        # What a lag is allowed is an agreement to go on from only if they parted without a jump.
+        steady = s.apart == 0.0 and abs(parity - s.lately) <= c.creep * dt + s.scale.noise_gate
+        if members == 2 and (near or steady):
             s.parity = parity
             s.apart = 0.0
         else:
