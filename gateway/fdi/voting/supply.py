@@ -144,6 +144,7 @@ def look(
     slope: float,
     certainty: float,
     variance: float,
+    slack: float,
     sure: bool,
 ) -> bool:
     """Take the readings of one sample; tells whether the supply has just been found to be wrong.
@@ -158,6 +159,7 @@ def look(
         slope: its change a sample [%].
         certainty: variance of ``level`` [%^2].
         variance: of a reading [%^2].
+        slack: what a lag may make of the pedal's way [%].
         sure: the pedal's way is known and no channel is held for failed.
     """
     if c.possible == 0:
@@ -194,6 +196,7 @@ def look(
         return False
     single, common = _sums(s, c, position), abs(s.common) / s.age
     unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.age * math.sqrt(float(s.age))
+    unsure += 0.5 * slack
     if s.age >= LEAST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
         s.active = 1
         s.calm = 0

@@ -14,6 +14,9 @@ from gateway.monitors.steering.params import Params
 
 #: History of the frames with motor and pinion.
 KEPT = 32
+#: The steering wheel's age is learned while it turns faster than this, from so many frames with rates so far apart [deg/s];
+#: (1) must hold that well then [deg]. Within this it is as told [ns].
+TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 100, 20.0, 0.12, 1_500_000.0
 
 
 class Const(Record):
@@ -28,6 +31,9 @@ class Const(Record):
     angle_ns: f8
     wheel_ns: f8
     stale_ns: i8
+    unsure: f8
+    most_ns: f8
+    step: f8
 
 
 class State(Record):
@@ -36,7 +42,8 @@ class State(Record):
     ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
     frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
     ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
-    last held.
+    last held. ``extra_ns``: what the steering wheel's angle is older than told, ``aged`` 1: that is known; by sums over
+    its ``turns``, frames in which it turns, of rate and parity: ``r``, ``p``, ``rr``, ``rp``, ``pp``.
     """
 
     at: i8
@@ -55,6 +62,14 @@ class State(Record):
     started: i8
     fitted_ns: i8
     watched: i8
+    extra_ns: f8
+    aged: i8
+    turns: i8
+    r: f8
+    p: f8
+    rr: f8
+    rp: f8
+    pp: f8
     angle_clock: clock.Clock
     wheel_clock: clock.Clock
 
@@ -71,6 +86,8 @@ def prepare(c: Const, p: Params) -> None:
     c.jitter = 1e-3 * p.wheel_jitter_ms
     c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
     c.stale_ns = c.age_ns + 3 * c.wheel_ns
+    c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
+    c.step = p.angle_resolution
 
 
 @kernel
@@ -84,14 +101,43 @@ def keep(s: State, t_ns: int, motor: float, pinion: float) -> None:
 
 
 @kernel
-def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
+def _learn(s: State, c: Const) -> None:
+    """Learn how old the steering wheel's angle is: while it turns, (1) is off by its rate times what was told wrong."""
+    rate = s.last_rate / c.wheel_ratio
+    if abs(rate) < TURNING:
+        return
+    s.turns += 1
+    s.r += rate
+    s.p += s.parity
+    s.rr += rate * rate
+    s.rp += rate * s.parity
+    s.pp += s.parity * s.parity
+    rr = s.rr - s.r * s.r / s.turns
+    if s.turns < TURNS or rr < s.turns * SPREAD * SPREAD:
+        return
+    rp, pp = s.rp - s.r * s.p / s.turns, s.pp - s.p * s.p / s.turns
+    age = -1e9 * rp / rr
+    left = max(pp - rp * rp / rr, 0.0) / s.turns
+    if left <= UNEXPLAINED * UNEXPLAINED and abs(age) <= c.most_ns:
+        s.extra_ns = age if abs(age) > RIGHT_NS else 0.0
+        s.aged = 1
+        s.before = s.last = 0.0  # what was off by it is not
+        return
+    s.turns = 0  # an angle is wrong, or it was: once more
+    s.r = s.p = s.rr = s.rp = s.pp = 0.0
+
+
+@kernel
+def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> bool:
     """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
 
     Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
-    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first.
+    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first. ``coarse``: the motor
+    sensor's resolution [deg] where that matters.
     """
     if s.kept < 2:
         return False
+    t_ns = sampled_ns - int(s.extra_ns)
     later = (s.at - 1) % KEPT
     for _ in range(s.kept - 2):
         before = (later - 1) % KEPT
@@ -109,7 +155,12 @@ def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
     # What a frame that was late on the bus makes of a turning wheel.
-    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + 0.5 * coarse / c.motor_ratio
+    if s.aged == 0:
+        _learn(s, c)
+        if s.aged == 1:
+            return False
+        slack += c.unsure * abs(s.last_rate) / c.wheel_ratio
     # One that was is not like those before and behind it.
     one, two, three = s.before, s.last, s.parity
     s.before, s.last = s.last, s.parity
@@ -139,7 +190,7 @@ def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
 @kernel
 def now(s: State, c: Const, t_ns: int) -> float:
     """Return the steering wheel's angle at a time, continued with its rate [deg]."""
-    age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
+    age = (t_ns - s.wheel_ns + c.delay_ns + s.extra_ns) * 1e-9
     return float(s.last_wheel + s.last_rate * age)
 
 
