@@ -137,6 +137,8 @@ def drifting(s: State, c: Const) -> None:
     """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
     n, b = c.channels, s.mismatch
     s.spread = mismatch.spread(b, n, s.isolated)
+    if s.drift == 0 and s.slack >= s.scale.agree:
+        return  # it may be a lag: at rest it goes, a drift stays
     s.drift = 1 if s.spread > (0.8 * c.tolerance if s.drift else c.tolerance) else 0
     if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
         return
