@@ -362,7 +362,13 @@ def step(
 
 
 @kernel
+def lively(s: State) -> bool:
+    """Tell whether the sensor is known to turn to and fro at rest."""
+    return bool(LIVELY * s.lively > s.slow and s.slow >= LEARNED)
+
+
+@kernel
 def silent(s: State, c: Const) -> bool:
     """Tell whether the sensor repeats itself for longer than ever before, though it is known to be lively."""
     for_long = s.repeated >= max(c.silent, 3 * s.longest)
-    return bool(for_long and LIVELY * s.lively > s.slow and s.slow >= LEARNED)
+    return bool(for_long and lively(s))

@@ -57,6 +57,11 @@ STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
 SILENCE = 50
 #: After so many periods the counters have gone round, perhaps; before, they tell what was lost and what was late.
 AMBIGUOUS = 24.0
+#: What is not tested at present, and why. No pair of motor frames yet, or not enough: nothing. No frames of the gear, or
+#: their times are not sure: the three angles. How old the steering wheel's angle is, is not known, for it has not turned:
+#: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong. The angle
+#: sensor is not lively at rest: one that is stuck shows when it is to move.
+NO_PAIRS, NO_GEAR, AGE_UNKNOWN, NO_EMF, STUCK_AT_REST = 1, 2, 4, 8, 16
 #: A current waits for its voltage for so many periods: then the counter may have gone round.
 WAITS = 12
 #: A voltage that came ahead waits so long for its current.
@@ -121,6 +126,8 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     decision.prepare(s.decision, c.decision, p)
     road_wheel.prepare(c.road_wheel, p.ratio)
     s.found = NONE
+    s.wheel_age_ms = p.wheel_delay_ms
+    s.not_seen = NO_PAIRS | NO_GEAR | AGE_UNKNOWN | STUCK_AT_REST
     s.paired = s.current_counter = s.voltage_counter = s.angle_counter = -1
     s.wheel_counter = -1
 
@@ -139,9 +146,28 @@ def _report(s: State, fault: int, failed: bool, value: float, limit: float, out:
 
 
 @kernel
+def _unseen(s: State, c: Const) -> int:
+    """Return what cannot be seen at present, and why: bits NO_PAIRS to STUCK_AT_REST."""
+    m, k = s.electrics, s.kinematics
+    s.wheel_age_ms = (c.kinematics.delay_ns + k.extra_ns) * 1e-6
+    s.angle_step = m.step * 180.0 / (pi * c.electrics.pole_pairs)
+    missing = NO_PAIRS if m.frames < c.settled else 0
+    if s.symptoms.geared == 0:
+        missing |= NO_GEAR
+    elif k.aged == 0:
+        missing |= AGE_UNKNOWN
+    if isnan(m.angle):
+        missing |= NO_EMF
+    if not electrics.lively(m):
+        missing |= STUCK_AT_REST
+    return missing
+
+
+@kernel
 def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report all tests that this pair of frames has carried out."""
     d, y = s.decision, s.symptoms
+    s.not_seen = _unseen(s, c)
     s.found = d.found
     if d.found != NONE:
         k = decision.alarm_of(d.found)
@@ -345,6 +371,9 @@ MONITOR = Monitor(
                 "unpaired",
                 "found",
                 "parity",
+                "wheel_age_ms",
+                "angle_step",
+                "not_seen",
             )
         ),
         Calibration(

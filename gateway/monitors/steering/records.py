@@ -26,6 +26,7 @@ class State(Record):
     ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters.
     ``pairs`` of motor frames taken, ``unpaired`` frames; ``waiting`` 1: the
     last voltage, of ``waiting_ns``, waits for its current.
+    ``wheel_age_ms``, ``angle_step`` [deg]: as learned; ``not_seen``: bits of what is not tested at present.
     """
 
     value: f8
@@ -50,6 +51,9 @@ class State(Record):
     motor: f8
     angle_ns: i8
     parity: f8
+    wheel_age_ms: f8
+    angle_step: f8
+    not_seen: i8
     electrics: electrics.State
     kinematics: kinematics.State
     symptoms: symptoms.State
