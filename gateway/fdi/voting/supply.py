@@ -1,10 +1,10 @@
 """A supply that is wrong for all channels, told from one channel that is wrong.
 
 A sensor of the supply's voltage reads s (a + b x): s the supply's share of what it should be, a the reading at rest, b
-the travel's. Channels whose a and b are not in proportion, as those of opposite slopes, give both s and x; the x that they
-give goes on from where the pedal was, and no channel's own does. If one channel is wrong, the other's own does.
+the travel's. Channels whose a and b are not in proportion, as those of opposite slopes, give both s and x; that x goes
+on from where the pedal was, and no channel's own does. If one channel is wrong, the other's own does.
 
-That is decided in the first samples behind the disagreement, against where the pedal was going: later nobody could tell.
+That is decided in the first samples behind the disagreement, by where the pedal was going: later nobody could tell.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _solve(s: State, c: Const, reading: f8s) -> bool:
     aa = ab = bb = ay = by = 0.0
     for i in range(c.channels):
         a, b, y = c.rest[i], c.way[i], reading[i]
-        if y != y:  # NaN
+        if math.isnan(y):
             return False
         aa += a * a
         ab += a * b

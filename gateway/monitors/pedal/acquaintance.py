@@ -56,12 +56,12 @@ def _forgive(s: State, n: int) -> None:
 def _measure(s: State, c: Const) -> None:
     """Make the voter's gates anew of what is known of the sensors."""
     n, t, before = c.channels, s.tracking, s.noise
-    s.noise = noise.largest_noise(s.sensors, c.noise, n)
-    s.resolution = noise.widest_step(s.sensors, c.noise, n)
+    s.noise = noise.largest_noise(s.sensors, c.sensors, n)
+    s.resolution = noise.widest_step(s.sensors, c.sensors, n)
     scale.measure(t.scale, s.noise, s.resolution, c.tracking.high - c.tracking.low, c.tracking.bend)
-    if scale.silent(noise.least_noise(s.sensors, c.noise, n), s.resolution) == scale.NEVER:
+    if scale.silent(noise.least_noise(s.sensors, c.sensors, n), s.resolution) == scale.NEVER:
         t.scale.silent = scale.NEVER  # one of them is so quiet that it always repeats itself at rest
-    if s.noise > DOUBT * max(before, c.noise.noise):
+    if s.noise > DOUBT * max(before, c.sensors.noise):
         _forgive(s, n)
 
 
@@ -79,7 +79,7 @@ def learn(s: State, c: Const, dt: float) -> None:
     for i in range(n):
         if not math.isnan(s.trusted[i]) and t.isolated & (1 << i) == 0:
             fine |= 1 << i
-    if t.scale.variance == 0.0 or noise.learn(s.sensors, c.noise, n, s.position, fine, dt):
+    if t.scale.variance == 0.0 or noise.learn(s.sensors, c.sensors, n, s.position, fine, dt):
         _measure(s, c)
     smooth = lag.smooth(s.lag, n, s.position, t.scale.straight)
     lag.learn(s.lag, c.lag, n, s.position, fine, smooth, dt, t.scale.variance)

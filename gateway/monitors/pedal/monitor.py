@@ -27,6 +27,11 @@ from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
 
 #: Quality of the value, as GW_BrakePedal carries it.
 STARTING, AGREED, ONE_CHANNEL, DEGRADED, ESTIMATED, INVALID = range(6)
+#: What people are shown of the state.
+_SHOWN = (
+    *("value", "quality", "speed", "samples", "used", "isolated", "spread"),
+    *("noise", "resolution", "lag_ms", "known", "share"),
+)
 #: Without a sample for so many periods the value is invalid.
 SILENCE = 20
 #: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
@@ -64,7 +69,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.last_fault = len(faults(p)) - 1
     told = max(abs(channel.noise * channel.percent) for channel in p.channels)
     step = max(abs(channel.resolution * channel.percent) for channel in p.channels)
-    noise.prepare(c.noise, noise=told, step=step, span=100.0)
+    noise.prepare(c.sensors, noise=told, step=step, span=100.0)
     lag.prepare(c.lag, period_ms=p.period_ms, most_ms=p.lag_ms)
     supply.prepare(
         s.supply,
@@ -208,10 +213,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(Readout(
-            ("value", "quality", "speed", "samples", "used", "isolated", "spread")
-            + ("noise", "resolution", "lag_ms", "known", "share")
-        ),),
+        capabilities=(Readout(_SHOWN),),
     )
 
 

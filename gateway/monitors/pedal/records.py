@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway.fdi.voting import kalman_hybrid, predictive_hybrid, simple, supply
-from gateway.fdi.voting.acquaintance import lag, noise
+from gateway.fdi.voting.acquaintance import lag
+from gateway.fdi.voting.acquaintance import noise as own_noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.jit import Record, f8, f8s, i8, i8s, means
@@ -37,7 +38,7 @@ class Const(Record):
     period_ns: i8
     lost: f8
     last_fault: i8
-    noise: noise.Const
+    sensors: own_noise.Const
     lag: lag.Const
     supply: supply.Const
     tracking: shape.Const
@@ -73,7 +74,7 @@ class State(Record):
     trusted: Annotated[f8s, MOST_CHANNELS]
     aligned: Annotated[f8s, MOST_CHANNELS]
     level: Annotated[f8s, MOST_CHANNELS]
-    sensors: noise.State
+    sensors: own_noise.State
     lag: lag.State
     supply: supply.State
     tracking: shape.State

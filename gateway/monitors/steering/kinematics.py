@@ -14,8 +14,8 @@ from gateway.monitors.steering.params import Params
 
 #: History of the frames with motor and pinion.
 KEPT = 32
-#: The steering wheel's age is learned while it turns faster than this, from so many frames with rates so far apart [deg/s];
-#: (1) must hold that well then [deg]. Within this it is as told [ns].
+#: The steering wheel's age is learned while it turns faster than this, from so many frames with rates so far apart
+#: [deg/s]; (1) must hold that well then [deg]. Within this it is as told [ns].
 TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 30, 20.0, 0.12, 1_500_000.0
 
 

@@ -57,10 +57,10 @@ STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
 SILENCE = 50
 #: After so many periods the counters have gone round, perhaps; before, they tell what was lost and what was late.
 AMBIGUOUS = 24.0
-#: What is not tested at present, and why. No pair of motor frames yet, or not enough: nothing. No frames of the gear, or
-#: their times are not sure: the three angles. How old the steering wheel's angle is, is not known, for it has not turned:
-#: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong. The angle
-#: sensor is not lively at rest: one that is stuck shows when it is to move.
+#: What is not tested at present, and why. No pair of motor frames yet, or not enough: nothing. No frames of the gear,
+#: or their times are not sure: the three angles. How old the steering wheel's angle is, is not known, for it has not
+#: turned: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong.
+#: The angle sensor is not lively at rest: one that is stuck shows when it is to move.
 NO_PAIRS, NO_GEAR, AGE_UNKNOWN, NO_EMF, STUCK_AT_REST = 1, 2, 4, 8, 16
 #: A current waits for its voltage for so many periods: then the counter may have gone round.
 WAITS = 12

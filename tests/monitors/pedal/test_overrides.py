@@ -27,7 +27,9 @@ def test_one_channel_of_a_preset_can_be_changed():
 def test_a_channel_with_a_signal_of_its_own_says_all():
     with pytest.raises(ValidationError) as error:
         PairParams(channel=({"signal": "Other.Ch1"}, {}))
-    assert {e["loc"] for e in error.value.errors()} == {("channel", 0, k) for k in ("at_rest", "at_full", "low", "high")}
+    assert {e["loc"] for e in error.value.errors()} == {
+        ("channel", 0, k) for k in ("at_rest", "at_full", "low", "high")
+    }
 
 
 def test_millivolts_are_of_the_presets_channels():

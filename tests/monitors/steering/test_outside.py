@@ -48,7 +48,7 @@ HEALTHY = {
 }
 
 
-@pytest.mark.parametrize("name", HEALTHY if FULL else list(HEALTHY)[::3] + ["wheel delay 12 ms", "angle 10 bit"])
+@pytest.mark.parametrize("name", HEALTHY if FULL else [*list(HEALTHY)[::3], "wheel delay 12 ms", "angle 10 bit"])
 def test_a_steering_that_is_not_as_told_is_not_accused(name):
     machine, of_drive, of_bus, allowed = HEALTHY[name]
     for k in range(amount(20, 1)):

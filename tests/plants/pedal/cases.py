@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pedal import sensors
-from pedal.foot import DT, driving
 from wire.replayed import config_of, through
 
+from pedal import sensors
+from pedal.foot import DT, driving
 
 #: Seconds that are made and fed at once.
 BATCH_S = 60.0

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import cantools
 import numpy as np
-from pedal.foot import DT
 from scipy.signal import lfilter
 from wire.encode import frames_of
 
 from gateway.common.resources import shipped
+from pedal.foot import DT
 
 DBC = shipped("dbc/pedal.dbc")
 DATABASE = cantools.database.load_file(DBC)
@@ -41,11 +41,7 @@ def brake(noise=0.002, lag=(0.0, 0.0), kind="first", rng=None, bits=12):
     ends = ((0.5, 4.5), (4.5, 0.5))
     gains = 1 + (rng.normal(0, 0.002, 2) if rng is not None else np.zeros(2))
     offsets = rng.normal(0, 0.004, 2) if rng is not None else np.zeros(2)
-    return Plant(
-        tuple(
-            Sensor(*ends[k], gains[k], offsets[k], noise, lag[k], kind, bits) for k in range(2)
-        )
-    )
+    return Plant(tuple(Sensor(*ends[k], gains[k], offsets[k], noise, lag[k], kind, bits) for k in range(2)))
 
 
 def _filtered(x, sensor):

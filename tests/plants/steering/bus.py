@@ -10,7 +10,9 @@ DBC = shipped("dbc/steering.dbc")
 DATABASE = cantools.database.load_file(DBC)
 
 
-def frames(x, machine, *, wheel_delay_ms=5.0, burst_ms=None, wheel_add=None, pinion_add=None, celsius=20.0, voltage=0.0):
+def frames(
+    x, machine, *, wheel_delay_ms=5.0, burst_ms=None, wheel_add=None, pinion_add=None, celsius=20.0, voltage=0.0
+):
     """Frames of a drive of :func:`steering.drive.drive`.
 
     Args:

@@ -1,4 +1,4 @@
-"""The drive: motor in dq by Runge-Kutta each 50 us, field-oriented control at 10 kHz, wheels on a road, sensors in the loop."""
+"""The drive: motor in dq by Runge-Kutta each 50 us, field-oriented control at 10 kHz, sensors in the loop."""
 
 from dataclasses import dataclass, replace
 
@@ -68,7 +68,7 @@ def _machine(x, u_d, u_q, load, p):
 @numba.njit(cache=False)
 def _run(p, wheel, noise, add, held, gain, current_noise):
     """Run; ``add``, ``gain`` of the sensor each ms, ``held``: first ms from which it repeats its reading."""
-    z, ld, lq, psi, r = p[0], p[3], p[4], p[1], p[2]
+    z, ld, lq, psi = p[0], p[3], p[4], p[1]
     coulomb, dead, ratio, code, weak = p[7], p[8], p[9], p[10], p[11]
     n = len(wheel) // 10
     out = np.zeros((n, 10))

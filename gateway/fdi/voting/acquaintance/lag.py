@@ -65,8 +65,8 @@ class State(Record):
     ``bank``: each channel behind each filter. Of each pair of the first channel with another, by place of the
     time constant: sums over time of the squares of their difference ``rr``, of the movement ``xx``, of both ``rx``,
     the slow parts taken off: ``slow_r``, ``slow_x``. ``up``, ``down``: movement so far. ``known``: 1: lags are known.
-    ``tau``: lag of each channel behind the quickest [periods]. ``pole``, ``aligned``: filter that brings a channel to the
-    slowest. ``left``: share of the movement that the alignment leaves; ``slack``: what is allowed for at present;
+    ``tau``: lag of each channel behind the quickest [periods]. ``pole``, ``aligned``: filter that brings a channel to
+    the slowest. ``left``: share of the movement that the alignment leaves; ``slack``: what is allowed for at present;
     ``swing``: what one channel may still move when another stands.
     ``before``, ``last``, ``older``: the readings before.
     """

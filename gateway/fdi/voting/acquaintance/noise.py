@@ -1,7 +1,7 @@
 """Noise and resolution of a channel, from the second differences of its readings.
 
 A foot bends its way by less than noise does in three samples, so that the median of the differences is that of noise,
-1.652 sigma; the median knows nothing of single wrong readings. It is learned from the first samples and then stays: what
+1.652 sigma; the median knows nothing of single wrong readings. It is learned from the first samples and stays: what
 becomes noisy later is at fault. The resolution is the least step that readings have made.
 """
 

@@ -16,7 +16,8 @@ FEW = 4
 class State(Record):
     """State.
 
-    ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how often the last was repeated;
+    ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
+    often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
     on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
     repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.

@@ -57,7 +57,9 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     for j in range(c.channels):
         if others & (1 << j):
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= s.scale.agree + s.swing)
-            silent = silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= s.scale.lively + s.swing
+            silent = (
+                silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= s.scale.lively + s.swing
+            )
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.

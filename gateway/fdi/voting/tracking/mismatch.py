@@ -63,7 +63,8 @@ def centre(b: State, n: int) -> float:
 def learn(b: State, i: int, error: float, dt: float, lagging: bool) -> None:
     """Correct channel ``i``'s mismatch by the difference between what it is and what it was taken for.
 
-    Where that may be a lag (``lagging``), little of it is a mismatch, and its rate is none; one that stays shows. Two errors in a row have to agree in sign, and the smaller counts: a small impulse is not a mismatch.
+    Where that may be a lag (``lagging``), little of it is a mismatch, and its rate is none; one that stays shows.
+    Two errors in a row have to agree in sign, and the smaller counts: a small impulse is not a mismatch.
     """
     before = b.error[i]
     b.error[i] = error

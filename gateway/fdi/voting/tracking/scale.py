@@ -45,7 +45,7 @@ def silent(noise: float, step: float) -> int:
         return FEW
     if likeliest >= 0.9:
         return NEVER
-    return max(FEW, int(math.ceil(math.log(1e-8) / math.log(likeliest))))
+    return max(FEW, math.ceil(math.log(1e-8) / math.log(likeliest)))
 
 
 @kernel

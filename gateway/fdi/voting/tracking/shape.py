@@ -8,7 +8,7 @@ from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking.habits import State as Habits
 from gateway.fdi.voting.tracking.mismatch import State as Mismatch
 from gateway.fdi.voting.tracking.motion import State as Motion
-from gateway.fdi.voting.tracking.scale import GATE, Scale
+from gateway.fdi.voting.tracking.scale import Scale
 from gateway.jit import Record, f8, f8s, i8, i8s
 
 #: Rejections (an acceptance takes one back) that isolate a channel, and the consistent samples that restore it.
