@@ -123,3 +123,26 @@ def test_messages_of_other_names_by_configuration(tmp_path):
     with pytest.raises(GatewayError, match=r'rad/s.* in the database, the plant wants "deg/s"') as error:
         through(config_of(told(M, signals=signals), own), [frames])
     assert "SAS_Angle.Delta_S_dot" in str(error.value)
+
+
+def test_a_machine_of_gym_electric_motor():
+    """Its solver, its inverter: silent when healthy; a current and the pinion are found, and nothing else named."""
+    from steering import gem
+
+    x = gem.drive()
+    n = len(x["sensor"])
+    step = (np.arange(n) >= 2000).astype(float)
+
+    def said(x, **of_bus):
+        config = config_of(told(gem.GEM, resistance_error=0.1), bus.DBC)
+        return through(config, [bus.frames(x, gem.GEM, **of_bus)])
+
+    assert np.abs(x["omega"]).max() > 40.0, "it turns"
+    assert said(x).set == []
+    current = said(x | {"i_u": x["i_u"] + 15.0 * step}).set
+    print(current)
+    assert set(current) & {"current", "electric"}
+    pinion = said(x, pinion_add=1.5 * step, wheel_delay_ms=9.0).set
+    print(pinion)
+    assert set(pinion) & {"pinion_angle", "angles"}
+    assert not {"wheel_angle", "current", "voltage"} & set(pinion)
