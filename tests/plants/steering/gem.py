@@ -1,9 +1,10 @@
-"""A drive whose machine, inverter and solver nobody here wrote: gym-electric-motor's synchronous machine with a load."""
+"""A drive that nobody here wrote: machine, inverter and solver of gym-electric-motor, with a load."""
 
 import warnings
 from functools import cache
 
 import numpy as np
+
 from steering.drive import Machine
 
 TAU, SECONDS = 1e-4, 3.0
