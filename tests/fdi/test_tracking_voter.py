@@ -81,12 +81,12 @@ def test_two_samples_at_once_are_two_samples():
 
 def test_the_mismatch_follows_a_drift_and_not_an_impulse():
     b = zeros(1, mismatch.State)[0]
-    mismatch.learn(b, 0, 0.01, 1.0)
-    mismatch.learn(b, 0, -0.01, 1.0)
+    mismatch.learn(b, 0, 0.01, 1.0, False)
+    mismatch.learn(b, 0, -0.01, 1.0, False)
     assert float(b["level"][0]) == 0.0
     for k in range(300):
         mismatch.predict(b, 2, 1.0)
-        mismatch.learn(b, 0, 0.001 * k - float(b["level"][0]), 1.0)
+        mismatch.learn(b, 0, 0.001 * k - float(b["level"][0]), 1.0, False)
     assert float(b["level"][0]) == pytest.approx(0.299, abs=0.003)
     assert float(b["rate"][0]) == pytest.approx(0.001, rel=0.05)
 
@@ -94,11 +94,11 @@ def test_the_mismatch_follows_a_drift_and_not_an_impulse():
 def test_a_line_that_moves_while_another_channel_repeats_itself():
     h = zeros(1, habits.State)[0]
     rows = [[1.0 + 0.05 * k, 2.0] for k in range(8)]
-    habits.start(h, 2, np.array(rows[0]))
+    habits.start(h, 2, np.array(rows[0]), np.array(rows[0]))
     found = []
     for row in rows[1:]:
         y = np.array(row)
-        habits.watch(h, 2, y, 3, 0.01, 0.1)
+        habits.watch(h, 2, y, y, 3, 0.01, 0.1)
         found.append((habits.outrun(h, 2, 1, y, 2, 0.03, 0.003), habits.outrun(h, 2, 0, y, 2, 0.03, 0.003)))
     assert found[-1] == (0, -1)
     assert found[1] == (-1, -1), "two samples are not enough"

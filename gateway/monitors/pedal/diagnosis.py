@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
+from gateway.fdi.voting.supply import RIGHT
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
     COMMON_MODE,
@@ -105,22 +106,23 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         _of_channel(s, i, first + RANGE, place == OUTSIDE, s.position[i], 100.0 + c.over, out)
     if place != FINE:
         return  # its place is the cause; the voter has not seen it
+    judged = s.sensors.known == 1  # by the noise there is
     why = v.why[i] if v.isolated & (1 << i) else TRUSTED
     if why in (TRUSTED, FROZEN):
-        repeated, silent = v.habits.same[i], c.tracking.silent
+        repeated, silent = v.habits.same[i], v.scale.silent
         _of_channel(s, i, first + STUCK, why == FROZEN, repeated, silent, out)
     if why in (TRUSTED, REJECTED):
-        _of_channel(s, i, first + IMPLAUSIBLE, why == REJECTED, v.rejected[i], ISOLATE, out)
+        _of_channel(s, i, first + IMPLAUSIBLE, judged and why == REJECTED, v.rejected[i], ISOLATE, out)
     if why in (TRUSTED, DRIFTED) and c.channels == MOST_CHANNELS:
         drifts = c.channels * PER_CHANNEL + DRIFTS + i
         moved, tolerance = abs(v.mismatch.level[i]), c.tracking.tolerance
-        _of_channel(s, i, drifts, why == DRIFTED, moved, tolerance, out)
+        _of_channel(s, i, drifts, judged and why == DRIFTED, moved, tolerance, out)
     if why != TRUSTED:
         d.erratic[i] = 0.0
         return
     if v.used == 0:
         return
-    wrong = v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate
+    wrong = judged and v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate + v.slack
     # A channel that goes wrong and stays so is not erratic: what counts is how often it begins.
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0
@@ -129,6 +131,18 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         failed = d.erratic[i] > ERRATIC_FAILS
         often, limit = 100.0 * d.erratic[i], 100.0 * ERRATIC_FAILS
         _of_channel(s, i, first + ERRATIC, failed, often, limit, out)
+
+
+@kernel
+def _of_supply(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
+    """Report the test of the common supply with its evidence."""
+    failed = s.supply.active == 1
+    e = report(out, c.last_fault, failed, abs(s.share - 1.0), RIGHT).supply
+    if not failed:
+        return
+    for i in range(c.channels):
+        e.reading[i] = s.reading[i]
+    e.voted, e.share = s.value, 100.0 * s.share
 
 
 @kernel
@@ -148,11 +162,14 @@ def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
             valid += 1
     if valid >= 2:
         agreed = v.source in (AGREED, MOVED)
-        d.split += ((0.0 if agreed else 1.0) - d.split) / SPLIT_OVER
+        judged = s.sensors.known == 1
+        d.split += ((0.0 if agreed or not judged else 1.0) - d.split) / SPLIT_OVER
         if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
             _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
-        _of_all(s, c, DRIFT, v.drift == 1, v.spread, c.tracking.tolerance, out)
+        _of_all(s, c, DRIFT, judged and v.drift == 1, v.spread, c.tracking.tolerance, out)
     jumped = v.source == COMMON_MODE and d.split < SPLIT_JUMP
     _of_all(s, c, JUMP, jumped, v.common, 1.0, out)
+    if c.supply.possible == 1:
+        _of_supply(s, c, out)
     if v.source == NONE or v.used:
         _of_all(s, c, INVALID, v.source == NONE, v.motion.coasted, c.lost, out)

@@ -13,7 +13,8 @@ from gateway.monitors.pedal.params import PRESETS, Params
 LOW, HIGH, RANGE, STUCK, IMPLAUSIBLE, ERRATIC = range(6)
 PER_CHANNEL = 6
 #: Faults of all channels, by their place behind those of the channels; then, of three, one "drifts" a channel. Of
-#: two nobody could tell which.
+#: two nobody could tell which. Last of all, where
+#: channels tell it, the supply.
 CORRELATION, DRIFT, JUMP, INVALID, DRIFTS = range(5)
 
 
@@ -40,11 +41,20 @@ class CommonEvidence(Record):
     split: f8 = means("without agreement", "share")
 
 
+class SupplyEvidence(Record):
+    """Evidence of a wrong supply of all channels."""
+
+    reading: Annotated[f8s, MOST_CHANNELS]
+    voted: f8 = means(unit="%")
+    share: f8 = means("supply, of what it should be", "%")
+
+
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
     channel: ChannelEvidence
     common: CommonEvidence
+    supply: SupplyEvidence
 
 
 _ELECTRIC = Debounce(failed_after=20, passed_after=200)
@@ -72,6 +82,12 @@ _COMMON = (
     ),
     ("invalid", "29", "no channel has a reading that can be believed", _JUDGED),
 )
+_SUPPLY = (
+    "supply",
+    "1C",
+    "the common supply of all channels is wrong: both slopes tell; the value is put right by it",
+    _JUDGED,
+)
 
 
 def _dtcs(preset: str) -> dict[str, str]:
@@ -81,7 +97,7 @@ def _dtcs(preset: str) -> dict[str, str]:
         for i in range(MOST_CHANNELS)
         for name, byte, _, _ in (*_CHANNEL, _DRIFTS)
     }
-    return codes | {name: f"{bases[-1]}-{byte}" for name, byte, _, _ in _COMMON}
+    return codes | {name: f"{bases[-1]}-{byte}" for name, byte, _, _ in (*_COMMON, _SUPPLY)}
 
 
 #: Preset -> name of a fault -> its DTC.
@@ -101,4 +117,7 @@ def faults(p: Params) -> tuple[Fault, ...]:
     found += [Fault(n, codes[n], text, labels(CommonEvidence), d) for n, _, text, d in _COMMON]
     if channels == MOST_CHANNELS:
         found += [of_channel(i, _DRIFTS) for i in range(channels)]
+    if p.tells_supply:
+        name, _, text, debounce = _SUPPLY
+        found.append(Fault(name, codes[name], text, labels(SupplyEvidence), debounce))
     return tuple(found)

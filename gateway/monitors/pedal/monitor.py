@@ -12,13 +12,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple, supply
+from gateway.fdi.voting.acquaintance import lag, noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import kernel
 from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, Signal
-from gateway.monitors.pedal import diagnosis
+from gateway.monitors.pedal import acquaintance, diagnosis
 from gateway.monitors.pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
 from gateway.monitors.pedal.faults import Evidence, faults
 from gateway.monitors.pedal.params import PRESETS, VOTERS, PairParams, Params, TripleParams
@@ -26,6 +27,11 @@ from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
 
 #: Quality of the value, as GW_BrakePedal carries it.
 STARTING, AGREED, ONE_CHANNEL, DEGRADED, ESTIMATED, INVALID = range(6)
+#: What people are shown of the state.
+_SHOWN = (
+    *("value", "quality", "speed", "samples", "used", "isolated", "spread"),
+    *("noise", "resolution", "lag_ms", "known", "share"),
+)
 #: Without a sample for so many periods the value is invalid.
 SILENCE = 20
 #: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
@@ -60,14 +66,26 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.over = p.overtravel
     c.period_ns = round(p.period_ms * 1e6)
     c.lost = shape.LOST
-    noise = max(abs(channel.noise * channel.percent) for channel in p.channels)
+    c.last_fault = len(faults(p)) - 1
+    told = max(abs(channel.noise * channel.percent) for channel in p.channels)
     step = max(abs(channel.resolution * channel.percent) for channel in p.channels)
+    noise.prepare(c.sensors, noise=told, step=step, span=100.0)
+    lag.prepare(c.lag, period_ms=p.period_ms, most_ms=p.lag_ms)
+    supply.prepare(
+        s.supply,
+        c.supply,
+        [channel.at_rest for channel in p.channels],
+        [channel.at_full - channel.at_rest for channel in p.channels],
+        possible=p.tells_supply,
+        bend=100.0 * BEND * p.period_ms**1.5,
+    )
+    s.share = 1.0
     shape.prepare(
         c.tracking,
         n,
         low=0.0,
         high=100.0,
-        noise=noise,
+        noise=told,
         step=step,
         slew=p.fastest * p.period_ms * 1e-3,
         bend=BEND * p.period_ms**1.5,
@@ -84,7 +102,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
             n,
             beta=REPAIRED_BETA if repaired else BETA,
             lower=not repaired,
-            floor=FLOOR * noise if repaired else 0.0,
+            floor=FLOOR * told if repaired else 0.0,
             low=0.0 if repaired else -np.inf,
             high=100.0 if repaired else np.inf,
         )
@@ -97,11 +115,11 @@ def _read(s: State, c: Const, u: Inputs) -> None:
     """Bring the readings to per cent of the travel, and place them to their ranges."""
     for i in range(c.channels):
         reading = u.reading[i]
-        position = (reading - c.rest[i]) * c.percent[i]
+        position = (reading / s.share - c.rest[i]) * c.percent[i]
         s.reading[i], s.position[i] = reading, position
-        if reading < c.low[i]:
+        if reading < c.low[i] * s.share:
             s.place[i] = BELOW
-        elif reading > c.high[i]:
+        elif reading > c.high[i] * s.share:
             s.place[i] = ABOVE
         elif -c.over <= position <= 100.0 + c.over:
             s.place[i] = FINE
@@ -114,7 +132,7 @@ def _read(s: State, c: Const, u: Inputs) -> None:
 def _vote(s: State, c: Const, dt: float) -> None:
     """Run the tracking voter, and the one whose value is asked for."""
     t = s.tracking
-    tracking.vote(t, c.tracking, s.trusted, dt)
+    tracking.vote_filtered(t, c.tracking, s.aligned, s.trusted, dt)
     s.value, s.used = t.value, t.used
     s.speed = t.motion.v / (c.period_ns * 1e-9)
     s.isolated, s.spread = t.isolated, t.spread
@@ -140,7 +158,7 @@ def _quality(s: State) -> int:
         return STARTING if t.started == 0 else INVALID
     if t.used == 0:
         return ESTIMATED
-    if t.drift == 1:
+    if t.drift == 1 or s.supply.active == 1:
         return DEGRADED
     return ONE_CHANNEL if t.used & (t.used - 1) == 0 else AGREED
 
@@ -170,6 +188,9 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     s.last_ns = u.t_ns
     s.samples += 1
     _read(s, c, u)
+    if acquaintance.supplied(s, c):
+        _read(s, c, u)
+    acquaintance.learn(s, c, dt)
     _vote(s, c, dt)
     s.quality = _quality(s)
     diagnosis.diagnose(s, c, out)
@@ -192,7 +213,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(Readout(("value", "quality", "speed", "samples", "used", "isolated", "spread")),),
+        capabilities=(Readout(_SHOWN),),
     )
 
 

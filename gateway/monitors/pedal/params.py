@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.fdi.voting import supply
 from gateway.monitors.contract import MonitorParams
 
 #: Voters by their number in the constants.
@@ -109,13 +110,34 @@ PRESETS = {
 }
 
 
+def _own(place: int, given: Any, preset: Preset) -> Any:
+    """Return a channel's table with what it leaves out taken from the preset's channel at its place.
+
+    One with a signal of its own is a sensor of its own: it has to say all.
+    """
+    if not isinstance(given, dict) or place >= len(preset.channels):
+        return given
+    usual = preset.channels[place].model_dump()
+    if given.get("signal", usual["signal"]) != usual["signal"]:
+        return given
+    return usual | given
+
+
 class Params(MonitorParams):
     """Parameters of a redundant pair or triple."""
 
     preset: Literal["brake", "brake_3", "accelerator"] = Field(
         "brake", description="channels, DTCs and message of a kind of pedal"
     )
-    channel: tuple[Channel, ...] = Field((), description="your own channels instead of the preset's")
+    channel: tuple[Channel, ...] = Field(
+        (), description="your own channels instead of the preset's, or what differs from these, in their order"
+    )
+    noise_mV: float | None = Field(  # noqa: N815 - unit
+        None, ge=0, le=1000, description="noise of all channels of the preset [mV]"
+    )
+    resolution_mV: float | None = Field(  # noqa: N815
+        None, ge=0, le=1000, description="resolution of all channels of the preset [mV]"
+    )
     voter: Literal["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"] = Field(
         "tracking", description="what the value is; faults are always found by tracking"
     )
@@ -130,10 +152,49 @@ class Params(MonitorParams):
     gain_error: float = Field(1.0, ge=0, le=50, description="difference of the channels' slopes that is usual [%]")
     overtravel: float = Field(5.0, ge=0, le=100, description="beyond 0 % and 100 % that is in range [% of the travel]")
 
+    lag_ms: float = Field(
+        10.0,
+        ge=0,
+        le=12.0,
+        description="by which one channel may lag behind another, through a filter; how much it is, is learned [ms]",
+    )
+    ratiometric: bool = Field(
+        True,
+        description="readings are in proportion to one supply: it is told from a channel's fault where slopes differ",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_the_preset(cls, data: Any) -> Any:
+        """Complete channels that say only what differs from the preset's."""
+        given = data.get("channel") if isinstance(data, dict) else None
+        name = data.get("preset", cls.model_fields["preset"].default) if isinstance(data, dict) else None
+        if not isinstance(given, list | tuple) or name not in PRESETS:
+            return data
+        return data | {"channel": [_own(k, one, PRESETS[name]) for k, one in enumerate(given)]}
+
+    @model_validator(mode="after")
+    def _volts(self) -> Self:
+        presets = {channel.signal for channel in PRESETS[self.preset].channels}
+        own = [channel.signal for channel in self.channel if channel.signal not in presets]
+        for key in ("noise_mV", "resolution_mV"):
+            if own and getattr(self, key) is not None:
+                raise ValueError(f"{key} is of the preset's channels; those of {own[0]} stand in its own table")
+        return self
+
+    @property
+    def tells_supply(self) -> bool:
+        """Whether the channels tell their supply from the travel."""
+        rest = [channel.at_rest for channel in self.channels]
+        return self.ratiometric and supply.tells(rest, [c.at_full - c.at_rest for c in self.channels])
+
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The channels, own or preset."""
-        return self.channel or PRESETS[self.preset].channels
+        chosen = self.channel or PRESETS[self.preset].channels
+        given = {"noise": self.noise_mV, "resolution": self.resolution_mV}
+        update = {key: 1e-3 * value for key, value in given.items() if value is not None}
+        return tuple(channel.model_copy(update=update) for channel in chosen) if update else chosen
 
 
 class PairParams(Params):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway.fdi.voting import kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting import kalman_hybrid, predictive_hybrid, simple, supply
+from gateway.fdi.voting.acquaintance import lag
+from gateway.fdi.voting.acquaintance import noise as own_noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.jit import Record, f8, f8s, i8, i8s, means
@@ -35,6 +37,10 @@ class Const(Record):
     over: f8
     period_ns: i8
     lost: f8
+    last_fault: i8
+    sensors: own_noise.Const
+    lag: lag.Const
+    supply: supply.Const
     tracking: shape.Const
     simple: simple.Const
     kalman: kalman_hybrid.Const
@@ -45,7 +51,8 @@ class State(Record):
     """State.
 
     ``reading`` in the unit of the signal, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN outside
-    it.
+    it. ``noise``, ``resolution`` [%], ``lag_ms`` that is reckoned with, ``known``: of what was learned, bits KNOWN_*;
+    ``share`` of the supply.
     """
 
     value: f8
@@ -55,11 +62,21 @@ class State(Record):
     used: i8
     isolated: i8
     spread: f8
+    noise: f8
+    resolution: f8
+    lag_ms: f8
+    known: i8
+    share: f8
     last_ns: i8
     reading: Annotated[f8s, MOST_CHANNELS]
     position: Annotated[f8s, MOST_CHANNELS]
     place: Annotated[i8s, MOST_CHANNELS]
     trusted: Annotated[f8s, MOST_CHANNELS]
+    aligned: Annotated[f8s, MOST_CHANNELS]
+    level: Annotated[f8s, MOST_CHANNELS]
+    sensors: own_noise.State
+    lag: lag.State
+    supply: supply.State
     tracking: shape.State
     simple: simple.State
     kalman: kalman_hybrid.State

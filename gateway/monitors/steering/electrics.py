@@ -22,8 +22,11 @@ from gateway.monitors.steering.params import Params
 
 #: Share of a new value in the EMF's average, per millisecond.
 AVERAGE = 0.05
-#: Frames at rest after which it is known whether the sensor is lively.
-LEARNED = 300
+#: Frames at rest after which it is known whether the sensor is lively; it is if in one of so many it turns back by more
+#: than so many steps of its resolution. On the edge between two codes any sensor does so by one.
+LEARNED, LIVELY, TURNS = 300, 25, 1.5
+#: Steps of the sensor after which the least one is its resolution; a coarser one is none [rad, electrical].
+STEPS, COARSEST = 50, 0.6
 #: Factor of the anchor's standard deviation while the sensor is at fault.
 DOUBT = 20.0
 #: For so long the filter's speed may ask for more EMF than there is [s].
@@ -71,7 +74,8 @@ class State(Record):
     that the sensor's speed does not explain, of the last frame alone [V], in the frame at ``middle``;
     ``balance``: averaged, in units of what parameter errors explain. ``repeated``: frames for which the sensor
     has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile [rad]; of the
-    ``slow`` frames so many were ``lively``: it said something new. ``restarts`` of the filter.
+    ``slow`` frames so many were ``lively``: it turned back, by more than its resolution. ``step``: its resolution
+    [rad, electrical], by ``steps`` that it has made, ``least`` of them, ``made``: the last. ``restarts`` of the filter.
     """
 
     started: i8
@@ -95,6 +99,10 @@ class State(Record):
     slow: i8
     lively: i8
     still: f8
+    step: f8
+    steps: i8
+    least: f8
+    made: f8
     strict: i8
     i_alpha: f8
     i_beta: f8
@@ -118,6 +126,7 @@ def prepare(s: State, c: Const, p: Params) -> None:
     """
     motor, period = p.motor.motor, p.period_ms * 1e-3
     s.angle = nan
+    s.step = p.angle_resolution * pi / 180.0 * motor.pole_pairs
     c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
     c.resistance, c.warm, c.compare = motor.resistance, p.temperature, p.compare
     c.quiet, c.silent = 2.0, max(p.frames(35.0), 10)
@@ -156,12 +165,28 @@ def _watch(s: State, c: Const, mechanical: float) -> None:
 
 
 @kernel
+def _resolve(s: State) -> None:
+    """Take a step of the sensor: the least one is its resolution."""
+    size = abs(s.turned)
+    s.least = size if s.steps == 0 else min(s.least, size)
+    s.steps += 1
+    if s.steps == STEPS:
+        s.step = max(s.step, min(s.least, COARSEST))
+
+
+@kernel
 def _listen(s: State, c: Const) -> None:
-    """Note whether the sensor says something new: a live one does so, at rest too, because of its noise."""
-    same = s.turned == 0.0
-    if abs(s.filter.x[2]) < c.quiet and s.slow < LEARNED:
+    """Note whether the sensor turns to and fro at rest, because of its noise, and learn its resolution."""
+    # Angles that have gone round the circle differ by arithmetic.
+    same = abs(s.turned) < 1e-9
+    if not same:
+        _resolve(s)
+    if abs(s.filter.x[2]) < c.quiet and s.slow < LEARNED and s.steps >= STEPS:
         s.slow += 1
-        s.lively += 0 if same else 1
+        back = s.turned * s.made < 0.0 and abs(s.turned) > TURNS * s.step
+        s.lively += 1 if back else 0
+    if not same:
+        s.made = s.turned
     if same:
         s.repeated += 1
         s.still += s.increment - STILL * s.still
@@ -337,7 +362,13 @@ def step(
 
 
 @kernel
+def lively(s: State) -> bool:
+    """Tell whether the sensor is known to turn to and fro at rest."""
+    return bool(LIVELY * s.lively > s.slow and s.slow >= LEARNED)
+
+
+@kernel
 def silent(s: State, c: Const) -> bool:
     """Tell whether the sensor repeats itself for longer than ever before, though it is known to be lively."""
     for_long = s.repeated >= max(c.silent, 3 * s.longest)
-    return bool(for_long and 5 * s.lively > s.slow and s.slow >= LEARNED)
+    return bool(for_long and lively(s))

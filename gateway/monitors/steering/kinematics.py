@@ -14,6 +14,11 @@ from gateway.monitors.steering.params import Params
 
 #: History of the frames with motor and pinion.
 KEPT = 32
+#: The steering wheel's age is learned while it turns faster than this, from so many frames with rates so far apart
+#: [deg/s]; (1) must hold that well then [deg]. Within this it is as told [ns].
+TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 30, 20.0, 0.12, 1_500_000.0
+#: It is learned better until so many frames; until then it is known so nearly [ns].
+KNOWN, NEARLY = 480, 1_500_000.0
 
 
 class Const(Record):
@@ -28,6 +33,9 @@ class Const(Record):
     angle_ns: f8
     wheel_ns: f8
     stale_ns: i8
+    unsure: f8
+    most_ns: f8
+    step: f8
 
 
 class State(Record):
@@ -36,7 +44,9 @@ class State(Record):
     ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
     frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
     ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
-    last held.
+    last held. ``extra_ns``: what the steering wheel's angle is older than told, ``aged`` 1: that is known; by sums over
+    its ``turns``, frames in which it turns, ``due``: with so many it is found anew, of rate and parity: ``r``, ``p``,
+    ``rr``, ``rp``, ``pp``.
     """
 
     at: i8
@@ -55,6 +65,16 @@ class State(Record):
     started: i8
     fitted_ns: i8
     watched: i8
+    extra_ns: f8
+    aged: i8
+    turns: i8
+    due: i8
+    rate_before: f8
+    r: f8
+    p: f8
+    rr: f8
+    rp: f8
+    pp: f8
     angle_clock: clock.Clock
     wheel_clock: clock.Clock
 
@@ -71,6 +91,8 @@ def prepare(c: Const, p: Params) -> None:
     c.jitter = 1e-3 * p.wheel_jitter_ms
     c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
     c.stale_ns = c.age_ns + 3 * c.wheel_ns
+    c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
+    c.step = p.angle_resolution
 
 
 @kernel
@@ -84,14 +106,58 @@ def keep(s: State, t_ns: int, motor: float, pinion: float) -> None:
 
 
 @kernel
-def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
+def _learn(s: State, c: Const) -> None:
+    """Learn how old the steering wheel's angle is: while it turns, (1) is off by its rate times what was told wrong."""
+    rate = s.last_rate / c.wheel_ratio
+    if abs(rate) < TURNING:
+        return
+    s.turns += 1
+    parity = s.parity - 1e-9 * s.extra_ns * rate  # as it was with the age as told
+    s.r += rate
+    s.p += parity
+    s.rr += rate * rate
+    s.rp += rate * parity
+    s.pp += parity * parity
+    rr = s.rr - s.r * s.r / s.turns
+    if s.turns < max(s.due, TURNS) or rr < s.turns * SPREAD * SPREAD:
+        return
+    s.due = 2 * s.turns
+    rp, pp = s.rp - s.r * s.p / s.turns, s.pp - s.p * s.p / s.turns
+    age = -1e9 * rp / rr
+    left = max(pp - rp * rp / rr, 0.0) / s.turns
+    if left <= UNEXPLAINED * UNEXPLAINED and abs(age) <= c.most_ns:
+        s.extra_ns = age if abs(age) > RIGHT_NS else 0.0
+        s.aged = 1
+        s.before = s.last = 0.0  # what was off by it is not
+    elif s.aged == 0:
+        s.turns = 0  # an angle is wrong, or it was: once more
+        s.r = s.p = s.rr = s.rp = s.pp = 0.0
+        s.due = 0
+
+
+@kernel
+def _fastest(s: State, c: Const) -> float:
+    """Return how fast the steering wheel has turned lately, by its rate or by the other two angles [deg/s, pinion]."""
+    rate = max(abs(s.last_rate), abs(s.rate_before)) / c.wheel_ratio
+    new, old = (s.at - 1) % KEPT, (s.at - min(s.kept, 6)) % KEPT
+    dt = 1e-9 * (s.t_ns[new] - s.t_ns[old])
+    if dt > 0.0:
+        turned = s.pinion[new] - s.pinion[old] - (s.motor[new] - s.motor[old]) / c.motor_ratio
+        rate = max(rate, abs(turned) / dt)
+    return float(rate)
+
+
+@kernel
+def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> bool:
     """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
 
     Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
-    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first.
+    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first. ``coarse``: the motor
+    sensor's resolution [deg] where that matters.
     """
     if s.kept < 2:
         return False
+    t_ns = sampled_ns - int(s.extra_ns)
     later = (s.at - 1) % KEPT
     for _ in range(s.kept - 2):
         before = (later - 1) % KEPT
@@ -109,7 +175,13 @@ def fit(s: State, c: Const, t_ns: int, wheel: float) -> bool:
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
     # What a frame that was late on the bus makes of a turning wheel.
-    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + 0.5 * coarse / c.motor_ratio
+    if s.turns < KNOWN:
+        due = s.due
+        _learn(s, c)
+        if s.aged == 1 and s.due != due:
+            return False  # the next one is with the new age
+        slack += (c.unsure if s.aged == 0 else NEARLY * 1e-9) * _fastest(s, c)
     # One that was is not like those before and behind it.
     one, two, three = s.before, s.last, s.parity
     s.before, s.last = s.last, s.parity
@@ -133,13 +205,14 @@ def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
         error = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
         s.wheel += error - min(c.leak * dt, 1.0) * s.wheel
     s.started = 1
+    s.rate_before = s.last_rate
     s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns
 
 
 @kernel
 def now(s: State, c: Const, t_ns: int) -> float:
     """Return the steering wheel's angle at a time, continued with its rate [deg]."""
-    age = (t_ns - s.wheel_ns + c.delay_ns) * 1e-9
+    age = (t_ns - s.wheel_ns + c.delay_ns + s.extra_ns) * 1e-9
     return float(s.last_wheel + s.last_rate * age)
 
 

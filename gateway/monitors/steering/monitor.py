@@ -30,6 +30,7 @@ from gateway.monitors.contract import (
 )
 from gateway.monitors.steering import (
     clock,
+    currents,
     decision,
     electrics,
     kinematics,
@@ -56,8 +57,19 @@ STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
 SILENCE = 50
 #: After so many periods the counters have gone round, perhaps; before, they tell what was lost and what was late.
 AMBIGUOUS = 24.0
+#: What is not tested at present, and why. No pair of motor frames yet, or not enough: nothing. No frames of the gear,
+#: or their times are not sure: the three angles. How old the steering wheel's angle is, is not known, for it has not
+#: turned: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong.
+#: The angle sensor is not lively at rest: one that is stuck shows when it is to move.
+NO_PAIRS, NO_GEAR, AGE_UNKNOWN, NO_EMF, STUCK_AT_REST = 1, 2, 4, 8, 16
+#: A current waits for its voltage for so many periods: then the counter may have gone round.
+WAITS = 12
+#: A voltage that came ahead waits so long for its current.
+AHEAD = 3
 #: Frames behind a start in which nothing is judged [ms].
 SETTLES = 100.0
+#: Steps of the motor's angle sensor that matter beside the other two [deg].
+COARSE_STEP = 0.1
 #: From this period on the current's time constant is missed [ms].
 COARSE = 5.0
 
@@ -69,6 +81,11 @@ _MESSAGES = {
     "SAS_Angle": ("Delta_S", "Delta_S_dot", "MC_sas", "Valid_sas"),
     "ESC_Speed": ("v_X", "Valid_v"),
 }
+#: Units of the signals that have one: a database that says another is refused.
+_UNITS = {
+    "I_U": "A", "I_V": "A", "Theta_park": "deg", "U_sd_mean": "V", "U_sq_mean": "V", "T_wdg": "degC",
+    "Delta_M": "deg", "Delta_G": "deg", "Delta_S": "deg", "Delta_S_dot": "deg/s", "v_X": "km/h",
+}  # fmt: skip
 #: Messages without which it steps, too.
 _OPTIONAL = ("AFS_Angle", "SAS_Angle", "ESC_Speed")
 
@@ -77,7 +94,12 @@ def _connect(p: Params) -> Mapping[str, Connection]:
     return {
         name.lower(): None
         if message == "ESC_Speed" and p.ratio is None
-        else Signal(f"{message}.{name}", triggers=message != "ESC_Speed", optional=message in _OPTIONAL)
+        else Signal(
+            f"{message}.{name}",
+            unit=_UNITS.get(name),
+            triggers=message != "ESC_Speed",
+            optional=message in _OPTIONAL,
+        )
         for message, names in _MESSAGES.items()
         for name in names
     }
@@ -104,8 +126,10 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     decision.prepare(s.decision, c.decision, p)
     road_wheel.prepare(c.road_wheel, p.ratio)
     s.found = NONE
+    s.wheel_age_ms = p.wheel_delay_ms
+    s.not_seen = NO_PAIRS | NO_GEAR | AGE_UNKNOWN | STUCK_AT_REST
     s.paired = s.current_counter = s.voltage_counter = s.angle_counter = -1
-    s.wheel_counter = s.older_counter = -1
+    s.wheel_counter = -1
 
 
 @kernel
@@ -122,9 +146,28 @@ def _report(s: State, fault: int, failed: bool, value: float, limit: float, out:
 
 
 @kernel
+def _unseen(s: State, c: Const) -> int:
+    """Return what cannot be seen at present, and why: bits NO_PAIRS to STUCK_AT_REST."""
+    m, k = s.electrics, s.kinematics
+    s.wheel_age_ms = (c.kinematics.delay_ns + k.extra_ns) * 1e-6
+    s.angle_step = m.step * 180.0 / (pi * c.electrics.pole_pairs)
+    missing = NO_PAIRS if m.frames < c.settled else 0
+    if s.symptoms.geared == 0:
+        missing |= NO_GEAR
+    elif k.aged == 0:
+        missing |= AGE_UNKNOWN
+    if isnan(m.angle):
+        missing |= NO_EMF
+    if not electrics.lively(m):
+        missing |= STUCK_AT_REST
+    return missing
+
+
+@kernel
 def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report all tests that this pair of frames has carried out."""
     d, y = s.decision, s.symptoms
+    s.not_seen = _unseen(s, c)
     s.found = d.found
     if d.found != NONE:
         k = decision.alarm_of(d.found)
@@ -179,22 +222,27 @@ def _motor_frames(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) ->
     fresh = told != s.voltage_counter
     first = s.voltage_counter < 0
     if newer:
-        s.older_counter, s.older_u, s.older_v = s.current_counter, s.i_u, s.i_v
-        s.older_theta, s.older_valid = s.theta, s.valid
-        s.current_counter, s.i_u, s.i_v, s.theta = came, u.i_u, u.i_v, u.theta_park
-        s.valid = 1 if u.valid_cur > 0.0 else 0
+        s.current_counter = came
+        currents.keep(s.currents, u.t_ns, came, u.i_u, u.i_v, u.theta_park, u.valid_cur > 0.0, WAITS * c.period_ns)
     s.voltage_counter = told
-    if told == came and (newer or fresh):
-        if s.valid == 1:
-            _pair(s, c, u, told, s.i_u, s.i_v, s.theta)
+    if not (newer or fresh):
+        return
+    if fresh:
+        s.waiting, s.waiting_ns = 1, u.t_ns
+    elif u.t_ns - s.waiting_ns > AHEAD * c.period_ns:
+        s.waiting = 0
+    found = currents.find(s.currents, told)
+    if s.waiting == 1 and found >= 0:
+        s.waiting = 0
+        # Behind by some it belongs to a current that came before: they came in a burst, or it was late.
+        if s.currents.valid[found] == 1:
+            _pair(s, c, u, told, s.currents.i_u[found], s.currents.i_v[found], s.currents.theta[found])
             _conclude(s, c, out)
+        currents.taken(s.currents, found)
+    if told == came:
         _report(s, PAIRING, False, 0.0, 1.0, out)
-    elif fresh and not first and told != (came + 1) % 16:
-        # Ahead by one it waits for its current. Behind by one it belongs to the current before the newest.
+    elif fresh and not first and told != (came + 1) % 16:  # ahead by one it waits for its current
         s.unpaired += 1
-        if told == s.older_counter and told != s.paired and s.older_valid == 1:
-            _pair(s, c, u, told, s.older_u, s.older_v, s.older_theta)
-            _conclude(s, c, out)
         _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
 
 
@@ -219,7 +267,10 @@ def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> 
     kinematics.follow(k, c.kinematics, at_ns, u.delta_s, u.delta_s_dot)
     sure = clock.sure(k.wheel_clock, c.kinematics.wheel_ns)
     sure = sure and clock.sure(k.angle_clock, c.kinematics.angle_ns)
-    if sure and kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s):
+    # What is finer than this is noise beside the other two.
+    step = s.electrics.step * 180.0 / (pi * c.electrics.pole_pairs)
+    coarse = step if step > COARSE_STEP else 0.0
+    if sure and kinematics.fit(k, c.kinematics, at_ns - c.kinematics.delay_ns, u.delta_s, coarse):
         s.parity = k.parity
         k.fitted_ns = u.t_ns
         symptoms.update_gear(y, c.symptoms, k, s.motor)
@@ -320,6 +371,9 @@ MONITOR = Monitor(
                 "unpaired",
                 "found",
                 "parity",
+                "wheel_age_ms",
+                "angle_step",
+                "not_seen",
             )
         ),
         Calibration(

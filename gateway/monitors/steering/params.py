@@ -18,7 +18,9 @@ class MotorParams(StrictModel):
     pole_pairs: int = Field(4, ge=1, le=64, description="z_p")
     flux: float = Field(7.5e-3, gt=0, description="of the magnets, psi [Wb]")
     resistance: float = Field(0.06, gt=0, description="of a phase at 20 degC [Ohm]")
-    inductance: float = Field(1e-4, gt=0, description="of a phase, the same along d and q [H]")
+    inductance: float = Field(1e-4, gt=0, description="of a phase, along d and q [H]")
+    inductance_d: float | None = Field(None, gt=0, description="along d, where it is another [H]")
+    inductance_q: float | None = Field(None, gt=0, description="along q, where it is another [H]")
     inertia: float = Field(1.2e-4, gt=0, description="rotor with what it drives [kg m^2]")
     friction: float = Field(5e-4, ge=0, description="viscous [N m s/rad]")
 
@@ -29,8 +31,8 @@ class MotorParams(StrictModel):
             self.pole_pairs,
             self.flux,
             self.resistance,
-            self.inductance,
-            self.inductance,
+            self.inductance if self.inductance_d is None else self.inductance_d,
+            self.inductance if self.inductance_q is None else self.inductance_q,
             self.inertia,
             self.friction,
         )
@@ -105,6 +107,18 @@ class Params(MonitorParams):
     wheel_ratio: float = Field(1.0, gt=0, description="i_D, steering wheel over pinion")
     wheel_delay_ms: float = Field(
         5.0, ge=0, le=30, description="age of the steering wheel's angle when its frame comes [ms]"
+    )
+    wheel_delay_error_ms: float = Field(
+        15.0,
+        ge=0,
+        le=30,
+        description="by which that age may be another one: it is learned when the wheel first turns [ms]",
+    )
+    angle_resolution: float = Field(
+        0.0,
+        ge=0,
+        le=5.0,
+        description="least step of the motor's angle sensor, mechanical; 0: it is learned, as a coarser one is [deg]",
     )
     angle_period_ms: float | None = Field(
         None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.jit import Record, f8, i8, means
 from gateway.monitors import contract
-from gateway.monitors.steering import decision, electrics, kinematics, road_wheel, symptoms
+from gateway.monitors.steering import currents, decision, electrics, kinematics, road_wheel, symptoms
 
 
 class Const(Record):
@@ -24,8 +24,9 @@ class State(Record):
     """State.
 
     ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters.
-    ``pairs`` of motor frames taken, ``unpaired`` frames. The last two current frames: ``older_*``, and the
-    newest.
+    ``pairs`` of motor frames taken, ``unpaired`` frames; ``waiting`` 1: the
+    last voltage, of ``waiting_ns``, waits for its current.
+    ``wheel_age_ms``, ``angle_step`` [deg]: as learned; ``not_seen``: bits of what is not tested at present.
     """
 
     value: f8
@@ -44,18 +45,15 @@ class State(Record):
     voltage_counter: i8
     angle_counter: i8
     wheel_counter: i8
-    i_u: f8
-    i_v: f8
-    theta: f8
-    valid: i8
-    older_counter: i8
-    older_u: f8
-    older_v: f8
-    older_theta: f8
-    older_valid: i8
+    waiting: i8
+    waiting_ns: i8
+    currents: currents.State
     motor: f8
     angle_ns: i8
     parity: f8
+    wheel_age_ms: f8
+    angle_step: f8
+    not_seen: i8
     electrics: electrics.State
     kinematics: kinematics.State
     symptoms: symptoms.State

@@ -46,6 +46,8 @@ STEP_AT_ONCE, STEP_DELAYED = 1 << 20, 1 << 21
 CLEAR = 0.3
 #: Share of increments beyond the threshold in a window from which on a sensor is noisy.
 NOISY = 0.12
+#: Steps of a coarse sensor by which it should have moved further, for it to be stuck.
+COARSE = 6.0
 #: Frames for which a current that is measured changes at least once.
 FROZEN = 20
 
@@ -151,7 +153,7 @@ def any_alarm(s: State) -> bool:
 @kernel
 def _repeats(c: Const, m: electrics.State, ec: electrics.Const) -> bool:
     """Tell whether the sensor repeats itself, though a live one would not, or though it should have moved far."""
-    due = abs(m.still) > 2.0 * c.rules[JUMP].threshold
+    due = abs(m.still) > 2.0 * c.rules[JUMP].threshold + COARSE * m.step / ec.pole_pairs
     return bool(electrics.silent(m, ec) or (due and m.repeated >= c.confirm))
 
 

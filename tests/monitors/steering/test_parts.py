@@ -76,18 +76,18 @@ def test_angles_are_compared_at_one_time(late_ms, rate, off):
         motor = 20.0 * rate * 0.002 * k
         kinematics.keep(s, 2_000_000 * k, motor, motor / 20.0 + wheel - off)
     at = 78_000_000 - 1_000_000 * late_ms
-    assert kinematics.fit(s, c, at, wheel)
+    assert kinematics.fit(s, c, at, wheel, 0.0)
     assert s["parity"] == pytest.approx(off, abs=1e-9)
 
 
 def test_what_lies_too_far_off_is_not_compared():
     s, c = gear()
-    assert not kinematics.fit(s, c, 0, 0.0)
+    assert not kinematics.fit(s, c, 0, 0.0, 0.0)
     for k in range(40):
         kinematics.keep(s, 2_000_000 * k, 0.0, 0.0)
-    assert kinematics.fit(s, c, 90_000_000, 0.0)
-    assert not kinematics.fit(s, c, 100_000_000, 0.0)  # nothing newer for more than 20 ms
-    assert not kinematics.fit(s, c, 2_000_000, 0.0)  # forgotten
+    assert kinematics.fit(s, c, 90_000_000, 0.0, 0.0)
+    assert not kinematics.fit(s, c, 100_000_000, 0.0, 0.0)  # nothing newer for more than 20 ms
+    assert not kinematics.fit(s, c, 2_000_000, 0.0, 0.0)  # forgotten
 
 
 def test_the_wheel_s_rate_is_its_witness():

@@ -66,7 +66,7 @@ def test_the_motor_angle_s_faults_are_named_and_heal(kind, size, within, begin):
     assert set(found) - UNSURE == {kind}, found
     assert begin <= found[kind] <= begin + within
     if kind == "motor_angle_drift":
-        assert found["angles"] <= begin + 0.4
+        assert found["angles"] <= begin + 0.6  # the wheel's age is still being learned
     assert (followed.found[-300:] == -1).all()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS, middle
 from gateway.fdi.voting.tracking import mismatch, motion, track
+from gateway.fdi.voting.tracking.scale import GATE
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
     CALM,
@@ -14,7 +15,6 @@ from gateway.fdi.voting.tracking.shape import (
     COMMON_AT_END,
     COMMON_MODE,
     DOUBT,
-    GATE,
     ISOLATE,
     LONG,
     MOVED,
@@ -29,7 +29,7 @@ from gateway.jit import f8s, kernel
 
 
 @kernel
-def _together(s: State, c: Const, bits: int, count: int, dt: float) -> None:
+def _together(s: State, c: Const, bits: int, count: int, near: bool, dt: float) -> None:
     """Readings that agree: the track, a change of slope, or all wrong together."""
     m = s.motion
     z = 0.0
@@ -38,18 +38,19 @@ def _together(s: State, c: Const, bits: int, count: int, dt: float) -> None:
             z += s.z[i]
     z /= count
     innovation = z - m.x
-    if abs(innovation) <= GATE * np.sqrt(m.p00 + c.variance / count):
-        motion.correct(m, innovation, c.variance / count)
+    if abs(innovation) <= GATE * np.sqrt(m.p00 + s.scale.variance / count):
+        motion.correct(m, innovation, s.scale.variance / count)
         track.accept(s, c, bits, AGREED)
         s.sure = min(s.sure + 1, SUREST)
         s.met = 1
         s.old_age = 0
+        lagging = s.slack >= s.scale.agree
         for i in range(c.channels):
-            if bits & (1 << i):
-                mismatch.learn(s.mismatch, i, s.z[i] - z, dt)
+            if bits & (1 << i) and near:
+                mismatch.learn(s.mismatch, i, s.z[i] - z, dt, lagging)
         return
     reach = c.slew * (m.coasted - s.common + dt)
-    at_end = min(z - c.floor, c.ceiling - z) <= c.agree
+    at_end = min(z - c.floor, c.ceiling - z) <= s.scale.agree
     s.common += 1
     smooth, sound = True, True
     for i in range(c.channels):
@@ -66,7 +67,7 @@ def _together(s: State, c: Const, bits: int, count: int, dt: float) -> None:
         if known:
             track.turn(s, c, z, count, dt)
         else:
-            motion.restart(m, z, 0.0, c.variance / count, c.slew * c.slew / 9.0)
+            motion.restart(m, z, 0.0, s.scale.variance / count, c.slew * c.slew / 9.0)
         track.accept(s, c, bits, MOVED)
         s.sure = 1
         return
@@ -98,7 +99,7 @@ def _smooth(s: State, c: Const, trusted: int, alone: bool, dt: float) -> int:
         v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
         miss = abs(s.z[i] - v * elapsed - s.anchor)
         reachable = abs(s.z[i] - s.anchor) <= c.slew * elapsed
-        if reachable and miss < nearest and (late or alone or miss <= 1.5 * abs(v) * dt + c.agree):
+        if reachable and miss < nearest and (late or alone or miss <= 1.5 * abs(v) * dt + s.scale.agree):
             best, nearest = i, miss
     return best
 
@@ -125,7 +126,7 @@ def _apart(s: State, c: Const, y: f8s, trusted: int, alone: bool, dt: float) -> 
         motion.copy(m, s.old)
         s.old_age = 0
         track.expect(s, c, y)
-        s.gate = GATE * np.sqrt(m.p00 + c.variance)
+        s.gate = GATE * np.sqrt(m.p00 + s.scale.variance)
     nearest = s.gate
     sound = _sound(s, c, trusted)
     for i in range(c.channels):
@@ -134,7 +135,7 @@ def _apart(s: State, c: Const, y: f8s, trusted: int, alone: bool, dt: float) -> 
                 continue
             best, nearest = i, abs(s.innovation[i])
     if best >= 0:
-        motion.correct(m, s.innovation[best], c.variance)
+        motion.correct(m, s.innovation[best], s.scale.variance)
         track.accept(s, c, 1 << best, SINGLE)
         s.sure = max(s.sure - 1, 0)
         return
@@ -154,14 +155,14 @@ def _creeping(s: State, c: Const, trusted: int, parity: float, dt: float) -> boo
     """
     if (
         0.0 < s.apart <= CALM
-        and abs(parity - s.lately) <= c.creep * dt + c.noise_gate
-        and abs(s.lately - s.parity) <= c.creep * s.apart + c.noise_gate
+        and abs(parity - s.lately) <= c.creep * dt + s.scale.noise_gate
+        and abs(s.lately - s.parity) <= c.creep * s.apart + s.scale.noise_gate
     ):
         return True
     step = min(abs(parity - s.parity), abs(parity))
     if (
         s.apart < 2.0
-        or abs(parity - s.lately) > c.creep * dt + c.noise_gate
+        or abs(parity - s.lately) > c.creep * dt + s.scale.noise_gate
         or (s.met == 1 and step > (2.0 * c.tolerance if s.drift else c.tolerance / 2.0))
     ):
         return False
@@ -186,14 +187,16 @@ def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
         return
     centre = middle(z, n) if count == MOST_CHANNELS else total / count
     # Two are as far from each other as twice from their mean.
-    reach = c.agree + c.mismatch * abs(s.motion.v) * dt
+    reach, slack = s.scale.agree + c.mismatch * abs(s.motion.v) * dt, s.slack
     if count < MOST_CHANNELS:
         reach /= 2.0
-    members, bits = 0, 0
+        slack /= 2.0
+    members, bits, near = 0, 0, True
     for i in range(n):
-        if trusted & (1 << i) and abs(z[i] - centre) <= reach:
+        if trusted & (1 << i) and abs(z[i] - centre) <= reach + slack:
             bits |= 1 << i
             members += 1
+            near = near and abs(z[i] - centre) <= reach
     if count == 2:
         parity = 0.0
         for i in range(n):
@@ -208,13 +211,15 @@ def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
                     s.mismatch.level[i] += z[i] - centre
                     z[i] = centre
             bits, members = trusted, 2
-        if members == 2:
+        # What a lag is allowed is an agreement to go on from only if they parted without a jump.
+        steady = s.apart == 0.0 and abs(parity - s.lately) <= c.creep * dt + s.scale.noise_gate
+        if members == 2 and (near or steady):
             s.parity = parity
             s.apart = 0.0
         else:
             s.apart += dt
         s.lately = parity
     if members >= 2:
-        _together(s, c, bits, members, dt)
+        _together(s, c, bits, members, near, dt)
     else:
         _apart(s, c, y, trusted, count == 1, dt)

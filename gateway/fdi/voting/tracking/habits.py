@@ -16,7 +16,8 @@ FEW = 4
 class State(Record):
     """State.
 
-    ``last``, ``older``, ``oldest``: this reading and the two before; ``same``: how often the last was repeated;
+    ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
+    often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
     on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
     repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
@@ -25,6 +26,7 @@ class State(Record):
     last: Annotated[f8s, MOST_CHANNELS]
     older: Annotated[f8s, MOST_CHANNELS]
     oldest: Annotated[f8s, MOST_CHANNELS]
+    raw: Annotated[f8s, MOST_CHANNELS]
     same: Annotated[i8s, MOST_CHANNELS]
     longest: Annotated[i8s, MOST_CHANNELS]
     line: Annotated[i8s, MOST_CHANNELS]
@@ -34,12 +36,13 @@ class State(Record):
 
 
 @kernel
-def start(h: State, n: int, y: f8s) -> None:
+def start(h: State, n: int, y: f8s, raw: f8s) -> None:
     """Begin with the first readings."""
     for i in range(n):
         h.last[i] = y[i]
         h.older[i] = y[i]
         h.oldest[i] = y[i]
+        h.raw[i] = raw[i]
         h.same[i] = 0
         h.line[i] = 0
         h.begin[i] = y[i]
@@ -49,19 +52,20 @@ def start(h: State, n: int, y: f8s) -> None:
 
 
 @kernel
-def watch(h: State, n: int, y: f8s, trusted: int, straight: float, slew: float) -> None:
+def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float) -> None:
     """Take the readings of one sample.
 
     Args:
         h: record of State.
         n: channels.
         y: readings; NaN: none.
+        raw: as they were read.
         trusted: bits of the channels that are not held for failed.
         straight: largest second difference on a line.
         slew: largest difference of neighbours on a line.
     """
     for i in range(n):
-        if y[i] == h.last[i]:
+        if raw[i] == h.raw[i] and y[i] == y[i]:  # not NaN
             h.same[i] += 1
             for j in range(n):
                 far = abs(y[j] - h.anchor[i * MOST_CHANNELS + j])
@@ -83,6 +87,7 @@ def watch(h: State, n: int, y: f8s, trusted: int, straight: float, slew: float) 
         h.oldest[i] = h.older[i]
         h.older[i] = h.last[i]
         h.last[i] = y[i]
+        h.raw[i] = raw[i]
 
 
 @kernel

@@ -7,11 +7,11 @@ import numpy as np
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import habits, mismatch, track
 from gateway.fdi.voting.tracking.habits import FEW
+from gateway.fdi.voting.tracking.scale import GATE
 from gateway.fdi.voting.tracking.shape import (
     COMMON,
     DRIFTED,
     FROZEN,
-    GATE,
     IMPLAUSIBLE,
     ISOLATE,
     RELAPSE,
@@ -52,17 +52,19 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     """
     h = s.habits
     # A channel that has repeated itself before, in a quiet time or behind a filter, may do so again.
-    patience = max(c.silent, 2 * h.longest[i] + 2)
+    patience = max(s.scale.silent, 2 * h.longest[i] + 2)
     company, silent = False, h.same[i] >= patience and c.floor < y[i] < c.ceiling
     for j in range(c.channels):
         if others & (1 << j):
-            company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= c.agree)
-            silent = silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= c.lively
+            company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= s.scale.agree + s.swing)
+            silent = (
+                silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= s.scale.lively + s.swing
+            )
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
     smooth = 3 if s.sure >= SURE else 2
-    mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * c.agree, c.creep)
+    mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * (s.scale.agree + s.swing), c.creep)
     return bool(silent or (mover >= 0 and others & (1 << mover)))
 
 
@@ -104,10 +106,10 @@ def judge(s: State, c: Const, trusted: int) -> None:
         if s.used == 0:
             continue
         off = s.z[i] - m.x
-        inside = abs(off) <= GATE * np.sqrt(m.p00 + 2.0 * c.variance)
+        inside = abs(off) <= GATE * np.sqrt(m.p00 + 2.0 * s.scale.variance) + s.slack
         if s.why[i] == DRIFTED:
             if inside:
-                mismatch.learn(s.mismatch, i, off, 1.0)
+                mismatch.learn(s.mismatch, i, off, 1.0, False)
             inside = inside and abs(s.mismatch.level[i] - mismatch.centre(s.mismatch, n)) < (c.tolerance / 2.0)
         if inside and not (s.why[i] == FROZEN and h.same[i] >= FEW):
             s.back[i] += 1
@@ -125,7 +127,7 @@ def reconcile(s: State, c: Const) -> None:
     for i in range(n):
         if s.z[i] == s.z[i] and not (s.why[i] == FROZEN and s.habits.same[i] >= FEW):
             low, high, count = min(low, s.z[i]), max(high, s.z[i]), count + 1
-    s.accord = s.accord + 1 if count >= 2 and high - low <= c.agree else 0
+    s.accord = s.accord + 1 if count >= 2 and high - low <= s.scale.agree else 0
     if s.accord >= COMMON:
         for i in range(n):
             if s.isolated & (1 << i):
@@ -137,6 +139,8 @@ def drifting(s: State, c: Const) -> None:
     """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
     n, b = c.channels, s.mismatch
     s.spread = mismatch.spread(b, n, s.isolated)
+    if s.drift == 0 and s.slack >= s.scale.agree:
+        return  # it may be a lag: at rest it goes, a drift stays
     s.drift = 1 if s.spread > (0.8 * c.tolerance if s.drift else c.tolerance) else 0
     if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
         return

@@ -16,6 +16,8 @@ from gateway.jit import Record, f8s, i8s, kernel
 
 #: Gains of the filter.
 ALPHA, BETA = 0.15, 0.012
+#: Share of what may be a lag that is taken for a mismatch.
+MAY_LAG = 1.0 / 8.0
 #: A rate that nothing confirms is not continued for longer than this [samples].
 CONTINUE = 10
 
@@ -58,17 +60,20 @@ def centre(b: State, n: int) -> float:
 
 
 @kernel
-def learn(b: State, i: int, error: float, dt: float) -> None:
+def learn(b: State, i: int, error: float, dt: float, lagging: bool) -> None:
     """Correct channel ``i``'s mismatch by the difference between what it is and what it was taken for.
 
+    Where that may be a lag (``lagging``), little of it is a mismatch, and its rate is none; one that stays shows.
     Two errors in a row have to agree in sign, and the smaller counts: a small impulse is not a mismatch.
     """
     before = b.error[i]
     b.error[i] = error
     if error * before > 0.0:
         counted = error if abs(error) < abs(before) else before
-        b.level[i] += ALPHA * counted
+        b.level[i] += ALPHA * counted * (MAY_LAG if lagging else 1.0)
         b.rate[i] += BETA * counted / dt
+    if lagging:
+        b.rate[i] = 0.0
     b.stale[i] = 0
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.fdi.voting.tracking import mismatch, motion
-from gateway.fdi.voting.tracking.shape import FOLLOWED, GATE, ISOLATE, REGRET, Const, State
+from gateway.fdi.voting.tracking.scale import GATE
+from gateway.fdi.voting.tracking.shape import FOLLOWED, ISOLATE, REGRET, Const, State
 from gateway.jit import f8s, kernel
 
 
@@ -27,7 +28,7 @@ def accept(s: State, c: Const, bits: int, source: int) -> None:
     for i in range(c.channels):
         if bits & (1 << i):
             s.rejected[i] = max(s.rejected[i] - 1, 0)
-        elif abs(s.innovation[i]) > s.gate:
+        elif abs(s.innovation[i]) > s.gate + s.slack:
             s.rejected[i] = min(s.rejected[i] + 1, 2 * ISOLATE)
 
 
@@ -56,7 +57,7 @@ def regret(s: State, c: Const, trusted: int) -> int:
     """
     if s.old_age == 0:
         return -1
-    gate = GATE * np.sqrt(s.old.p00 + c.variance)
+    gate = GATE * np.sqrt(s.old.p00 + s.scale.variance)
     for i in range(c.channels):
         back = abs(s.z[i] - s.old.x) <= gate < abs(s.z[i] - s.motion.x)
         if trusted & (1 << i) and back:
@@ -71,8 +72,8 @@ def turn(s: State, c: Const, x: float, count: int, dt: float) -> None:
     m = s.motion
     elapsed = m.coasted + dt
     v = (x - s.anchor) / elapsed
-    sigma = 0.5 * abs(v) + 2.0 * np.sqrt(c.variance)
-    motion.restart(m, x, v, c.variance / count, sigma * sigma)
+    sigma = 0.5 * abs(v) + 2.0 * np.sqrt(s.scale.variance)
+    motion.restart(m, x, v, s.scale.variance / count, sigma * sigma)
 
 
 @kernel
@@ -80,6 +81,6 @@ def follow(s: State, c: Const, i: int, dt: float) -> None:
     """Begin a new track on the line that channel ``i`` goes."""
     h = s.habits
     v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
-    motion.restart(s.motion, s.z[i], v, c.variance, c.variance / 2.0 + c.bend * c.bend + v * v / 16.0)
+    motion.restart(s.motion, s.z[i], v, s.scale.variance, s.scale.variance / 2.0 + c.bend * c.bend + v * v / 16.0)
     accept(s, c, 1 << i, FOLLOWED)
     s.sure = 0

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.fdi.voting.tracking import belief, habits, isolation, mismatch, motion, track
+from gateway.fdi.voting.tracking import belief, habits, isolation, mismatch, motion, scale, track
+from gateway.fdi.voting.tracking.scale import GATE
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
-    GATE,
     LOST,
     NONE,
     REMEMBER,
@@ -48,7 +48,7 @@ def _start(s: State, c: Const, y: f8s) -> None:
         return
     spread, mean = high - low, total / count
     agreed = spread <= c.tolerance
-    if agreed and spread > c.agree:
+    if agreed and spread > s.scale.agree:
         for i in range(n):
             if bits & (1 << i):
                 s.mismatch.level[i] += s.z[i] - mean
@@ -56,10 +56,10 @@ def _start(s: State, c: Const, y: f8s) -> None:
         s.motion,
         mean,
         0.0,
-        c.variance + (0.0 if agreed else spread * spread / 4.0),
+        s.scale.variance + (0.0 if agreed else spread * spread / 4.0),
         c.slew * c.slew / 9.0,
     )
-    habits.start(s.habits, n, y)
+    habits.start(s.habits, n, y, s.raw)
     s.started = 1
     s.source = AGREED if agreed else SINGLE
     s.sure = 1 if agreed else 0
@@ -81,13 +81,13 @@ def _take(s: State, c: Const, y: f8s, dt: float) -> None:
     if s.old_age > 0:
         motion.predict(s.old, dt, c.bend, c.widest)
         s.old_age = s.old_age + 1 if s.old_age < REMEMBER else 0
-    s.gate = GATE * np.sqrt(m.p00 + c.variance)
+    s.gate = GATE * np.sqrt(m.p00 + s.scale.variance)
     track.expect(s, c, y)
     trusted = 0
     for i in range(n):
         if y[i] == y[i] and s.isolated & (1 << i) == 0:
             trusted |= 1 << i
-    habits.watch(s.habits, n, y, trusted, c.straight, c.slew * dt)
+    habits.watch(s.habits, n, y, s.raw, trusted, s.scale.straight, c.slew * dt)
     for i in range(n):
         if s.habits.same[i] == 0:
             mismatch.mark(s.mismatch, n, i)
@@ -107,6 +107,25 @@ def _take(s: State, c: Const, y: f8s, dt: float) -> None:
 
 
 @kernel
+def vote_filtered(s: State, c: Const, y: f8s, raw: f8s, dt: float) -> None:
+    """Take the readings of one sample that something has filtered: whether one repeats itself is told by the raw ones.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: readings; what is not finite is none.
+        raw: as they were read.
+        dt: time since the last sample, in sample periods.
+    """
+    if s.scale.variance == 0.0:
+        scale.measure(s.scale, c.noise, c.step, c.high - c.low, c.bend)
+    for i in range(c.channels):
+        s.y[i] = y[i] if -np.inf < y[i] < np.inf else np.nan
+        s.raw[i] = raw[i]
+    _take(s, c, s.y, dt)
+
+
+@kernel
 def vote(s: State, c: Const, y: f8s, dt: float) -> None:
     """Take the readings of one sample.
 
@@ -116,6 +135,4 @@ def vote(s: State, c: Const, y: f8s, dt: float) -> None:
         y: readings; what is not finite is none.
         dt: time since the last sample, in sample periods.
     """
-    for i in range(c.channels):
-        s.y[i] = y[i] if -np.inf < y[i] < np.inf else np.nan
-    _take(s, c, s.y, dt)
+    vote_filtered(s, c, y, y, dt)

@@ -1,0 +1,94 @@
+"""Pedals of another make (tests/plants/pedal): none is accused that is healthy, and faults have their names."""
+
+import numpy as np
+import pytest
+from amount import FULL, amount
+from pedal import cases, sensors
+
+from gateway.jit import COMPILED
+
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="hours of samples each 1 ms")]
+
+#: Seeds that judge; none below 5000 does.
+SEED = 1_700_000
+#: Told 2 mV.
+NOISE = (0.0, 0.0003, 0.001, 0.002, 0.004, 0.008)
+LAGS = (0.0, 1.5, 3.0, 5.0, 7.5, 10.0)
+#: 40 runs of 15 minutes: every noise with every lag, on one channel or the other, and four more.
+CELLS = [(noise, lag, (i + j) % 2) for i, noise in enumerate(NOISE) for j, lag in enumerate(LAGS)]
+CELLS += [(0.008, 10.0, 0), (0.0, 10.0, 1), (0.002, 10.0, 0), (0.002, 5.0, 1)]
+
+
+@pytest.mark.parametrize("k", range(len(CELLS)) if FULL else range(0, len(CELLS), 9))
+def test_no_healthy_pedal_is_accused(k):
+    noise, lag, channel = CELLS[k]
+    lags = (lag, 0.0) if channel == 0 else (0.0, lag)
+    print("seed", SEED + k, CELLS[k])
+    said = cases.healthy(lambda rng: sensors.brake(noise, lags, rng=rng), amount(0.25, 0.02), SEED + k)
+    assert said.set == []
+    state = said.monitors["m"]
+    assert state["noise"] == pytest.approx(max(noise, 0.002) / 0.04, rel=0.25), "per cent of 4 V"
+    assert state["known"] & 1
+    if state["known"] & 2:
+        assert state["lag_ms"] == pytest.approx(lag if lag > 1.0 else 0.0, abs=1.6)
+
+
+@pytest.mark.parametrize("kind", ["delay", "mean"])
+def test_a_lag_of_another_kind_is_none_either(kind):
+    """A pure delay, and a moving average; measured, 1 in some hours of drives with 8 to 10 ms is accused."""
+    for k in range(amount(8, 1)):
+        print("seed", SEED + 100 + k)
+        said = cases.healthy(lambda rng: sensors.brake(0.002, (0.0, 6.0), kind, rng), 0.02, SEED + 100 + k)
+        assert said.set == []
+
+
+#: After these, channel 2 is named now and then: when a drift that nobody can place has ended; a supply in sharp motion.
+LOOSE = {"supply -10 %", "stuck with noise", "lag 50 ms", "gain +10 %", "gain -30 %"}
+
+
+@pytest.mark.parametrize("lag", [0.0, 10.0])
+@pytest.mark.parametrize("name", cases.FAULTS)
+def test_every_fault_is_found_and_named(name, lag):
+    row, runs = cases.FAULTS[name], amount(20, 1)
+    delays, firsts, others = [], [], []
+    for k in range(runs):
+        said, begin = cases.faulty(
+            name, SEED + 200 + k, plant=lambda rng: sensors.brake(0.002, (0.0, lag), rng=rng), seconds=35.0
+        )
+        early = [entry for entry in said.dtcs if entry[2] and entry[0] < begin]
+        assert early == []
+        new = [(t, fault) for t, fault, failed in said.dtcs if failed]
+        delays.append(new[0][0] - begin if new else np.inf)
+        firsts.append(new[0][1] if new else "-")
+        others += cases.blamed(said)
+    print(f"{name}, lag {lag}: seeds from {SEED + 200}, median {np.median(delays):.3f}, longest {max(delays):.2f} s")
+    print(sorted((firsts.count(one), one) for one in set(firsts)), others)
+    # Two channels bridged half-way read what they read before.
+    assert np.isfinite(delays).sum() >= (0.9 if name == "bridged" else 1.0) * runs
+    if lag == 0.0 or FULL:  # behind a filter a fault is now and then taken for its neighbour's: docs/pedal.md
+        assert sum(first in row.names for first in firsts) >= (0.65 if lag else 0.85) * runs
+    if name not in LOOSE and lag == 0.0:
+        assert others == []
+
+
+@pytest.mark.parametrize("volts", [4.0, 4.5, 4.75, 5.4])
+def test_a_wrong_supply_is_told_and_put_right(volts):
+    """Both channels are wrong, and the value is right all the same: within 1 % of the travel."""
+    from pedal.foot import points
+    from wire.replayed import config_of, through
+
+    travel = points(8.0, (0, 0.1), (3, 0.1), (4, 0.6), (5, 0.6), (6, 0.3), (8, 0.3))
+    supply = np.where((np.arange(8000) >= 2000) & (np.arange(8000) < 7000), volts, 5.0)
+    rng = np.random.default_rng(SEED + 300)
+    plant = sensors.brake(rng=rng)
+    made = sensors.readings(plant, travel, rng, supply=supply)
+    config = config_of(cases.monitor(), sensors.DBC)
+    said = through(config, [sensors.frames(plant, made[:6900])])
+    assert said.set == ["supply"]
+    assert said.at("supply") == pytest.approx(2.0, abs=0.03)
+    state = said.monitors["m"]
+    assert state["share"] == pytest.approx(volts / 5.0, abs=0.01)
+    assert state["value"] == pytest.approx(30.0, abs=1.0)
+    assert state["quality"] == 3, "degraded"
+    healed = through(config, [sensors.frames(plant, made)])
+    assert [(name, failed) for _, name, failed in healed.dtcs][-1] == ("supply", False)
