@@ -35,9 +35,11 @@ from gateway.fdi.quantiles import chi2_above
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
 #: Log of the odds by which a part must be ahead of the next.
-SURE = 12.0
+SURE = 25.0
 #: Of the level over Wald's: errors of parameters are no white noise while they are being learned.
 MARGIN = 2.0
+#: Evidence in levels that may go by while the healthy hypothesis explains all.
+WEAK = 1.5
 #: Alarms that nothing came of while the healthy hypothesis explained all, beyond which it is not isolated; calm samples that take
 #: one of them back.
 FORGIVEN, CALM = 4, 1000
@@ -282,7 +284,8 @@ def _isolate(s: State, c: Const) -> None:
     for h in range(c.filters.hypotheses):
         if _fits(s, c, h):
             none_fits = False
-    if s.undecided > c.patience and _fits(s, c, 0) and s.forgiven < FORGIVEN:
+    weak = s.evidence[best] < WEAK * c.level and _fits(s, c, 0)
+    if s.undecided > c.patience and weak and s.forgiven < FORGIVEN:
         s.forgiven += 1
         _adopt(s, c, 0, False)
     elif s.undecided > c.patience or (s.undecided > PATIENCE and none_fits):
@@ -324,7 +327,8 @@ def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
     """Take a sample with one filter, and its share in the moving mean."""
     # What a sample alone does not show the mean of some does; then some have to tell of the jump before the next one.
     s.waited[h] += 1
-    restless = known and s.waited[h] >= WAIT and not _fits(s, c, h)
+    # At an alarm each is asked at once, so that none is ahead only because its fault was let go first.
+    restless = known and ((s.waited[h] >= WAIT and not _fits(s, c, h)) or (s.undecided == 1 and s.waited[h] > LEAST))
     filters.correct(s.filters, c.filters, h, y, known, restless)
     if s.filters.jumped[h] == 1:
         s.waited[h] = 0

@@ -26,6 +26,8 @@ from gateway.monitors.truck.records import (
     State,
 )
 
+#: T_norm of a test that may fire.
+ON_ITS_WAY = 0.5
 #: Sets between two reports of the same.
 REPEAT = 100
 #: Largest T_norm that the message can carry.
@@ -67,12 +69,27 @@ def _weigh(s: State, c: Const) -> int:
 
 
 @kernel
+def _settled(s: State, c: Const) -> bool:
+    """Tell whether the machine has been used for long enough since a test fired last, and no other test is on its way."""
+    for place in range(len(s.level)):
+        if c.isolation.signature[s.found] >> place & 1 == 0 and s.level[place] > ON_ITS_WAY:
+            return False
+    return bool(s.settled >= c.settle)
+
+
+@kernel
 def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not."""
     fired = _weigh(s, c)
     changed = fired != s.fired
     s.fired = fired
+    if changed:
+        s.settled = 0.0
     s.found = isolation.isolated(c.isolation, fired)
+    if s.found >= 0 and s.found != s.named and not _settled(s, c):
+        s.found = -1  # a second fault's tests may be on their way
+    changed = changed or s.found != s.named
+    s.named = s.found
     s.explained = isolation.candidates(c.isolation, fired)
     s.reported += 1
     if not changed and s.reported < REPEAT:
