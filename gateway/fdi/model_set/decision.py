@@ -62,7 +62,7 @@ class Const(Record):
 
     ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that is
     right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared; ``actuator``, ``sensor``:
-    sizes that count; ``found``: x is known, ``start``, ``hold``, ``patience`` [samples].
+    sizes that count; ``learning``: nothing is judged; ``found``: x is known, ``start``, ``hold``, ``patience`` [samples].
     """
 
     filters: filters.Const
@@ -72,6 +72,7 @@ class Const(Record):
     bounds: f8
     actuator: Annotated[f8s, MOST_INPUTS]
     sensor: Annotated[f8s, MOST_OUTPUTS]
+    learning: i8
     found: i8
     start: i8
     hold: i8
@@ -84,7 +85,8 @@ class State(Record):
     ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each hypothesis,
     and samples ``waited`` since its jump; ``undecided``: samples since an alarm; ``ahead``: of these, in which ``first`` was named; ``confirmed``: the
     fault's size has counted; ``well``: samples in which it did not; ``unexplained``; ``tested``: the last sample was judged;
-    ``magnitude``: of the fault; ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
+    ``magnitude``: of the fault; ``fit``: sum of
+    normalised innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
     """
 
     filters: filters.State
@@ -104,6 +106,8 @@ class State(Record):
     agreed: i8
     tested: i8
     magnitude: f8
+    fit: f8
+    fitted: i8
     forgiven: i8
     calm: i8
     keeps: i8
@@ -112,7 +116,8 @@ class State(Record):
 
 
 def prepare(
-    s: State, c: Const, told: design.Told, *, mtfa_s: float, start_s: float, hold_s: float, patience_s: float | None
+    s: State, c: Const, told: design.Told, *, mtfa_s: float, start_s: float, hold_s: float, patience_s: float | None,
+    learning: bool = False,
 ) -> None:
     """Fill records of State and Const.
 
@@ -124,6 +129,7 @@ def prepare(
         start_s: time in which nothing is judged [s].
         hold_s: a fault is gone when it has been for so long [s].
         patience_s: time in which a fault has to be isolated [s]; None: 200 samples.
+        learning: nothing is judged, the plant's errors are learned.
 
     Raises:
         ValueError: too many entries are uncertain.
@@ -140,6 +146,7 @@ def prepare(
     c.actuator[:m], c.sensor[:p] = told.actuator, told.sensor
     c.start = max(round(start_s / period), 4 * told.plant.states)
     c.found = c.start // 4
+    c.learning = learning
     c.hold = max(round(hold_s / period), 1)
     c.patience = 200 if patience_s is None else max(round(patience_s / period), PATIENCE)
     filters.ignorant(s.filters, c.filters, 0)
@@ -349,7 +356,11 @@ def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
                 _adopt(s, c, 0, False)
         advance(s, c, u, unsure)
         return
-    if s.unexplained == 1:
+    if c.learning == 1:
+        _take(s, c, 0, y, True)
+        s.fit += s.filters.left[0]
+        s.fitted += 1
+    elif s.unexplained == 1:
         _take(s, c, 0, y, True)
         _recover(s, c)
     elif s.active > 0:
@@ -389,7 +400,7 @@ def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
     """Take the filters in use to the next sample; also over a sample that did not come."""
     f = c.filters
     filters.remember(s.filters, f, u)
-    if s.done < c.start or s.unexplained == 1:
+    if s.done < c.start or s.unexplained == 1 or c.learning == 1:
         filters.predict(s.filters, f, 0, u, unsure, False)
     elif s.active > 0:
         filters.predict(s.filters, f, s.active, u, unsure, True)

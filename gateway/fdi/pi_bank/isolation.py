@@ -349,7 +349,10 @@ def unknown_command(s: State, c: Const) -> None:
     sample, from the next innovations, and nothing is judged till then.
     """
     o = c.bank
-    if s.started == 0 or s.unexplained == 1:
+    if s.started == 0:
+        start.unknown_command(s.start, c.start, o)
+        return
+    if s.unexplained == 1:
         return
     for k in range(o.p + 1):
         jump.pulse(s.jump, c.jump, o, k, s.bank.z)

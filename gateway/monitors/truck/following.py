@@ -16,6 +16,8 @@ from gateway.monitors.truck.records import T1, Const, State
 
 #: T_norm of T1 from which on nothing is followed.
 DOUBTED = 0.3
+#: Time without use after which nothing is known better for waiting [s].
+LONG = 300.0
 
 
 @kernel
@@ -38,7 +40,8 @@ def _machine(s: State, c: Const, u: Inputs, dt: float) -> None:
     back, drop = q.k_i * ratio * u.omega_gb_sens, q.R_em * u.I_em_sens
     speed = q.k_i * ratio * c.speed_noise
     noise = sqrt(c.voltage_noise * c.voltage_noise + speed * speed)
-    slow.follow(s.machine, c.machine, u.U_em_ctrl - back - drop, drop, back, noise, dt)
+    slow.follow(s.machine, c.machine, u.U_em_ctrl - back - drop, drop, back, noise, dt, min(s.machine_waited, LONG))
+    s.machine_waited = 0.0
 
 
 @kernel
@@ -48,7 +51,8 @@ def _battery(s: State, c: Const, u: Inputs, dt: float) -> None:
     open_volts = interpolate(q.f_1_x, q.f_1_y, s.t6.SoC)
     first, second = open_volts * u.I_b_sens, -q.R_b * u.I_b_sens * u.I_b_sens
     rest = u.I_em_sens * u.U_em_sens - first - second
-    slow.follow(s.battery, c.battery, rest, first, second, c.power_noise, dt)
+    slow.follow(s.battery, c.battery, rest, first, second, c.power_noise, dt, min(s.battery_waited, LONG))
+    s.battery_waited = 0.0
 
 
 @kernel
@@ -63,6 +67,8 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
         counts: the clutch holds, too.
         dt: since the set before [s].
     """
+    s.machine_waited += dt
+    s.battery_waited += dt
     if not used or s.fired != 0 or s.norm[T1] > DOUBTED:
         return
     if counts and s.blanking.quiet == 0 and int(u.gear) == s.blanking.gear:
@@ -75,3 +81,19 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
     s.q2.R_b = s.q6.R_b = c.t6.R_b * (1.0 + s.battery.taken[1])
     for k in range(len(s.q6.f_1_y)):
         s.q2.f_1_y[k] = s.q6.f_1_y[k] = c.t6.f_1_y[k] * volts
+
+
+@kernel
+def doubts(s: State, c: Const, u: Inputs) -> tuple[float, float, float]:
+    """Return what is not known of T2 [A], T5 [rad/s] and T6 [A] because of warmth and age, standard deviations."""
+    if c.follows == 0:
+        return 0.0, 0.0, 0.0
+    q = s.q2
+    ratio = interpolate(q.f_3_x, q.f_3_y, u.gear) * q.u_em
+    volts = slow.doubt(s.machine, q.R_em * u.I_em_sens, q.k_i * ratio * u.omega_gb_sens)
+    open_volts = interpolate(q.f_1_x, q.f_1_y, s.t6.SoC)
+    power = slow.doubt(s.battery, open_volts * u.I_b_sens, -q.R_b * u.I_b_sens * u.I_b_sens)
+    current = power / max(open_volts - q.R_b * u.I_b_sens, 1.0)
+    by_machine = volts * abs(u.I_em_sens) / max(open_volts - q.R_b * u.I_b_sens, 1.0)
+    speed = volts / (q.k_i * ratio) if ratio > 0.0 else 0.0
+    return sqrt(current * current + by_machine * by_machine), speed, current

@@ -23,20 +23,24 @@ MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
 LETS_GO, STALLS = 9.0, 64.0
 
 
-#: Time constants of the slow filters of the slip [s]; greatest slip that a sensor's error explains [rad/s], a share of the
-#: engine's speed, and greatest change [rad/s2]; what lets it go again, in these.
+#: Time constants of the slow filters of the slip [s]; greatest slip that a sensor's error explains [rad/s], and once the slip of a
+#: clutch that holds has been seen for some seconds; greatest change [rad/s2]; what lets it go again, in these.
 SLOW, SLOWER = 0.25, 0.5
-CREEPS, SHARE, CHANGES, AGAIN = 1.0, 0.004, 1.0, 2.0
+CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 3.0
+#: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known [s].
+STEADY, LEARNED = 3.0, 5.0
 #: Noise of the slow slip by ratio: three standard deviations of the gearbox's speed (0.2 rad/s at 100 Hz), filtered [rad/s].
 NOISE = 0.1
 
 
 class State(Record):
-    """State: ``slow``, ``slower``: slip, filtered for longer."""
+    """State: ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, learned for so long [s]."""
 
     slip: f8
     slow: f8
     slower: f8
+    zero: f8
+    learned: f8
     speed: f8
     since: f8
     gear: i8
@@ -85,11 +89,15 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
     slips = abs(s.slip) >= (LETS_GO if held else MOST_SLIP)
     most = AGAIN if held else 1.0
     noise = NOISE * ratio
-    creeps = abs(s.slow) > most * (CREEPS + SHARE * abs(s.speed) + noise)
+    far = CREEPS if s.learned < LEARNED else KNOWN
+    creeps = abs(s.slow - s.zero) > most * (far + noise)
     creeps = creeps or abs(s.slow - s.slower) > most * (CHANGES * SLOWER + noise)
     fast = s.speed > (STALLS if held else LEAST_SPEED)
     holds = clutch >= ENGAGED and gear > 0 and fast and not slips and not creeps
     s.since = s.since + dt if holds else 0.0
+    if s.since > STEADY:
+        s.learned += dt
+        s.zero += dt / min(max(s.learned, 1.0), 20.0) * (slip - s.zero)
 
 
 @kernel

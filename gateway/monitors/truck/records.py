@@ -80,7 +80,8 @@ class State(Record):
     ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken;
     ``machine``, ``battery``: what is followed of them, and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it;
     ``settled``: use of the machine since a test fired last [s]; ``named``: the
-    fault that was reported last.
+    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``machine_waited``,
+    ``battery_waited``: time since they were followed [s].
     """
 
     sets: i8
@@ -108,8 +109,11 @@ class State(Record):
     q2: t2.Const
     q5: t5.Const
     q6: t6.Const
+    machine_waited: f8
+    battery_waited: f8
     settled: f8
     named: i8
+    seen: i8
     t1: t1.State
     t2: t2.State
     t3: t3_icds.State

@@ -31,7 +31,13 @@ FIRST, SECOND = range(2)
 COLOURED = 3.0
 #: An error is known when its standard deviation is below this share of its bound; seconds of use within which it is, in any case.
 KNOWN, AT_LATEST = 0.12, 120.0
-#: Steps of its rate that what is found may be ahead of what is taken.
+#: Share of that walk: the rate is what happens at most, not always.
+WALK = 0.1
+#: Of the standard deviation that a set takes away, what an error may move by.
+LEARNS = 2.0
+#: Standard deviations of what is not known of the errors by which a residual counts less.
+GUARD = 3.0
+#: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
 LEAD = 100.0
 #: Standard deviations by which an error found at the start must lie beyond its bound.
 SURE = 2.0
@@ -49,12 +55,13 @@ class Const(Record):
 class State(Record):
     """State of a pair: errors with covariance, ``used`` [s], whether they are ``known``; ``refused``: beyond the bounds.
 
-    ``error``: what is found; ``taken``: what the tests take of it.
+    ``error``: what is found; ``taken``: what the tests take of it; ``before``: standard deviations at the set before.
     """
 
     error: Annotated[f8s, 2]
     taken: Annotated[f8s, 2]
     p: Annotated[f8s, 2, 2]
+    before: Annotated[f8s, 2]
     used: f8
     known: i8
     refused: i8
@@ -86,7 +93,7 @@ def _learned(s: State, c: Const) -> None:
 
 
 @kernel
-def follow(s: State, c: Const, rest: float, first: float, second: float, noise: float, dt: float) -> None:
+def follow(s: State, c: Const, rest: float, first: float, second: float, noise: float, dt: float, passed: float) -> None:
     """Take one sample.
 
     Args:
@@ -97,6 +104,7 @@ def follow(s: State, c: Const, rest: float, first: float, second: float, noise: 
         second: likewise.
         noise: standard deviation of the rest.
         dt: since the set before [s].
+        passed: since the last set that was followed [s].
     """
     if s.refused == 1:
         return
@@ -104,7 +112,8 @@ def follow(s: State, c: Const, rest: float, first: float, second: float, noise: 
     for k in range(2):
         if s.p[k, k] < c.prior[k] * c.prior[k]:
             # A walk that spans the bound in the time that the rate allows for it.
-            s.p[k, k] += dt * c.rate[k] * (c.high[k] - c.low[k])
+            s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+        s.before[k] = sqrt(s.p[k, k])
     a = s.p[0, 0] * first + s.p[0, 1] * second
     b = s.p[1, 0] * first + s.p[1, 1] * second
     r = COLOURED * noise
@@ -120,8 +129,28 @@ def follow(s: State, c: Const, rest: float, first: float, second: float, noise: 
         _learned(s, c)
         return
     for k in range(2):
-        step = c.rate[k] * dt
+        # As much as time allows, and as much as is known better than before.
+        step = c.rate[k] * passed + LEARNS * max(s.before[k] - sqrt(s.p[k, k]), 0.0)
         wanted = min(max(s.error[k], c.low[k]), c.high[k])
         s.taken[k] += min(max(wanted - s.taken[k], -step), step)
-        # What it may not follow it does not know either: it starts from where it is.
-        s.error[k] = s.taken[k] + min(max(s.error[k] - s.taken[k], -LEAD * step), LEAD * step)
+        # What it may not follow is none of these errors: it does not run away from what the tests take.
+        lead = LEAD * c.rate[k] * passed + GUARD * sqrt(s.p[k, k])
+        s.error[k] = s.taken[k] + min(max(s.error[k] - s.taken[k], -lead), lead)
+
+
+@kernel
+def doubt(s: State, first: float, second: float) -> float:
+    """Return the standard deviation of what the errors still add to an equation, ``first`` and ``second`` as in :func:`follow`."""
+    if s.refused == 1:
+        return 0.0
+    size = first * first * s.p[0, 0] + 2.0 * first * second * s.p[0, 1] + second * second * s.p[1, 1]
+    return sqrt(max(size, 0.0))
+
+
+@kernel
+def beyond(residual: float, doubt: float) -> float:
+    """Return what is left of a residual beyond what is not known of the errors: a threshold that adapts itself."""
+    least = GUARD * doubt
+    if residual > least:
+        return residual - least
+    return residual + least if residual < -least else 0.0 * residual

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.fdi import cusum
 from gateway.jit import kernel
-from gateway.monitors.truck import blanking, following, gate
+from gateway.monitors.truck import blanking, following, gate, slow
 from gateway.monitors.truck.generated import t1, t2, t5, t6
 from gateway.monitors.truck.messages import Inputs
 from gateway.monitors.truck.records import R1, R2, R5, R6, T1, T2, T5, T6, Const, State
@@ -29,15 +29,17 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     counts = used and u.u_c >= gate.ENGAGED and gear > 0
     if c.follows == 1:
         following.step(s, c, u, used, counts, dt)
+    doubt2, doubt5, doubt6 = following.doubts(s, c, u)
     machine, battery = following.machine_known(s, c), following.battery_known(s, c)
     s.residual[R1] = t1.step(s.t1, c.t1, u, dt)
     volts = max(abs(u.U_em_ctrl), abs(u.U_em_sens))
     take(s, c, T1, s.residual[R1], volts >= c.least_volts)
     s.residual[R6] = t6.step(s.t6, s.q6, u, dt)
-    take(s, c, T6, s.residual[R6], used and battery)
+    take(s, c, T6, slow.beyond(s.residual[R6], doubt6), used and battery)
     s.residual[R2] = t2.step(s.t2, s.q2, u, dt)
     s.residual[R5] = t5.step(s.t5, s.q5, u, dt)
-    place = blanking.put(s.blanking, c.blank, gear, counts, s.residual[R2], s.residual[R5])
+    second, fifth = slow.beyond(s.residual[R2], doubt2), slow.beyond(s.residual[R5], doubt5)
+    place = blanking.put(s.blanking, c.blank, gear, counts, second, fifth)
     if place >= 0:
         take(s, c, T2, s.blanking.held[place, 0], machine and battery)
         take(s, c, T5, s.blanking.held[place, 1], machine)

@@ -22,11 +22,13 @@ from gateway.monitors.contract import (
     Monitor,
     Out,
     Readout,
+    Refinement,
     Warnings,
     report,
 )
 from gateway.monitors.linear import plant as linear_plant
 from gateway.monitors.linear.pi_bank.params import Params
+from gateway.monitors.linear.pi_bank.refine import found, wanted
 
 
 class Const(Record):
@@ -103,7 +105,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     s.sensor = NONE
     if c.logic == MODELS:
         times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
-        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, **times)
+        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, learning=p.learning, **times)
         return
     isolation.prepare(
         c.isolation,
@@ -185,6 +187,9 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
     x, f = s.models, c.models.filters
     decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
     s.sensor = NONE
+    if c.models.learning == 1:
+        s.reason = FINDING
+        return
     if x.unexplained == 1:
         s.reason = AMBIGUOUS
         _tell(s, UNEXPLAINED, True, 1.0, 0.0, out)
@@ -323,6 +328,7 @@ MONITOR = Monitor(
     capabilities=(
         Arrivals(lambda c: c.sampling.message),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
+        Refinement(wanted, found),
         Warnings(_warnings),
     ),
 )
