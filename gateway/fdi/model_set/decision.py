@@ -49,6 +49,8 @@ LEAST = 4
 PATIENCE = 25
 #: Samples between two jumps that no single sample shows.
 WAIT = 16
+#: Jumps of an actuator's fault since the alarm with which it may be named.
+MOST_JUMPS = 2
 #: Share of a moving mean that a new sample is.
 SHARE = 1.0 / 16.0
 #: Samples between two estimates of the parameters that are kept for a new start.
@@ -83,7 +85,7 @@ class State(Record):
     """State.
 
     ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each hypothesis,
-    and samples ``waited`` since its jump; ``undecided``: samples since an alarm; ``ahead``: of these, in which ``first`` was named; ``confirmed``: the
+    samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm; ``ahead``: of these, in which ``first`` was named; ``confirmed``: the
     fault's size has counted; ``well``: samples in which it did not; ``unexplained``; ``tested``: the last sample was judged;
     ``magnitude``: of the fault; ``fit``: sum of
     normalised innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
@@ -95,6 +97,7 @@ class State(Record):
     evidence: Annotated[f8s, MOST_HYPOTHESES]
     misfits: Annotated[f8s, MOST_HYPOTHESES]
     waited: Annotated[i8s, MOST_HYPOTHESES]
+    jumps: Annotated[i8s, MOST_HYPOTHESES]
     undecided: i8
     ahead: i8
     first: i8
@@ -279,7 +282,10 @@ def _isolate(s: State, c: Const) -> None:
     """Name a part, or say that none can be named."""
     s.undecided += 1
     best, ahead = _best(s, c)
-    if ahead >= SURE and _fits(s, c, best) and s.evidence[best] >= c.level:
+    # What acts through the plant's dynamics begins once; one that had to jump again and again only follows what it is not.
+    acts = c.filters.kind[best] in (OFFSET, GAIN)
+    begun_once = not acts or s.jumps[best] <= MOST_JUMPS
+    if ahead >= SURE and begun_once and _fits(s, c, best) and s.evidence[best] >= c.level:
         s.ahead = s.ahead + 1 if part_of(c, best) == s.first else 1
         s.first = part_of(c, best)
         if s.ahead >= LEAST:
@@ -339,6 +345,9 @@ def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
     filters.correct(s.filters, c.filters, h, y, known, restless)
     if s.filters.jumped[h] == 1:
         s.waited[h] = 0
+        s.jumps[h] += 1
+    elif s.undecided == 0 and s.waited[h] > WAIT:
+        s.jumps[h] = 0
     s.misfits[h] += SHARE * (s.filters.left[h] - s.misfits[h])
 
 

@@ -293,7 +293,7 @@ def _add_jump(s: State, c: Const, h: int) -> None:
     for r in range(c.n):
         s.gain[r] = 0.0  # what the fault has done to x by now
         s.work[r, 0] = s.plant[h, r, c.n + i]  # what one sample of it has done so many samples later
-    share = c.free[k] / len(BEGINNINGS)
+    seen = 0.0  # energy of what one unit of it has shown in the samples before this one
     for back in range(BACK + 1):
         if back > 0:
             by = 1.0 if c.kind[h] == OFFSET else s.past[back - 1, i]
@@ -306,6 +306,13 @@ def _add_jump(s: State, c: Const, h: int) -> None:
                 s.work[r, 1] = total
             for r in range(c.n):
                 s.work[r, 0] = s.work[r, 1]
+        # A fault that began then would have been seen since, if it were larger than this.
+        share = min(c.free[k] / len(BEGINNINGS), c.gate / max(seen, 1e-300))
+        for j in range(c.p):
+            shows = 0.0
+            for r in range(c.n):
+                shows += c.c[j, r] * s.gain[r]
+            seen += shows * shows / (4.0 * c.r[j])
         if back not in BEGINNINGS:
             continue
         for r in range(c.n):

@@ -88,7 +88,10 @@ class Params(PlantParams):
                     f'model_error: logic = "{self.logic}" takes the matrices as exact; logic = "models" does not'
                 )
             return self.logic
-        if self.model_error is not None or len(isolable(self.plant)) < self.plant.outputs:
+        plant = self.plant
+        if self.model_error is not None or any(
+            unobservable(plant.phi, plant.without(j)) for j in range(plant.outputs if plant.outputs > 1 else 0)
+        ):
             return "models"
         return "jumps"
 
