@@ -56,7 +56,9 @@ def _changed(config: Config, place: int, keys: Mapping[str, Any]) -> Config:
     return config.model_copy(update={"monitor": (bare,)})
 
 
-def _replayed(config: Config, log: Path, file: Path | None, maps: Sequence[str], progress: Progress) -> tuple[float, Any]:
+def _replayed(
+    config: Config, log: Path, file: Path | None, maps: Sequence[str], progress: Progress
+) -> tuple[float, Any]:
     """Replay a log; returns its seconds, and the only monitor's state at its end."""
     gateway = Gateway(config, None, file=file)
     begun = last = 0

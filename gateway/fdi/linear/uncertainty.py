@@ -79,4 +79,3 @@ def entries(
     )
     row, column = np.nonzero(whole)
     return Entries(row, column, whole[row, column])
-

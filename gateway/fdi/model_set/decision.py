@@ -50,7 +50,7 @@ PATIENCE = 25
 #: Samples between two jumps that no single sample shows.
 WAIT = 16
 #: Jumps of an actuator's fault since the alarm with which it may be named.
-MOST_JUMPS = 2
+MOST_JUMPS = 1
 #: Share of a moving mean that a new sample is.
 SHARE = 1.0 / 16.0
 #: Samples between two estimates of the parameters that are kept for a new start.
@@ -119,7 +119,14 @@ class State(Record):
 
 
 def prepare(
-    s: State, c: Const, told: design.Told, *, mtfa_s: float, start_s: float, hold_s: float, patience_s: float | None,
+    s: State,
+    c: Const,
+    told: design.Told,
+    *,
+    mtfa_s: float,
+    start_s: float,
+    hold_s: float,
+    patience_s: float | None,
     learning: bool = False,
 ) -> None:
     """Fill records of State and Const.

@@ -2,7 +2,7 @@
 
 Paper 004, VI-B: the clutch's model is known only while it is engaged. Slip and engine speed are low-pass filtered; the
 slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutch that creeps has little slip, too, but it has it
-for long: a second, slow filter tells it from noise, and whether it still changes.
+for long: a second, slow filter tells it from noise, and whether it still changes. T7 waits for that; T3 and T4 are the paper's.
 
 The speed that states begin with, (37) and (38), is low-pass filtered too. A first-order low-pass lags behind a ramp by
 its time constant, and the state keeps that: LP + (LP - LP(LP)) does not.
@@ -87,17 +87,30 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
     s.lower += share * (s.low - s.lower)
     held = s.since >= SETTLES
     slips = abs(s.slip) >= (LETS_GO if held else MOST_SLIP)
-    most = AGAIN if held else 1.0
-    noise = NOISE * ratio
-    far = CREEPS if s.learned < LEARNED else KNOWN
-    creeps = abs(s.slow - s.zero) > most * (far + noise)
-    creeps = creeps or abs(s.slow - s.slower) > most * (CHANGES * SLOWER + noise)
+    if slips:
+        s.slow = s.slower = s.slip
     fast = s.speed > (STALLS if held else LEAST_SPEED)
-    holds = clutch >= ENGAGED and gear > 0 and fast and not slips and not creeps
+    holds = clutch >= ENGAGED and gear > 0 and fast and not slips
     s.since = s.since + dt if holds else 0.0
     if s.since > STEADY:
         s.learned += dt
         s.zero += dt / min(max(s.learned, 1.0), 20.0) * (slip - s.zero)
+
+
+@kernel
+def grips(s: State, ratio: float, goes_on: bool) -> bool:
+    """Tell whether a clutch that holds does not creep.
+
+    Args:
+        s: state.
+        ratio: of the gear.
+        goes_on: it was taken not to creep before.
+    """
+    most = AGAIN if goes_on else 1.0
+    noise = NOISE * ratio
+    far = CREEPS if s.learned < LEARNED else KNOWN
+    changes = abs(s.slow - s.slower) > most * (CHANGES * SLOWER + noise)
+    return not (changes or abs(s.slow - s.zero) > most * (far + noise))
 
 
 @kernel

@@ -92,6 +92,8 @@ MONITOR = Monitor(
             sums=sums,
             peaks=peaks,
         ),
-        Readout(("sets", "apart", "valid", "fired", "explained")),
+        Readout(
+            ("sets", "apart", "valid", "fired", "explained", "untested", "winding", "magnets", "open_volts", "cells")
+        ),
     ),
 )

@@ -149,15 +149,19 @@ class Params(MonitorParams):
     thresholds: Thresholds = Thresholds()
     observer: Observer = Observer()
     follow: Following | None = Field(
-        None, description="warmth and age of machine and battery, within bounds; default: with RDS as given there, else not"
+        None,
+        description="warmth and age of machine and battery, within bounds; default: with RDS as given there, else not",
     )
     settle_s: float = Field(
-        0.5, ge=0, description="with RDS: of use of the machine in which no further test is on its way, before a fault is named [s]"
+        0.5,
+        ge=0,
+        description="with RDS: of use of the machine in which no further test is on its way, before a fault is named [s]",
     )
     limit: float = Field(5.0, gt=1, description="of a test quantity, in units of J: it comes down again")
     parameters: dict[str, float] = Field(
         default_factory=dict, description="of the truck, instead of the structural model's"
     )
+
     @property
     def followed(self) -> Following | None:
         """What is followed, own or default."""

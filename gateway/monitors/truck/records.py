@@ -77,10 +77,13 @@ class State(Record):
 
     ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
     T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
+    ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``, ``cells``: relative
+    errors of R_em, k_i, U_oc and R_b that are followed;
     ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken;
     ``machine``, ``battery``: what is followed of them, and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it;
     ``settled``: use of the machine since a test fired last [s]; ``named``: the
-    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``machine_waited``,
+    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``doubts``: of the
+    residuals that wait in ``blanking``; ``machine_waited``,
     ``battery_waited``: time since they were followed [s].
     """
 
@@ -95,6 +98,11 @@ class State(Record):
     frames: collection.State
     reported: i8
     watched: i8
+    untested: i8
+    winding: f8
+    magnets: f8
+    open_volts: f8
+    cells: f8
     level: Annotated[f8s, isolation.MOST_TESTS]
     blanking: blanking.State
     observer: observer.State
@@ -109,6 +117,7 @@ class State(Record):
     q2: t2.Const
     q5: t5.Const
     q6: t6.Const
+    doubts: Annotated[f8s, blanking.MOST, blanking.LANES]
     machine_waited: f8
     battery_waited: f8
     settled: f8

@@ -93,7 +93,9 @@ def _learned(s: State, c: Const) -> None:
 
 
 @kernel
-def follow(s: State, c: Const, rest: float, first: float, second: float, noise: float, dt: float, passed: float) -> None:
+def follow(
+    s: State, c: Const, rest: float, first: float, second: float, noise: float, dt: float, passed: float
+) -> None:
     """Take one sample.
 
     Args:

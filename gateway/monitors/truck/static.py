@@ -11,6 +11,16 @@ from gateway.monitors.truck.records import R1, R2, R5, R6, T1, T2, T5, T6, Const
 
 
 @kernel
+def take_beyond(s: State, c: Const, place: int, residual: float, doubt: float, wanted: bool) -> None:
+    """Update a test quantity with what is left of a residual beyond its doubt; nu is the whole residual's."""
+    left = slow.beyond(residual, doubt)
+    take(s, c, place, left, wanted)
+    if wanted and residual == residual:  # noqa: PLR0124 - not NaN
+        s.cusum[place].total += abs(residual) - abs(left)
+        s.cusum[place].squares += residual * residual - left * left
+
+
+@kernel
 def take(s: State, c: Const, place: int, residual: float, wanted: bool) -> None:
     """Update a test quantity, if it is to be updated and the residual is a number."""
     if wanted and residual == residual:  # noqa: PLR0124 - not NaN
@@ -29,18 +39,19 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     counts = used and u.u_c >= gate.ENGAGED and gear > 0
     if c.follows == 1:
         following.step(s, c, u, used, counts, dt)
+    s.untested = following.untested(s, c, used)
     doubt2, doubt5, doubt6 = following.doubts(s, c, u)
     machine, battery = following.machine_known(s, c), following.battery_known(s, c)
     s.residual[R1] = t1.step(s.t1, c.t1, u, dt)
     volts = max(abs(u.U_em_ctrl), abs(u.U_em_sens))
     take(s, c, T1, s.residual[R1], volts >= c.least_volts)
     s.residual[R6] = t6.step(s.t6, s.q6, u, dt)
-    take(s, c, T6, slow.beyond(s.residual[R6], doubt6), used and battery)
+    take_beyond(s, c, T6, s.residual[R6], doubt6, used and battery)
     s.residual[R2] = t2.step(s.t2, s.q2, u, dt)
     s.residual[R5] = t5.step(s.t5, s.q5, u, dt)
-    second, fifth = slow.beyond(s.residual[R2], doubt2), slow.beyond(s.residual[R5], doubt5)
-    place = blanking.put(s.blanking, c.blank, gear, counts, second, fifth)
+    place = blanking.put(s.blanking, c.blank, gear, counts, s.residual[R2], s.residual[R5])
+    s.doubts[(s.blanking.at - 1) % blanking.MOST, 0], s.doubts[(s.blanking.at - 1) % blanking.MOST, 1] = doubt2, doubt5
     if place >= 0:
-        take(s, c, T2, s.blanking.held[place, 0], machine and battery)
-        take(s, c, T5, s.blanking.held[place, 1], machine)
+        take_beyond(s, c, T2, s.blanking.held[place, 0], s.doubts[place, 0], machine and battery)
+        take_beyond(s, c, T5, s.blanking.held[place, 1], s.doubts[place, 1], machine)
         s.settled += dt

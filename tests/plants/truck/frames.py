@@ -17,7 +17,17 @@ MESSAGES = {
     "PCU_Act": (0x320, [("IBat", "I_b", 16, 1, 0.05), ("UMot", "U_em", 16, 1, 0.05), ("IMot", "I_em", 16, 1, 0.05)]),
     "DRV_Act": (0x321, [("NEng", "omega_e", 16, 0, 0.01), ("NOut", "omega_gb", 16, 1, 0.01), ("SoC0", "soc0", 8, 0, 0.005)]),
 }  # fmt: skip
-UNITS = {"UReq": "V", "Fuel": "J", "TBrk": "Nm", "Grad": "rad", "IBat": "A", "UMot": "V", "IMot": "A", "NEng": "rad/s", "NOut": "rad/s"}
+UNITS = {
+    "UReq": "V",
+    "Fuel": "J",
+    "TBrk": "Nm",
+    "Grad": "rad",
+    "IBat": "A",
+    "UMot": "V",
+    "IMot": "A",
+    "NEng": "rad/s",
+    "NOut": "rad/s",
+}
 #: Input of the monitor -> signal here.
 SIGNALS = {
     "U_em_ctrl": "PCU_Set.UReq", "ice_ctrl": "PCU_Set.Fuel", "u_c": "PCU_Set.Clu", "gear": "PCU_Set.GearAct", "count_pt": "PCU_Set.Seq",
@@ -40,7 +50,9 @@ def database():
         lines.append(f"BO_ {can_id} {name}: 8 TRUCK")
         at = 0
         for signal, _, bits, signed, step in signals:
-            lines.append(f' SG_ {signal} : {at}|{bits}@1{"-" if signed else "+"} ({step!r},0) [0|0] "{UNITS.get(signal, "")}" GW')
+            lines.append(
+                f' SG_ {signal} : {at}|{bits}@1{"-" if signed else "+"} ({step!r},0) [0|0] "{UNITS.get(signal, "")}" GW'
+            )
             at += bits
         lines += [' SG_ Seq : 56|8@1+ (1,0) [0|255] "" GW', ""]
     return "\n".join(lines)

@@ -70,8 +70,12 @@ def speeds(name, seconds, rng):
         times, values, at = [0.0], [0.0], 0.0
         while at < seconds:
             goal = rng.uniform(0.3, 1.0) * top
-            for span, value in ((max(goal, 2.0) / 0.6, goal), (rng.uniform(10, 60), goal), (goal / 0.7 + 4, rng.choice([0.0, 0.5 * goal])),
-                                (rng.uniform(1, rest), 0.0 if name != "motorway" else 0.6 * goal)):
+            for span, value in (
+                (max(goal, 2.0) / 0.6, goal),
+                (rng.uniform(10, 60), goal),
+                (goal / 0.7 + 4, rng.choice([0.0, 0.5 * goal])),
+                (rng.uniform(1, rest), 0.0 if name != "motorway" else 0.6 * goal),
+            ):
                 at += span
                 times.append(at)
                 values.append(values[-1] if span < 2.0 else value)
@@ -97,7 +101,19 @@ def _friction(w):
 
 @njit(cache=True)
 def _drive(asked, q, drift, faults, hills, creep_s, soc, ratios, inertias, charge, volts, out):
-    m0, u_em, k0, r0, eta0, cf, j_em, j_c, j_e, u_f, r_w = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
+    m0, u_em, k0, r0, eta0, cf, j_em, j_c, j_e, u_f, r_w = (
+        q[0],
+        q[1],
+        q[2],
+        q[3],
+        q[4],
+        q[5],
+        q[6],
+        q[7],
+        q[8],
+        q[9],
+        q[10],
+    )
     c_d, a_f, c_r, rb0, q_b, eta_e, idle = q[11], q[12], q[13], q[14], q[15], q[16], q[17]
     n_cyl, bore, stroke, p_g = 6.0, 0.110, 0.135, 1.4e4
     volume = n_cyl * stroke * bore**2
@@ -117,7 +133,10 @@ def _drive(asked, q, drift, faults, hills, creep_s, soc, ratios, inertias, charg
         error = asked[k] - v
         ahead = asked[min(k + 50, len(asked) - 1)]
         integral = min(max(integral + error * dt, -3.0), 3.0)
-        want = mass * (0.9 * error + 0.15 * integral + (ahead - asked[k]) / 0.5) * r_w + 0.5 * 1.2 * c_d * a_f * v * v * r_w
+        want = (
+            mass * (0.9 * error + 0.15 * integral + (ahead - asked[k]) / 0.5) * r_w
+            + 0.5 * 1.2 * c_d * a_f * v * v * r_w
+        )
         want += mass * 9.81 * c_r * r_w * (1.0 if v > 0.1 else 0.0)
         at_joint = want / (ratio * u_f)
         # Gears.
@@ -168,7 +187,9 @@ def _drive(asked, q, drift, faults, hills, creep_s, soc, ratios, inertias, charg
         negative = want - (t_em_old + t_e_old) * ratio * u_f
         brake = 0.0
         if (want < 0.0 and negative < 0.0) or (asked[k] < 0.3 and v < 1.0):
-            brake = min(-negative if negative < 0.0 else 0.0, 0.6 * mass * 9.81 * r_w) + (3000.0 if v < 0.5 and asked[k] < 0.3 else 0.0)
+            brake = min(-negative if negative < 0.0 else 0.0, 0.6 * mass * 9.81 * r_w) + (
+                3000.0 if v < 0.5 and asked[k] < 0.3 else 0.0
+            )
         brake = round(brake)
         # Engine: torque to fuel energy of a cycle, as the engine's own map has it.
         clutch = 1.0 if engage else 0.0
@@ -222,7 +243,9 @@ def _drive(asked, q, drift, faults, hills, creep_s, soc, ratios, inertias, charg
                     loss = 6.0 + 0.5 * (len(ratios) - gear) + 0.06 * mj
                     through = joint - loss
                     net += through * (0.97 if through > 0.0 else 1.0 / 0.97) * ratio * u_f
-                    inertia += (inertias[gear - 1] + j_em * u_em**2 + (j_c + j_e if locked else 0.0)) * (ratio * u_f) ** 2
+                    inertia += (inertias[gear - 1] + j_em * u_em**2 + (j_c + j_e if locked else 0.0)) * (
+                        ratio * u_f
+                    ) ** 2
                 slope_v = net / inertia * r_w
                 if stage == 0:
                     first = slope_v

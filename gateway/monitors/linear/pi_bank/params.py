@@ -51,7 +51,8 @@ class Params(PlantParams):
         None, gt=0, description="with models: time in which a fault has to be isolated [s]; default: 200 samples"
     )
     learning: bool = Field(
-        False, description="with models: nothing is judged, the errors of a and b are learned; gateway calibrate sets it"
+        False,
+        description="with models: nothing is judged, the errors of a and b are learned; gateway calibrate sets it",
     )
     calibrated: str = Field("", description="where a, b and model_error come from")
     start_s: float = Field(5.0, gt=0, description="at the start nothing is judged for so long [s]")
