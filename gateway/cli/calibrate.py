@@ -114,8 +114,8 @@ def _plant_claim(plant: plants.Plant) -> str:
     """Say how well the model explains the logs."""
     fits = ", ".join(f"{fit:.2f}" for fit in plant.fit)
     return (
-        f"{plant.monitor}: innovations squared over what the noise explains, log by log: {fits} (1 is all of them; more: the model "
-        "lacks something, and the noise is widened; much less: the noise told is too large)"
+        f"{plant.monitor}: innovations squared over what the noise explains, log by log: {fits} (1 is all of them; "
+        "more: the model lacks something, and the noise is widened; much less: the noise told is too large)"
     )
 
 

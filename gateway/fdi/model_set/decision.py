@@ -4,14 +4,14 @@ Each hypothesis has a sum of evidence against "nothing is wrong", which does not
 
     g_h := max(0, g_h + log p_h(y) - log p_0(y))
 
-Beyond the level of ``mtfa_s`` something is wrong, and nothing is judged until it is known what. A part (actuator or sensor; the
-better of its hypotheses) is named when its evidence is more than that of any other part by :data:`SURE`, its own
-innovations are as small as they should be, and its fault has at least the size that counts. If no hypothesis explains what
-came, or several do for longer than the patience, it is not isolated. Then the plant is found anew, with the errors
-of its parameters as they were known before.
+Beyond the level of ``mtfa_s`` something is wrong, and nothing is judged until it is known what. A part (actuator or
+sensor; the better of its hypotheses) is named when its evidence is more than that of any other part by :data:`SURE`,
+its own innovations are as small as they should be, and its fault has at least the size that counts. If no hypothesis
+explains what came, or several do for longer than the patience, it is not isolated. Then the plant is found anew, with
+the errors of its parameters as they were known before.
 
-The named hypothesis goes on alone, until its fault is gone; then all begin again from its estimate. A fault that turns out
-smaller than what counts is taken into the estimate as an offset, and nobody is named.
+The named hypothesis goes on alone, until its fault is gone; then all begin again from its estimate. A fault that turns
+out smaller than what counts is taken into the estimate as an offset, and nobody is named.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ SURE = 25.0
 MARGIN = 2.0
 #: Evidence in levels that may go by while the healthy hypothesis explains all.
 WEAK = 1.5
-#: Alarms that nothing came of while the healthy hypothesis explained all, beyond which it is not isolated; calm samples that take
-#: one of them back.
+#: Alarms that nothing came of while the healthy hypothesis explained all, beyond which it is not isolated; calm samples
+#: that take one of them back.
 FORGIVEN, CALM = 4, 1000
 #: Samples behind an alarm in which no part is named; in which a part has to be ahead.
 LEAST = 4
@@ -62,9 +62,10 @@ NONE = -1
 class Const(Record):
     """Constants.
 
-    ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that is
-    right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared; ``actuator``, ``sensor``:
-    sizes that count; ``learning``: nothing is judged; ``found``: x is known, ``start``, ``hold``, ``patience`` [samples].
+    ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that
+    is right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared; ``actuator``,
+    ``sensor``: sizes that count; ``learning``: nothing is judged; ``found``: x is known, ``start``, ``hold``,
+    ``patience`` [samples].
     """
 
     filters: filters.Const
@@ -84,11 +85,13 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each hypothesis,
-    samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm; ``ahead``: of these, in which ``first`` was named; ``confirmed``: the
-    fault's size has counted; ``well``: samples in which it did not; ``unexplained``; ``tested``: the last sample was judged;
-    ``magnitude``: of the fault; ``fit``: sum of
-    normalised innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
+    ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each
+    hypothesis, samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm;
+    ``ahead``: of these, in which ``first`` was named; ``confirmed``: the fault's size has counted; ``well``: samples in
+    which it did not; ``unexplained``; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum
+    of normalised innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples;
+    ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the
+    older at ``older``.
     """
 
     filters: filters.State
@@ -225,7 +228,7 @@ def _fits(s: State, c: Const, h: int) -> bool:
 def _counts(c: Const, h: int, size: float) -> float:
     """Return a fault's size over the one that counts."""
     part = part_of(c, h)
-    return abs(size) / (c.actuator[part] if part < c.filters.m else c.sensor[part - c.filters.m])
+    return float(abs(size) / (c.actuator[part] if part < c.filters.m else c.sensor[part - c.filters.m]))
 
 
 @kernel
@@ -289,7 +292,8 @@ def _isolate(s: State, c: Const) -> None:
     """Name a part, or say that none can be named."""
     s.undecided += 1
     best, ahead = _best(s, c)
-    # What acts through the plant's dynamics begins once; one that had to jump again and again only follows what it is not.
+    # What acts through the plant's dynamics begins once; one that had to jump again and again only follows what it is
+    # not.
     acts = c.filters.kind[best] in (OFFSET, GAIN)
     begun_once = not acts or s.jumps[best] <= MOST_JUMPS
     if ahead >= SURE and begun_once and _fits(s, c, best) and s.evidence[best] >= c.level:

@@ -1,29 +1,31 @@
 """Kalman filters of one linear plant under different hypotheses, each with the plant's own errors as slow states.
 
-State z = [x; theta; a; l; s]: the plant's state; the errors of its uncertain entries; of each actuator an offset a and a
-relative gain l; of each sensor an offset s:
+State z = [x; theta; a; l; s]: the plant's state; the errors of its uncertain entries; of each actuator an offset a and
+a relative gain l; of each sensor an offset s:
 
     x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = C x + s + v
 
-What is slow goes on as exp(-T/tau) of itself plus noise, so that its spread is its bound when nothing tells it. The covariance
+What is slow goes on as exp(-T/tau) of itself plus noise, so that its spread is its bound when nothing tells it. The
+covariance
 
     P := F P F' + Q,   F_x,theta = dPhi/dtheta x + dGamma/dtheta u
 
 grows with what the plant does: a plant that rests shows no error of its model, one that is moved hard shows much. The
-innovation's variance C P C' + R is therefore a threshold that adapts itself to input and state, propagated with both; and what
-the innovations tell of theta makes it shrink again. That is the difference to a larger ``state_noise``, which hides faults at
-rest and in motion alike.
+innovation's variance C P C' + R is therefore a threshold that adapts itself to input and state, propagated with both;
+and what the innovations tell of theta makes it shrink again. That is the difference to a larger ``state_noise``, which
+hides faults at rest and in motion alike.
 
-Hypotheses, by their place: 0: nothing is wrong; then of each actuator "its offset jumps or drifts", of each "its gain does"; of
-each sensor "its offset does", of each "it tells nothing" (its reading is spread evenly over its range). All predict the
-same numbers, so that the densities of what came can be compared. An offset or gain that may jump is told so at a sample that
-is too far from what was expected: the jump may have begun at that sample or before it (:data:`BEGINNINGS`).
+Hypotheses, by their place: 0: nothing is wrong; then of each actuator "its offset jumps or drifts", of each "its gain
+does"; of each sensor "its offset does", of each "it tells nothing" (its reading is spread evenly over its range). All
+predict the same numbers, so that the densities of what came can be compared. An offset or gain that may jump is told so
+at a sample that is too far from what was expected: the jump may have begun at that sample or before it
+(:data:`BEGINNINGS`).
 
-What the derivatives leave out is of the second order: the share of a step's variance that comes from theta, times theta's
-relative variance, is noise beside w.
+What the derivatives leave out is of the second order: the share of a step's variance that comes from theta, times
+theta's relative variance, is noise beside w.
 
-While nothing is known of x (at the start, behind a gap) theta and what else is slow is considered, not corrected (Schmidt):
-P has it, the gain does not.
+While nothing is known of x (at the start, behind a gap) theta and what else is slow is considered, not corrected
+(Schmidt): P has it, the gain does not.
 
 Sources: Schmidt, "Application of state-space methods to navigation problems" (1966); Ljung, "Asymptotic behavior of the
 extended Kalman filter as a parameter estimator" (1979); Blom and Bar-Shalom (1988) for banks by hypothesis.
@@ -63,12 +65,13 @@ SECOND_ORDER = 4.0
 class Const(Record):
     """Constants.
 
-    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones. ``matrix``:
-    [[A, B], [0, 0]] T (or [Phi, Gamma]); ``row``, ``column``, ``scale``: of each entry in it; ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and their variance; ``drive``,
-    ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and of a jump; ``loose``: share of the latter that a fault
-    which is followed changes by in a sample.
-    ``gate``: of the normalised innovation squared of one sample, beyond which something jumped; ``range``: of a
-    silent sensor's reading, as log density.
+    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones.
+    ``matrix``: [[A, B], [0, 0]] T (or [Phi, Gamma]); ``row``, ``column``, ``scale``: of each entry in it; ``relative``:
+    1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and their
+    variance; ``drive``, ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and of a
+    jump; ``loose``: share of the latter that a fault which is followed changes by in a sample. ``gate``: of the
+    normalised innovation squared of one sample, beyond which something jumped; ``range``: of a silent sensor's reading,
+    as log density.
     """
 
     n: i8
@@ -100,11 +103,13 @@ class Const(Record):
 
 
 class State(Record):
-    """State of all filters: ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, computed for the errors ``at``; ``by_entry``: its
-    derivatives by each entry, for the errors ``derived``.
+    """State of all filters.
 
-    ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its innovations.
-    ``past``: commands of the samples before, newest first.
+    ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, computed for the errors ``at``; ``by_entry``: its derivatives by
+    each entry, for the errors ``derived``.
+
+    ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
+    innovations. ``past``: commands of the samples before, newest first.
     """
 
     z: Annotated[f8s, MOST_HYPOTHESES, MOST]
@@ -476,7 +481,14 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
         for k in range(q):
             for i in range(q):
                 s.second[r] += s.by_slow[r, k] * s.cov[h, n + k, n + i] * s.by_slow[r, i]
-    free = slot(c, h)
+    _spread(s, c, h, unsure, loose, relative)
+
+
+@kernel
+def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: float) -> None:
+    """Take covariance and slow states to the next sample, from what :func:`predict` has left in the scratch."""
+    n, m, size = c.n, c.m, c.total
+    slow, free = c.q + 2 * m, slot(c, h)
     for r in range(n):
         s.z[h, r] = s.gain[r]
         for k in range(r, n):

@@ -345,8 +345,8 @@ def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
 def unknown_command(s: State, c: Const) -> None:
     """Say that the command of the sample before is not known: behind :func:`step` or :func:`missing`.
 
-    What it was instead has moved the state by Gamma times what nobody knows: it is estimated like a fault that lasted for one
-    sample, from the next innovations, and nothing is judged till then.
+    What it was instead has moved the state by Gamma times what nobody knows: it is estimated like a fault that lasted
+    for one sample, from the next innovations, and nothing is judged till then.
     """
     o = c.bank
     if s.started == 0:

@@ -280,7 +280,7 @@ def begin(s: State, c: Const, o: Bank, k: int) -> None:
 
 @kernel
 def pulse(s: State, c: Const, o: Bank, k: int, z: f8s) -> None:
-    """Open a fault of the actuators that has lasted for the sample before, of a size that nobody knows, for observer k."""
+    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size."""
     merge(s, o, k, z)
     s.open[k] = 1
     for i in range(o.m):

@@ -32,7 +32,8 @@ _NUMBERS = MOST_OUTPUTS + 2 * MOST_INPUTS + 1
 class Const(Record):
     """Constants.
 
-    ``message``: in which message each number of the inputs comes; ``own``: 1: the command's message completes the sample.
+    ``message``: in which message each number of the inputs comes; ``own``: 1: the command's message completes the
+    sample.
     """
 
     period_ns: i8
@@ -48,9 +49,9 @@ class State(Record):
     """State: ``t_ns`` of the last sample, and its ``counter``.
 
     Of each command: ``value`` and ``came_ns`` of the last frames, ``heard`` of them in all, and since the last sample;
-    ``lead_ns``: before its sample; ``share``: of the samples before which one came; ``told``: its alive counter. What holds
-    from the present sample on: ``u``; ``unsure``: 1: the frame that would say so is lost. ``gap``: a command that is not
-    cyclic was lost, some time since it was heard last.
+    ``lead_ns``: before its sample; ``share``: of the samples before which one came; ``told``: its alive counter. What
+    holds from the present sample on: ``u``; ``unsure``: 1: the frame that would say so is lost. ``gap``: a command that
+    is not cyclic was lost, some time since it was heard last.
     """
 
     started: i8
@@ -92,8 +93,8 @@ class Input(StrictModel):
     dtc: str | None = Field(None, description="default: C1B11-64 and so on")
     counter: str | None = Field(
         None,
-        description='"Message.Signal", alive counter modulo 16 of the command\'s message: tells which of its frames are lost; '
-        "one that comes before every sample is missed without it",
+        description='"Message.Signal", alive counter modulo 16 of the command\'s message: tells which of its '
+        "frames are lost; one that comes before every sample is missed without it",
     )
 
 

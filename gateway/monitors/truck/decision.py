@@ -72,7 +72,7 @@ def _weigh(s: State, c: Const) -> int:
 
 @kernel
 def _settled(s: State, c: Const) -> bool:
-    """Tell whether the machine has been used for long enough since a test fired last, and no other test is on its way."""
+    """Tell whether the machine has been used for long enough since a test fired last, and no other is on its way."""
     for place in range(len(s.level)):
         if c.isolation.signature[s.found] >> place & 1 == 0 and s.level[place] > ON_ITS_WAY:
             return False
@@ -90,8 +90,8 @@ def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     s.seen |= fired
     if fired == 0 and (s.settled >= QUIET or c.system != ROBUST):
         s.seen = 0
-    # With the paper's systems what has fired decides; beyond it what has since all were quiet: a second fault's test that comes
-    # down for want of use is not forgotten, nor a single one's.
+    # With the paper's systems what has fired decides; beyond it what has since all were quiet: a second fault's test
+    # that comes down for want of use is not forgotten, nor a single one's.
     known = s.seen if c.system == ROBUST and fired != 0 else fired
     s.found = isolation.isolated(c.isolation, known)
     if s.found >= 0 and s.found != s.named and not _settled(s, c):

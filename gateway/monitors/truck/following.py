@@ -15,8 +15,8 @@ from gateway.monitors.truck import slow
 from gateway.monitors.truck.messages import Inputs
 from gateway.monitors.truck.records import T1, Const, State
 
-#: Bits of ``untested``: the machine's R and k are not known yet (T2, T5); the battery's R and U are not (T2, T6); the machine is not used
-#: (T2, T5, T6); the clutch does not hold (T3, T4, T7; T2 and T5 where it is open).
+#: Bits of ``untested``: the machine's R and k are not known yet (T2, T5); the battery's R and U are not (T2, T6); the
+#: machine is not used (T2, T5, T6); the clutch does not hold (T3, T4, T7; T2 and T5 where it is open).
 MACHINE, BATTERY, IDLE, CLUTCH = 1, 2, 4, 8
 #: T_norm of T1 from which on nothing is followed.
 DOUBTED = 0.3
@@ -75,7 +75,8 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
     s.battery_waited += dt
     if not used:
         return
-    # What is not known yet is learned all the same: a fault that is there from the start lies beyond the bounds, or is not seen.
+    # What is not known yet is learned all the same: a fault that is there from the start lies beyond the bounds, or is
+    # not seen.
     calm = s.fired == 0 and s.norm[T1] <= DOUBTED
     if counts and s.blanking.quiet == 0 and int(u.gear) == s.blanking.gear and (calm or s.machine.known == 0):
         _machine(s, c, u, dt)

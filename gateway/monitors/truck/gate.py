@@ -1,8 +1,9 @@
 """When the model of T3 and T4 holds, told from the bus: the clutch holds, and the engine is above idle.
 
 Paper 004, VI-B: the clutch's model is known only while it is engaged. Slip and engine speed are low-pass filtered; the
-slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutch that creeps has little slip, too, but it has it
-for long: a second, slow filter tells it from noise, and whether it still changes. T7 waits for that; T3 and T4 are the paper's.
+slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutch that creeps has little slip, too, but
+it has it for long: a second, slow filter tells it from noise, and whether it still changes. T7 waits for that; T3 and
+T4 are the paper's.
 
 The speed that states begin with, (37) and (38), is low-pass filtered too. A first-order low-pass lags behind a ramp by
 its time constant, and the state keeps that: LP + (LP - LP(LP)) does not.
@@ -23,18 +24,21 @@ MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
 LETS_GO, STALLS = 9.0, 64.0
 
 
-#: Time constants of the slow filters of the slip [s]; greatest slip that a sensor's error explains [rad/s], and once the slip of a
-#: clutch that holds has been seen for some seconds; greatest change [rad/s2]; what lets it go again, in these.
+#: Time constants of the slow filters of the slip [s]; greatest slip that a sensor's error explains [rad/s], and once
+#: the slip of a clutch that holds has been seen for some seconds; greatest change [rad/s2]; what lets it go again, in
+#: these.
 SLOW, SLOWER = 0.25, 0.5
 CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 3.0
-#: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known [s].
+#: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known
+#: [s].
 STEADY, LEARNED = 3.0, 5.0
-#: Noise of the slow slip by ratio: three standard deviations of the gearbox's speed (0.2 rad/s at 100 Hz), filtered [rad/s].
+#: Noise of the slow slip by ratio: three standard deviations of the gearbox's speed (0.2 rad/s at 100 Hz), filtered
+#: [rad/s].
 NOISE = 0.1
 
 
 class State(Record):
-    """State: ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, learned for so long [s]."""
+    """State: ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]."""
 
     slip: f8
     slow: f8

@@ -155,7 +155,7 @@ class Params(MonitorParams):
     settle_s: float = Field(
         0.5,
         ge=0,
-        description="with RDS: of use of the machine in which no further test is on its way, before a fault is named [s]",
+        description="with RDS: use of the machine without a further test on its way, before a fault is named [s]",
     )
     limit: float = Field(5.0, gt=1, description="of a test quantity, in units of J: it comes down again")
     parameters: dict[str, float] = Field(
@@ -169,7 +169,7 @@ class Params(MonitorParams):
 
     tables: dict[Literal["f_1", "f_2", "f_3"], Table] = Field(
         default_factory=dict,
-        description="of the truck, instead of the structural model's: f_1 open circuit voltage [V] over charge, f_2 inertia of the "
-        "gearbox [kg m2] over gear, f_3 its ratio over gear",
+        description="of the truck, instead of the structural model's: f_1 open circuit voltage [V] over charge, "
+        "f_2 inertia of the gearbox [kg m2] over gear, f_3 its ratio over gear",
     )
     calibrated: str = Field("", description="where nu and thresholds come from")

@@ -75,16 +75,15 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
-    T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
-    ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``, ``cells``: relative
-    errors of R_em, k_i, U_oc and R_b that are followed;
-    ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken;
-    ``machine``, ``battery``: what is followed of them, and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it;
-    ``settled``: use of the machine since a test fired last [s]; ``named``: the
-    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``doubts``: of the
-    residuals that wait in ``blanking``; ``machine_waited``,
-    ``battery_waited``: time since they were followed [s].
+    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and T4
+    with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
+    ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
+    ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``apart``: sets of which not all frames
+    came; ``counter``, ``taken_ns``: of the last set that was taken; ``machine``, ``battery``: what is followed of them,
+    and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``settled``: use of the machine since a test fired
+    last [s]; ``named``: the fault that was reported last; ``seen``: tests that have fired since all were quiet, as
+    bits; ``doubts``: of the residuals that wait in ``blanking``; ``machine_waited``, ``battery_waited``: time since
+    they were followed [s].
     """
 
     sets: i8
@@ -191,7 +190,8 @@ def _set_tables(p: Params, c: Any) -> None:
 def _prepare_following(p: Params, s: State, c: Const) -> None:
     c.settle = p.settle_s if p.system == "RDS" else 0.0
     # Fields one by one: the state's are copies that change.
-    for mine, told in ((s.q2, c.t2), (s.q5, c.t5), (s.q6, c.t6)):
+    copies: tuple[tuple[Any, Any], ...] = ((s.q2, c.t2), (s.q5, c.t5), (s.q6, c.t6))
+    for mine, told in copies:
         for name in told.dtype.names:
             mine[name] = told[name]
     followed = p.followed

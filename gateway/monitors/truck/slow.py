@@ -1,21 +1,22 @@
 """What warmth and age change in a healthy machine and battery: followed slowly, within what physics allows.
 
-T2, T5 and T6 take the winding's resistance R, the torque constant k, the battery's resistance R_b and its open circuit voltage as
-exact. A winding at 120 degC has 39 % more resistance than at 20 degC, magnets lose 0.1 % a kelvin, a battery's resistance doubles
-in its life: none is a fault. So their relative errors are slow states, two and two, of the equations that hold without a fault:
+T2, T5 and T6 take the winding's resistance R, the torque constant k, the battery's resistance R_b and its open circuit
+voltage as exact. A winding at 120 degC has 39 % more resistance than at 20 degC, magnets lose 0.1 % a kelvin, a
+battery's resistance doubles in its life: none is a fault. So their relative errors are slow states, two and two, of the
+equations that hold without a fault:
 
     U_ctrl - k w - R I           = k w dk + R I dR + noise                      (e7, e8 of paper 004)
     I_em U_em - (U_oc - R_b I_b) I_b = U_oc I_b dU - R_b I_b^2 dR_b + noise     (e5, e6, e11)
 
-each a Kalman filter. First it learns, as fast as the noise lets it; meanwhile T2, T5, T6 are not tested. What it finds beyond its
-bound is no warmth and no age: then it is not followed, and the tests see it. Behind that an error changes by its rate at most, so
-that a fault that comes at once is there long before it is followed; and while a test has fired, or T1 is on its way, nothing
-is followed.
+each a Kalman filter. First it learns, as fast as the noise lets it; meanwhile T2, T5, T6 are not tested. What it finds
+beyond its bound is no warmth and no age: then it is not followed, and the tests see it. Behind that an error changes by
+its rate at most, so that a fault that comes at once is there long before it is followed; and while a test has fired, or
+T1 is on its way, nothing is followed.
 
-Bounds and rates: copper 0.393 %/K (IEC 60228); NdFeB -0.09 to -0.12 %/K of remanence (IEC 60404-8-1), SmCo -0.04; resistance of
-a cell: half to twice as much over 0 to 40 degC, twice at its end of life (ISO 12405-4, IEC 62660-1); its open circuit voltage is
-taken from a curve, which ages by percents. Windings heat by some tenths of a kelvin a second at peak torque, magnets and cells by
-hundredths.
+Bounds and rates: copper 0.393 %/K (IEC 60228); NdFeB -0.09 to -0.12 %/K of remanence (IEC 60404-8-1), SmCo -0.04;
+resistance of a cell: half to twice as much over 0 to 40 degC, twice at its end of life (ISO 12405-4, IEC 62660-1); its
+open circuit voltage is taken from a curve, which ages by percents. Windings heat by some tenths of a kelvin a second at
+peak torque, magnets and cells by hundredths.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from gateway.jit import Record, f8, f8s, i8, kernel
 FIRST, SECOND = range(2)
 #: Of the standard deviation of a residual's noise: what is not white in it.
 COLOURED = 3.0
-#: An error is known when its standard deviation is below this share of its bound; seconds of use within which it is, in any case.
+#: An error is known when its standard deviation is below this share of its bound; seconds of use within which it is, in
+#: any case.
 KNOWN, AT_LATEST = 0.12, 120.0
 #: Share of that walk: the rate is what happens at most, not always.
 WALK = 0.1
@@ -53,7 +55,7 @@ class Const(Record):
 
 
 class State(Record):
-    """State of a pair: errors with covariance, ``used`` [s], whether they are ``known``; ``refused``: beyond the bounds.
+    """State of a pair: errors with covariance, ``used`` [s], whether they are ``known``; ``refused``: too large.
 
     ``error``: what is found; ``taken``: what the tests take of it; ``before``: standard deviations at the set before.
     """
@@ -142,7 +144,7 @@ def follow(
 
 @kernel
 def doubt(s: State, first: float, second: float) -> float:
-    """Return the standard deviation of what the errors still add to an equation, ``first`` and ``second`` as in :func:`follow`."""
+    """Return the standard deviation of what the errors still add to an equation, as :func:`follow` has it."""
     if s.refused == 1:
         return 0.0
     size = first * first * s.p[0, 0] + 2.0 * first * second * s.p[0, 1] + second * second * s.p[1, 1]

@@ -87,7 +87,8 @@ def configuration(folder, plant, a, b, *, kind="pi_bank", extra="", counter=True
     ):
         told = float(np.hypot(noise, step / np.sqrt(12)))
         lines.append(
-            f'[[monitor.output]]\nname = "{part}"\nsignal = "Sens.{part}"\nnoise = {told!r}\nthreshold = {float(limit)!r}'
+            f'[[monitor.output]]\nname = "{part}"\nsignal = "Sens.{part}"\n'
+            f"noise = {told!r}\nthreshold = {float(limit)!r}"
         )
     path = folder / f"{plant.name}.toml"
     path.write_text("\n".join(lines) + "\n")

@@ -1,10 +1,10 @@
 """Three linear plants of other make: own equations, own parameters, own solver; nothing of gateway/vecu.
 
-Each gives its true matrices for any physical parameters, so that a user's parameters can be told wrong: the gateway is configured
-with the matrices of the wrong ones.
+Each gives its true matrices for any physical parameters, so that a user's parameters can be told wrong: the gateway is
+configured with the matrices of the wrong ones.
 
-Sources: 747: Matlab's "jetdemo" (Boeing 747, Mach 0.8, 40 000 ft), lateral motion. Tanks: Johansson, "The quadruple-tank
-process", IEEE Trans. CST 8(3), 2000, Table I, P-, minimum phase.
+Sources: 747: Matlab's "jetdemo" (Boeing 747, Mach 0.8, 40 000 ft), lateral motion. Tanks: Johansson, "The
+quadruple-tank process", IEEE Trans. CST 8(3), 2000, Table I, P-, minimum phase.
 """
 
 from dataclasses import dataclass, field
@@ -17,8 +17,9 @@ from scipy.linalg import expm
 class Plant:
     """A plant.
 
-    ``build``: parameters -> A, B; ``c``; ``names``: inputs, outputs; ``noise``: of outputs; ``state_noise``: per root of a
-    second; ``resolution``: of each signal, inputs first; ``drive``: (rng, samples) -> commands; ``faults``: name -> size.
+    ``build``: parameters -> A, B; ``c``; ``names``: inputs, outputs; ``noise``: of outputs; ``state_noise``: per root
+    of a second; ``resolution``: of each signal, inputs first; ``drive``: (rng, samples) -> commands; ``faults``: name
+    -> size.
     """
 
     name: str
@@ -79,7 +80,7 @@ def _steps(levels, hold_s, period, smooth_s=0.0):
 
 SERVO = Plant(
     "servo",
-    dict(L=6e-3, R=1.1, k=0.09, Jm=3e-4, Jl=9e-4, c=4.0, d=0.02, bm=2e-4, bl=1.5e-3),
+    {"L": 6e-3, "R": 1.1, "k": 0.09, "Jm": 3e-4, "Jl": 9e-4, "c": 4.0, "d": 0.02, "bm": 2e-4, "bl": 1.5e-3},
     _servo,
     np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0]], float),
     ("U",),
@@ -139,7 +140,20 @@ def _tanks(A1, A2, A3, A4, a1, a2, a3, a4, k1, k2, g1, g2):
 
 TANKS = Plant(
     "tanks",
-    dict(A1=28.0, A2=32.0, A3=28.0, A4=32.0, a1=0.071, a2=0.057, a3=0.071, a4=0.057, k1=3.33, k2=3.35, g1=0.7, g2=0.6),
+    {
+        "A1": 28.0,
+        "A2": 32.0,
+        "A3": 28.0,
+        "A4": 32.0,
+        "a1": 0.071,
+        "a2": 0.057,
+        "a3": 0.071,
+        "a4": 0.057,
+        "k1": 3.33,
+        "k2": 3.35,
+        "g1": 0.7,
+        "g2": 0.6,
+    },
     _tanks,
     np.eye(4),
     ("V1", "V2"),

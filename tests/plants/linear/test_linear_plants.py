@@ -135,7 +135,7 @@ def test_slow_faults_accuse_nobody_else(tmp_path, name):
 
 
 def test_healthy_logs_refine_the_matrices(tmp_path):
-    """``gateway calibrate``: parameters 10 % off; behind it entries are known to a percent, and a quarter of the size is named."""
+    """``gateway calibrate``: parameters 10 % off; behind it entries are known to a percent, half the size is named."""
     print("seed", SEEDS + 960)
     rng = np.random.default_rng(SEEDS + 960)
     a, b = SERVO.wrong(0.10, rng)

@@ -1,4 +1,4 @@
-"""Frames of this truck: an own database with own names, an encoder that is checked against cantools, a configuration, replays."""
+"""Frames of this truck: own database and names, an encoder checked against cantools, a configuration, replays."""
 
 import cantools
 import numpy as np
@@ -12,11 +12,22 @@ from gateway.runtime.replay import replay
 
 #: Message: identifier, signals (name, column or other, bits, signed, resolution).
 MESSAGES = {
-    "PCU_Set": (0x310, [("UReq", "U_em_ctrl", 16, 1, 0.02), ("Fuel", "ice_ctrl", 16, 0, 2.0), ("Clu", "u_c", 8, 0, 0.004), ("GearAct", "gear", 4, 0, 1.0)]),
+    "PCU_Set": (
+        0x310,
+        [
+            ("UReq", "U_em_ctrl", 16, 1, 0.02),
+            ("Fuel", "ice_ctrl", 16, 0, 2.0),
+            ("Clu", "u_c", 8, 0, 0.004),
+            ("GearAct", "gear", 4, 0, 1.0),
+        ],
+    ),
     "EBS_Set": (0x311, [("TBrk", "T_b_ctrl", 16, 0, 1.0), ("Grad", "alpha", 16, 1, 1e-5)]),
     "PCU_Act": (0x320, [("IBat", "I_b", 16, 1, 0.05), ("UMot", "U_em", 16, 1, 0.05), ("IMot", "I_em", 16, 1, 0.05)]),
-    "DRV_Act": (0x321, [("NEng", "omega_e", 16, 0, 0.01), ("NOut", "omega_gb", 16, 1, 0.01), ("SoC0", "soc0", 8, 0, 0.005)]),
-}  # fmt: skip
+    "DRV_Act": (
+        0x321,
+        [("NEng", "omega_e", 16, 0, 0.01), ("NOut", "omega_gb", 16, 1, 0.01), ("SoC0", "soc0", 8, 0, 0.005)],
+    ),
+}
 UNITS = {
     "UReq": "V",
     "Fuel": "J",
@@ -30,18 +41,33 @@ UNITS = {
 }
 #: Input of the monitor -> signal here.
 SIGNALS = {
-    "U_em_ctrl": "PCU_Set.UReq", "ice_ctrl": "PCU_Set.Fuel", "u_c": "PCU_Set.Clu", "gear": "PCU_Set.GearAct", "count_pt": "PCU_Set.Seq",
-    "T_b_ctrl": "EBS_Set.TBrk", "alpha": "EBS_Set.Grad", "count_veh": "EBS_Set.Seq",
-    "I_b_sens": "PCU_Act.IBat", "U_em_sens": "PCU_Act.UMot", "I_em_sens": "PCU_Act.IMot", "count_elec": "PCU_Act.Seq",
-    "omega_e_sens": "DRV_Act.NEng", "omega_gb_sens": "DRV_Act.NOut", "charge": "DRV_Act.SoC0", "count_mech": "DRV_Act.Seq",
-}  # fmt: skip
+    "U_em_ctrl": "PCU_Set.UReq",
+    "ice_ctrl": "PCU_Set.Fuel",
+    "u_c": "PCU_Set.Clu",
+    "gear": "PCU_Set.GearAct",
+    "count_pt": "PCU_Set.Seq",
+    "T_b_ctrl": "EBS_Set.TBrk",
+    "alpha": "EBS_Set.Grad",
+    "count_veh": "EBS_Set.Seq",
+    "I_b_sens": "PCU_Act.IBat",
+    "U_em_sens": "PCU_Act.UMot",
+    "I_em_sens": "PCU_Act.IMot",
+    "count_elec": "PCU_Act.Seq",
+    "omega_e_sens": "DRV_Act.NEng",
+    "omega_gb_sens": "DRV_Act.NOut",
+    "charge": "DRV_Act.SoC0",
+    "count_mech": "DRV_Act.Seq",
+}
 #: White noise at 100 Hz, and largest bias, of the sensors.
 NOISE = {"I_b": (1.0, 0.3), "U_em": (1.0, 0.3), "I_em": (1.5, 0.4), "omega_e": (0.5, 0.3), "omega_gb": (0.2, 0.0)}
 #: Faults of the monitor by the plant's name.
 NAMES = {
-    "battery": "battery_short", "inverter": "inverter_voltage", "efficiency": "machine_efficiency",
-    "resistance": "machine_resistance", "sensor": "machine_voltage_sensor",
-}  # fmt: skip
+    "battery": "battery_short",
+    "inverter": "inverter_voltage",
+    "efficiency": "machine_efficiency",
+    "resistance": "machine_resistance",
+    "sensor": "machine_voltage_sensor",
+}
 
 
 def database():

@@ -1,7 +1,8 @@
-"""A parallel hybrid truck of other make: own equations, parameters, gearbox, battery, driver, clutch; Heun's method, 2 ms.
+"""A parallel hybrid truck of other make: own equations, parameters, gearbox, battery, driver; Heun's method, 2 ms.
 
-16 t, machine geared 1.4 to the joint, 1.15 V s, 0.06 Ohm. The structure (machine behind the clutch) is what any monitor of a
-parallel hybrid has to be told; nothing else is gateway/vecu's. Drives: UDDS of the table in cycles/, and own ones (jam, motorway).
+16 t, machine geared 1.4 to the joint, 1.15 V s, 0.06 Ohm. The structure (machine behind the clutch) is what any monitor
+of a parallel hybrid has to be told; nothing else is gateway/vecu's. Drives: UDDS of the table in cycles/, and own ones
+(jam, motorway).
 """
 
 from dataclasses import dataclass
@@ -279,9 +280,23 @@ def drive(cycle, seconds, rng, truck=Truck(), faults=()):
     for fault in faults:
         given[t >= fault.at, KINDS.index(fault.kind)] = fault.size
     p = PARAMETERS
-    q = np.array([p[name] for name in (
-        "m_v0", "u_em", "k_i", "R_em", "eta_em_0", "c_em_f", "J_em", "J_c", "J_e", "u_f", "r_w", "C_d", "A_f", "C_r", "R_b",
-        "Q_b", "eta_e_i", "omega_e_idle")])  # fmt: skip
+    names = (
+        "m_v0",
+        "u_em",
+        "k_i",
+        "R_em",
+        "eta_em_0",
+        "c_em_f",
+        "J_em",
+        "J_c",
+        "J_e",
+        "u_f",
+        "r_w",
+        "C_d",
+        "A_f",
+        "C_r",
+    )
+    q = np.array([p[name] for name in (*names, "R_b", "Q_b", "eta_e_i", "omega_e_idle")])
     out = np.zeros((len(t), len(COLUMNS)))
     _drive(asked, q, drift, given, truck.hills, truck.creep_s, 0.55, RATIOS, INERTIAS, CHARGE, VOLTS, out)
     return out, given

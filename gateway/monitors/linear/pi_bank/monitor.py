@@ -68,8 +68,8 @@ class Evidence(Record):
 #: Logics by their number.
 JUMPS, PRODUCTS, MODELS = range(3)
 _LOGICS = {"jumps": JUMPS, "products": PRODUCTS, "models": MODELS}
-#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet; a command
-#: was lost; no part explains what came.
+#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
+#: a command was lost; no part explains what came.
 FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
@@ -292,8 +292,8 @@ def _warnings(p: Params) -> tuple[str, ...]:
         for j, part in enumerate(p.output):
             if j not in p.told.left_out:
                 said.append(
-                    f"sensor {part.name} cannot be left out: without it the others do not show the whole plant. Its faults are "
-                    "told from a plant that does what its model does not by their course only, and may stay unexplained"
+                    f"sensor {part.name} cannot be left out: without it the others do not show the whole plant. "
+                    "Its faults are told by their course only, and may stay unexplained"
                 )
         return tuple(said)
     sizes = 5.0 * p.actuator_limits

@@ -39,9 +39,9 @@ class Params(PlantParams):
     )
     logic: Logic | None = Field(
         None,
-        description="jumps: likelihood ratio on the innovations of the bank, latched; products: (15) and (16) of the paper; "
-        "models: a filter for each fault, with the plant's own errors as slow states. Default: models where model_error "
-        "is given or a sensor cannot be left out, else jumps",
+        description="jumps: likelihood ratio on the innovations of the bank, latched; products: (15) and (16) of the "
+        "paper; models: a filter for each fault, with the plant's own errors as slow states. Default: models where "
+        "model_error is given or a sensor cannot be left out, else jumps",
     )
     model_error: float | ModelError | None = Field(
         None,
@@ -77,7 +77,8 @@ class Params(PlantParams):
             raise ValueError('poles: logic = "models" has Kalman\'s gains only')
         if len(self.entries) > MOST_ENTRIES:
             raise ValueError(
-                f"model_error: {len(self.entries)} uncertain entries of a and b; at most {MOST_ENTRIES}: give it by entry"
+                f"model_error: {len(self.entries)} uncertain entries of a and b; at most {MOST_ENTRIES}: "
+                "give it by entry"
             )
 
     @property

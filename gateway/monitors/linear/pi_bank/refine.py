@@ -1,10 +1,10 @@
 """What healthy logs say of the plant: its matrices refined, how sure they are, its noise (``gateway calibrate``).
 
-The logs are replayed by the healthy hypothesis alone (:mod:`gateway.fdi.model_set`), which estimates the errors of the entries as it
-goes: a Kalman filter of state and parameters, recursive least squares of prediction errors with the user's matrices and bounds
-as the start. What it has found at a log's end is the start of the next one. The bound that is left is four standard deviations,
-and a share of the entry, since no plant stays what it is. Where a log's innovations are larger than told, sensors and states have
-more noise by that factor.
+The logs are replayed by the healthy hypothesis alone (:mod:`gateway.fdi.model_set`), which estimates the errors of the
+entries as it goes: a Kalman filter of state and parameters, recursive least squares of prediction errors with the
+user's matrices and bounds as the start. What it has found at a log's end is the start of the next one. The bound that
+is left is four standard deviations, and a share of the entry, since no plant stays what it is. Where a log's
+innovations are larger than told, sensors and states have more noise by that factor.
 """
 
 from __future__ import annotations
