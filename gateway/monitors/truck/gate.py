@@ -28,7 +28,7 @@ LETS_GO, STALLS = 9.0, 64.0
 #: the slip of a clutch that holds has been seen for some seconds; greatest change [rad/s2]; what lets it go again, in
 #: these.
 SLOW, SLOWER = 0.25, 0.5
-CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 3.0
+CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 1.5
 #: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known
 #: [s].
 STEADY, LEARNED = 3.0, 5.0

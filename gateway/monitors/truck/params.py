@@ -73,7 +73,7 @@ class Spread(StrictModel):
     machine: float = Field(0.3, gt=0)
     engine: float = Field(0.05, gt=0)
     slope: float = Field(0.03, gt=0, description="of the road, which nobody measures [rad]")
-    mass: float = Field(0.05, gt=0)
+    mass: float = Field(0.12, gt=0)
     brake: float = Field(0.1, gt=0)
 
 
