@@ -63,7 +63,7 @@ class Drift(StrictModel):
 
     machine: float = Field(0.02, gt=0, description="relative, of the machine's torque")
     engine: float = Field(1e-4, gt=0, description="of the engine's")
-    mass: float = Field(1e-4, gt=0, description="of the truck's mass")
+    mass: float = Field(2.4e-4, gt=0, description="of the truck's mass")
     brake: float = Field(1e-3, gt=0, description="of the brakes' torque")
 
 

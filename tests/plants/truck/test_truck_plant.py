@@ -66,7 +66,7 @@ def test_a_healthy_truck_is_not_accused(tmp_path, place, over_s):
 
 
 def test_a_clutch_that_creeps_is_not_one_that_holds(tmp_path):
-    """On the cycle with few gear changes; one that creeps for seconds behind each of many is still taken to hold at times."""
+    """On the cycle with few gear changes; behind each of many such a one is still taken to hold at times."""
     found, _ = watched(tmp_path, "udds", 700.0, SEEDS + 200, Truck(creep_s=1.5))
     assert found == []
 
