@@ -178,7 +178,7 @@ def _learn(asked: _Asked) -> _Learned:
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     models = of_kind(config, Refinement)
     if not rules and not tests and not models:
-        raise refuse("thresholds or models", asked.config)
+        raise refuse("thresholds", asked.config)
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
     levels, found = None, None
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
