@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.calibration import cusum, stopping
+from gateway.calibration import cusum, plants, stopping
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
 from gateway.cli.present import print_json, wide_console
 from gateway.config.load import load_config
 from gateway.fdi.stopping import assured
-from gateway.monitors.contract import Calibration, CusumCalibration
+from gateway.monitors.contract import Calibration, CusumCalibration, Refinement
 
 
 def _alarmed(failed: tuple[str, ...]) -> list[str]:
@@ -100,6 +100,25 @@ def _cusum_table(rows: tuple[cusum.Quantity, ...]) -> Table:
     return table
 
 
+def _plant_table(plant: plants.Plant) -> Table:
+    """Return what logs say of a plant."""
+    table = Table(title=f"plant of {plant.monitor}")
+    for name in ("entry", "told", "found", "standard deviation"):
+        table.add_column(name, justify="left" if name == "entry" else "right")
+    for name, told, found, sure in plant.rows:
+        table.add_row(name, f"{told:.5g}", f"{found:.5g}", f"{sure:.2g}" if sure else "")
+    return table
+
+
+def _plant_claim(plant: plants.Plant) -> str:
+    """Say how well the model explains the logs."""
+    fits = ", ".join(f"{fit:.2f}" for fit in plant.fit)
+    return (
+        f"{plant.monitor}: innovations squared over what the noise explains, log by log: {fits} (1 is all of them; "
+        "more: the model lacks something, and the noise is widened; much less: the noise told is too large)"
+    )
+
+
 @dataclass(frozen=True)
 class _Asked:
     """What is asked for.
@@ -129,16 +148,18 @@ class _Learned:
         levels: largest levels of stopping rules.
         proposals: thresholds for them.
         tests: of CUSUM tests, with thresholds.
+        plants: of linear plants, with matrices.
     """
 
     levels: stopping.Levels | None
     proposals: list[stopping.Proposal]
     tests: cusum.Found | None
+    plants: list[plants.Plant]
 
     @property
     def seconds(self) -> float:
         """Length of the logs [s]."""
-        return max(part.seconds for part in (self.levels, self.tests) if part is not None)
+        return max(part.seconds for part in (self.levels, self.tests, *self.plants) if part is not None)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -155,7 +176,8 @@ def _learn(asked: _Asked) -> _Learned:
     """
     config = load_config(asked.config)
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
-    if not rules and not tests:
+    models = of_kind(config, Refinement)
+    if not rules and not tests and not models:
         raise refuse("thresholds", asked.config)
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
     levels, found = None, None
@@ -177,8 +199,11 @@ def _learn(asked: _Asked) -> _Learned:
                 maps=asked.maps,
                 progress=progress,
             )
+        refined = []
+        if models:
+            refined = plants.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
     proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
-    return _Learned(levels, proposals, found)
+    return _Learned(levels, proposals, found, refined)
 
 
 def _write(asked: _Asked, learned: _Learned) -> None:
@@ -190,6 +215,8 @@ def _write(asked: _Asked, learned: _Learned) -> None:
     if learned.tests:
         criteria = f"margin {asked.margin:g}, floor {asked.floor:g} nu"
         write(asked.config, learned.tests.tables, f"{source}, {criteria}")
+    if learned.plants:
+        plants.write(asked.config, learned.plants, source)
 
 
 def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
@@ -204,6 +231,11 @@ def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
     if learned.tests:
         said |= {"margin": asked.margin, "floor": asked.floor}
         said["cusum"] = [asdict(row) | {"margin": row.margin} for row in learned.tests.rows]
+    if learned.plants:
+        said["plants"] = [
+            {"monitor": p.monitor, "seconds": p.seconds, "fit": list(p.fit), "rows": [list(row) for row in p.rows]}
+            for p in learned.plants
+        ]
     return said | {"assured_s": assured(learned.seconds, 0)}
 
 
@@ -218,6 +250,9 @@ def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
     if learned.tests:
         console.print(_cusum_table(learned.tests.rows))
         lines = _cusum_claim(learned.tests, asked.margin, asked.floor) + lines
+    for plant in learned.plants:
+        console.print(_plant_table(plant))
+        lines.append(_plant_claim(plant))
     for line in lines:
         console.print(line, soft_wrap=True)
 

@@ -296,6 +296,34 @@ class CusumCalibration:
 
 
 @dataclass(frozen=True)
+class Refined:
+    """What healthy logs say of a plant's model.
+
+    Attributes:
+        keys: of the monitor's table in the configuration, with their new values.
+        rows: for people: what, as told, as found, how sure.
+        fit: mean normalised innovation squared over the number of sensors; 1: the model explains all that came.
+    """
+
+    keys: Mapping[str, Any]
+    rows: tuple[tuple[str, float, float, float], ...]
+    fit: float
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A monitor of a plant whose model healthy logs can refine.
+
+    Attributes:
+        wanted: parameters -> those with which the logs are replayed, by keys of its table.
+        found: parameters, state record at the end of a log -> what it says; the next log is replayed with its keys.
+    """
+
+    wanted: Callable[[Any], Mapping[str, Any]]
+    found: Callable[[Any, Any], Refined]
+
+
+@dataclass(frozen=True)
 class Readout:
     """Numbers of the state that people are shown (summary, live values, plots).
 
@@ -381,8 +409,8 @@ class Arrivals:
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Quantities | Readout | Warnings
-C = TypeVar("C", Arrivals, Calibration, CusumCalibration, Notes, Parts, Readout, Warnings)
+Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Quantities | Readout | Refinement | Warnings
+C = TypeVar("C", Arrivals, Calibration, CusumCalibration, Notes, Parts, Quantities, Readout, Refinement, Warnings)
 
 
 @dataclass(frozen=True, kw_only=True)

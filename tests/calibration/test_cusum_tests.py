@@ -101,7 +101,8 @@ def test_the_noise_is_learned_and_what_was_too_low_is_told(healthy):
     assert [row.name for row in found.rows] == [*(name for name, _, _ in QUANTITIES), "T7"]
     for row in found.rows:
         if row.residual:
-            assert row.nu == pytest.approx(2.0 * row.nu_now, rel=0.1)
+            # T5 has what is learned of resistance and torque constant from so noisy a speed in it, too.
+            assert row.nu == pytest.approx(2.0 * row.nu_now, rel=0.2 if row.residual == "T5" else 0.1)
             assert row.threshold >= 50.0
         assert 0.0 <= row.margin <= 0.5
     assert "P1A1F-62" in found.failed

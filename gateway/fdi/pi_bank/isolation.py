@@ -31,6 +31,8 @@ from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
 #: No sensor.
 NONE = -1
+#: Samples in which a lost command is estimated.
+BLIND = 4
 #: Samples until what cannot be isolated is called so.
 PATIENCE = 25
 #: Of an estimate, in its standard deviations: what is surely gone; what surely contradicts.
@@ -71,7 +73,7 @@ class State(Record):
     its threshold, ``doubted`` for so many samples before; ``undecided``: samples since an alarm;
     ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags,
     with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the
-    sensor's fault.
+    sensor's fault. ``blind``: samples until a command that was lost has been estimated.
     """
 
     bank: bank.State
@@ -91,6 +93,7 @@ class State(Record):
     limit: Annotated[f8s, MOST_INPUTS]
     offset: Annotated[f8s, MOST_OUTPUTS]
     well: i8
+    blind: i8
     agreed: i8
     explains: Annotated[i8s, BANK]
 
@@ -169,7 +172,7 @@ def restart(s: State, c: Const) -> None:
     start.anew(s.start, c.start)
     jump.forget(s.jump)
     s.started, s.active, s.latched = 0, 0, NONE
-    s.undecided = s.unexplained = s.tested = s.well = s.agreed = s.confirmed = 0
+    s.undecided = s.unexplained = s.tested = s.well = s.agreed = s.confirmed = s.blind = 0
     for k in range(BANK):
         s.jump.open[k] = 0
         for i in range(bank.MOST):
@@ -339,6 +342,40 @@ def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
 
 
 @kernel
+def unknown_command(s: State, c: Const) -> None:
+    """Say that the command of the sample before is not known: behind :func:`step` or :func:`missing`.
+
+    What it was instead has moved the state by Gamma times what nobody knows: it is estimated like a fault that lasted
+    for one sample, from the next innovations, and nothing is judged till then.
+    """
+    o = c.bank
+    if s.started == 0:
+        start.unknown_command(s.start, c.start, o)
+        return
+    if s.unexplained == 1:
+        return
+    for k in range(o.p + 1):
+        jump.pulse(s.jump, c.jump, o, k, s.bank.z)
+    jump.forget(s.jump)
+    s.undecided, s.blind, s.tested = 0, BLIND, 0
+
+
+@kernel
+def _estimate_command(s: State, c: Const, y: f8s, u: f8s) -> None:
+    """Take a sample to estimate what a command was that nobody knows."""
+    o = c.bank
+    s.blind -= 1
+    for k in range(o.p + 1):
+        if s.latched == NONE or k == s.active:
+            bank.innovate(s.bank, o, k, y)
+            jump.learn(s.jump, c.jump, o, k, s.bank.e)
+            bank.advance(s.bank, o, k, u)
+            jump.onwards(s.jump, o, k, s.bank.z)
+            if s.blind == 0:
+                jump.merge(s.jump, o, k, s.bank.z)
+
+
+@kernel
 def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take one sample of outputs ``y`` with the commands ``u`` that are held from it on; sets flags and sizes."""
     o = c.bank
@@ -350,6 +387,9 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
         return
     if s.unexplained == 1:
         _recover(s, c, y, u)
+        return
+    if s.blind > 0:
+        _estimate_command(s, c, y, u)
         return
     x = s.jump
     x.at = (x.at + 1) % jump.WINDOW

@@ -279,6 +279,19 @@ def begin(s: State, c: Const, o: Bank, k: int) -> None:
 
 
 @kernel
+def pulse(s: State, c: Const, o: Bank, k: int, z: f8s) -> None:
+    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size."""
+    merge(s, o, k, z)
+    s.open[k] = 1
+    for i in range(o.m):
+        for q in range(o.n + o.m):
+            s.g[k, q, i] = o.gamma[q, i] if q < o.n else 0.0
+        s.h[k, i] = s.a[k, i] = 0.0
+        for q in range(o.m):
+            s.j[k, i, q] = c.prior[i] if i == q else 0.0
+
+
+@kernel
 def learn(s: State, c: Const, o: Bank, k: int, e: f8s) -> None:
     """Estimate observer k's open fault with its newest innovation; sets ``a`` and ``sigma``."""
     for i in range(o.m):

@@ -130,3 +130,13 @@ def missing(s: State, c: Const, o: Bank, z: f8s, u: f8s) -> None:
     """Step over a sample that did not come."""
     for k in range(o.p + 1):
         _predict(s, c, o, k, z, u)
+
+
+@kernel
+def unknown_command(s: State, c: Const, o: Bank) -> None:
+    """Say that the command of the sample before is not known: it may be off by what a fault may be."""
+    for k in range(o.p + 1):
+        for i in range(o.n):
+            for j in range(o.n):
+                for r in range(o.m):
+                    s.p[k, i, j] += o.gamma[i, r] * o.gamma[j, r] * c.unknown[o.n + r]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
-from gateway.jit import Record, f8, f8s, i8, kernel
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors import contract
 from gateway.monitors.contract import Connection, MonitorParams, Signal
 
@@ -20,19 +21,54 @@ Matrix = tuple[tuple[float, ...], ...]
 MOST_MISSING = 5
 
 
+#: Commands that are kept, each with its time, until their sample comes.
+_COMMANDS = 8
+#: Share of the samples before which a command's frame comes, from which on it is cyclic; samples until that is known.
+_CYCLIC, _LISTENED = 0.7, 40
+#: Numbers of the inputs: outputs, commands, counter, counters of the commands.
+_NUMBERS = MOST_OUTPUTS + 2 * MOST_INPUTS + 1
+
+
 class Const(Record):
-    """Constants."""
+    """Constants.
+
+    ``message``: in which message each number of the inputs comes; ``own``: 1: the command's message completes the
+    sample.
+    """
 
     period_ns: i8
     counted: i8
+    inputs: i8
+    outputs: i8
+    message: Annotated[i8s, _NUMBERS]
+    own: i8
+    command_counted: Annotated[i8s, MOST_INPUTS]
 
 
 class State(Record):
-    """State: ``t_ns`` of the last sample, and its ``counter``."""
+    """State: ``t_ns`` of the last sample, and its ``counter``.
+
+    Of each command: ``value`` and ``came_ns`` of the last frames, ``heard`` of them in all, and since the last sample;
+    ``lead_ns``: before its sample; ``share``: of the samples before which one came; ``told``: its alive counter. What
+    holds from the present sample on: ``u``; ``unsure``: 1: the frame that would say so is lost. ``gap``: a command that
+    is not cyclic was lost, some time since it was heard last.
+    """
 
     started: i8
     t_ns: i8
+    before_ns: i8
     counter: i8
+    value: Annotated[f8s, MOST_INPUTS, _COMMANDS]
+    came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS]
+    heard: Annotated[i8s, MOST_INPUTS]
+    since: Annotated[i8s, MOST_INPUTS]
+    lead_ns: Annotated[f8s, MOST_INPUTS]
+    share: Annotated[f8s, MOST_INPUTS]
+    listened: i8
+    told: Annotated[i8s, MOST_INPUTS]
+    u: Annotated[f8s, MOST_INPUTS]
+    unsure: Annotated[i8s, MOST_INPUTS]
+    gap: i8
 
 
 class Inputs(contract.Inputs):
@@ -41,6 +77,7 @@ class Inputs(contract.Inputs):
     y: Annotated[f8s, MOST_OUTPUTS]
     u: Annotated[f8s, MOST_INPUTS]
     counter: f8
+    command_counter: Annotated[f8s, MOST_INPUTS]
 
 
 class Input(StrictModel):
@@ -54,6 +91,11 @@ class Input(StrictModel):
         None, gt=0, description="of a fault in a second, standard deviation; default threshold / 10"
     )
     dtc: str | None = Field(None, description="default: C1B11-64 and so on")
+    counter: str | None = Field(
+        None,
+        description='"Message.Signal", alive counter modulo 16 of the command\'s message: tells which of its '
+        "frames are lost; one that comes before every sample is missed without it",
+    )
 
 
 class Output(StrictModel):
@@ -152,17 +194,103 @@ def connect(p: PlantParams) -> Mapping[str, Connection]:
         "y": signals(p.output, MOST_OUTPUTS),
         "u": signals(p.input, MOST_INPUTS),
         "counter": None if p.counter is None else Signal(p.counter),
+        "command_counter": [
+            *(None if part.counter is None else Signal(part.counter) for part in p.input),
+            *[None] * (MOST_INPUTS - len(p.input)),
+        ],
     }
 
 
+def completing(p: PlantParams) -> str:
+    """Return the message that completes a sample."""
+    return p.trigger or message_of(p.output[-1].signal)
+
+
+def message_of(signal: str) -> str:
+    """Return the message of ``"Message.Signal"``."""
+    return signal.rpartition(".")[0]
+
+
 def triggers(p: PlantParams) -> tuple[str, ...]:
-    """Return the message that steps it."""
-    return (p.trigger or p.output[-1].signal.rpartition(".")[0],)
+    """Return the messages that step it: the one that completes a sample, and those of the commands."""
+    return tuple(dict.fromkeys([completing(p), *(message_of(part.signal) for part in p.input)]))
 
 
 def prepare(c: Const, p: PlantParams) -> None:
     """Fill a record of Const."""
     c.period_ns, c.counted = round(p.sample_ms * 1e6), p.counter is not None
+    c.inputs, c.outputs = len(p.input), len(p.output)
+    c.own = any(message_of(part.signal) == completing(p) for part in p.input)
+    c.command_counted[: c.inputs] = [part.counter is not None for part in p.input]
+
+
+@kernel
+def command(s: State, c: Const, u: Inputs) -> bool:
+    """Take a frame of commands; tells whether it was one, and no sample is complete with it."""
+    found = False
+    first = c.message[MOST_OUTPUTS]
+    if c.own == 1 or (first == u.trigger and c.message[c.outputs - 1] == u.trigger):
+        return False
+    for j in range(c.inputs):
+        if c.message[MOST_OUTPUTS + j] != u.trigger:
+            continue
+        found = True
+        place = s.heard[j] % _COMMANDS
+        s.value[j, place], s.came_ns[j, place] = u.u[j], u.t_ns
+        if c.command_counted[j] == 1:
+            told = int(u.command_counter[j])
+            # A frame that comes twice is one.
+            if s.heard[j] > 0 and told == s.told[j]:
+                continue
+            if s.heard[j] > 0 and (told - s.told[j]) % 16 != 1 and s.share[j] < _CYCLIC:
+                s.gap = 1
+            s.told[j] = told
+        s.heard[j] += 1
+        s.since[j] += 1
+    return found
+
+
+@kernel
+def _listen(s: State, c: Const, steps: int) -> None:
+    """Learn how long before its sample each command comes, and whether it does before each."""
+    s.listened += 1
+    for j in range(c.inputs):
+        if s.heard[j] == 0:
+            continue
+        s.share[j] += (min(s.since[j] / steps, 1.0) - s.share[j]) / min(s.listened, 200)
+        if s.since[j] == 1 and steps == 1:
+            lead = float(s.t_ns - s.came_ns[j, (s.heard[j] - 1) % _COMMANDS])
+            s.lead_ns[j] += (min(max(lead, 0.0), float(c.period_ns)) - s.lead_ns[j]) / min(s.listened, 16)
+
+
+@kernel
+def commands(s: State, c: Const, u: Inputs, at: int) -> None:
+    """Find what the commands are from a sample on, ``at`` samples behind the one before; sets ``u`` and ``unsure``."""
+    for j in range(c.inputs):
+        s.unsure[j] = 0
+        if s.heard[j] == 0:
+            s.u[j] = u.u[j]
+            continue
+        found, newest = False, -1
+        for back in range(min(s.heard[j], _COMMANDS)):
+            place = (s.heard[j] - 1 - back) % _COMMANDS
+            behind = (s.came_ns[j, place] + s.lead_ns[j] - s.before_ns) / c.period_ns
+            which = int(np.floor(behind + 0.5))
+            if which <= at:
+                newest, found = place, which == at
+                break
+        if newest >= 0:
+            s.u[j] = s.value[j, newest]
+        if not found and s.listened >= _LISTENED and s.share[j] >= _CYCLIC:
+            s.unsure[j] = 1
+
+
+@kernel
+def heard_all(s: State, c: Const) -> None:
+    """Begin to wait for the next sample's commands."""
+    for j in range(c.inputs):
+        s.since[j] = 0
+    s.gap = 0
 
 
 @kernel
@@ -176,5 +304,9 @@ def samples(s: State, c: Const, u: Inputs) -> int:
         # A counter that has gone round tells nothing.
         if c.counted == 1 and waited > 16:
             steps = waited
+    if steps == 0:
+        return 0
+    s.before_ns = s.t_ns if s.started == 1 else u.t_ns - c.period_ns
     s.started, s.t_ns, s.counter = 1, u.t_ns, told
+    _listen(s, c, int(steps))
     return int(steps)

@@ -26,6 +26,10 @@ from gateway.monitors.truck.records import (
     State,
 )
 
+#: Use of the machine without a test that has fired, after which what had fired is forgotten [s].
+QUIET = 20.0
+#: T_norm of a test that may fire.
+ON_ITS_WAY = 0.5
 #: Sets between two reports of the same.
 REPEAT = 100
 #: Largest T_norm that the message can carry.
@@ -67,13 +71,34 @@ def _weigh(s: State, c: Const) -> int:
 
 
 @kernel
+def _settled(s: State, c: Const) -> bool:
+    """Tell whether the machine has been used for long enough since a test fired last, and no other is on its way."""
+    for place in range(len(s.level)):
+        if c.isolation.signature[s.found] >> place & 1 == 0 and s.level[place] > ON_ITS_WAY:
+            return False
+    return bool(s.settled >= c.settle)
+
+
+@kernel
 def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not."""
     fired = _weigh(s, c)
     changed = fired != s.fired
     s.fired = fired
-    s.found = isolation.isolated(c.isolation, fired)
-    s.explained = isolation.candidates(c.isolation, fired)
+    if fired & ~s.seen != 0:
+        s.settled = 0.0
+    s.seen |= fired
+    if fired == 0 and (s.settled >= QUIET or c.system != ROBUST):
+        s.seen = 0
+    # With the paper's systems what has fired decides; beyond it what has since all were quiet: a second fault's test
+    # that comes down for want of use is not forgotten, nor a single one's.
+    known = s.seen if c.system == ROBUST and fired != 0 else fired
+    s.found = isolation.isolated(c.isolation, known)
+    if s.found >= 0 and s.found != s.named and not _settled(s, c):
+        s.found = -1  # a second fault's tests may be on their way
+    changed = changed or s.found != s.named
+    s.named = s.found
+    s.explained = isolation.candidates(c.isolation, known)
     s.reported += 1
     if not changed and s.reported < REPEAT:
         return

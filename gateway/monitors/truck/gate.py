@@ -1,7 +1,9 @@
 """When the model of T3 and T4 holds, told from the bus: the clutch holds, and the engine is above idle.
 
 Paper 004, VI-B: the clutch's model is known only while it is engaged. Slip and engine speed are low-pass filtered; the
-slip's filter begins anew with each gear. What has held for 0.3 s holds.
+slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutch that creeps has little slip, too, but
+it has it for long: a second, slow filter tells it from noise, and whether it still changes. T7 waits for that; T3 and
+T4 are the paper's.
 
 The speed that states begin with, (37) and (38), is low-pass filtered too. A first-order low-pass lags behind a ramp by
 its time constant, and the state keeps that: LP + (LP - LP(LP)) does not.
@@ -22,10 +24,27 @@ MOST_SLIP, LEAST_SPEED, SETTLES, ENGAGED = 3.0, 66.0, 0.3, 0.995
 LETS_GO, STALLS = 9.0, 64.0
 
 
+#: Time constants of the slow filters of the slip [s]; greatest slip that a sensor's error explains [rad/s], and once
+#: the slip of a clutch that holds has been seen for some seconds; greatest change [rad/s2]; what lets it go again, in
+#: these.
+SLOW, SLOWER = 0.25, 0.5
+CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 1.5
+#: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known
+#: [s].
+STEADY, LEARNED = 3.0, 5.0
+#: Noise of the slow slip by ratio: three standard deviations of the gearbox's speed (0.2 rad/s at 100 Hz), filtered
+#: [rad/s].
+NOISE = 0.1
+
+
 class State(Record):
-    """State."""
+    """State: ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]."""
 
     slip: f8
+    slow: f8
+    slower: f8
+    zero: f8
+    learned: f8
     speed: f8
     since: f8
     gear: i8
@@ -57,21 +76,45 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
     slip = engine - ratio * gearbox
     if s.begun == 0:
         s.begun = 1
+        s.slow = s.slower = slip
         s.slip, s.speed, s.low, s.lower, s.gear = slip, engine, gearbox, gearbox, gear
     if gear != s.gear:
         s.gear = gear
-        s.slip = slip
+        s.slip = s.slow = s.slower = slip
     share = 1.0 - exp(-dt / SLIP)
     s.slip += share * (slip - s.slip)
     s.speed += share * (engine - s.speed)
+    s.slow += (1.0 - exp(-dt / SLOW)) * (slip - s.slow)
+    s.slower += (1.0 - exp(-dt / SLOWER)) * (s.slow - s.slower)
     share = 1.0 - exp(-dt / START)
     s.low += share * (gearbox - s.low)
     s.lower += share * (s.low - s.lower)
     held = s.since >= SETTLES
     slips = abs(s.slip) >= (LETS_GO if held else MOST_SLIP)
+    if slips:
+        s.slow = s.slower = s.slip
     fast = s.speed > (STALLS if held else LEAST_SPEED)
     holds = clutch >= ENGAGED and gear > 0 and fast and not slips
     s.since = s.since + dt if holds else 0.0
+    if s.since > STEADY:
+        s.learned += dt
+        s.zero += dt / min(max(s.learned, 1.0), 20.0) * (slip - s.zero)
+
+
+@kernel
+def grips(s: State, ratio: float, goes_on: bool) -> bool:
+    """Tell whether a clutch that holds does not creep.
+
+    Args:
+        s: state.
+        ratio: of the gear.
+        goes_on: it was taken not to creep before.
+    """
+    most = AGAIN if goes_on else 1.0
+    noise = NOISE * ratio
+    far = CREEPS if s.learned < LEARNED else KNOWN
+    changes = abs(s.slow - s.slower) > most * (CHANGES * SLOWER + noise)
+    return not (changes or abs(s.slow - s.zero) > most * (far + noise))
 
 
 @kernel

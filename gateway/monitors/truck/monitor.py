@@ -108,6 +108,8 @@ MONITOR = Monitor(
             ),
             lambda s: (*s["residual"], *s["level"]),
         ),
-        Readout(("sets", "apart", "valid", "fired", "explained")),
+        Readout(
+            ("sets", "apart", "valid", "fired", "explained", "untested", "winding", "magnets", "open_volts", "cells")
+        ),
     ),
 )

@@ -157,7 +157,11 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     three = Generator(t3_icds.start, t3_icds.step, s.t3, c.t3)
     three_mixed = Generator(t3_mcds.start, t3_mcds.step, s.t3m, c.t3m)
     _step_test(s, c, u, dt, s.three, _THREE, three, three_mixed)
-    _step_observer(s, c, u, dt)
+    if gate.grips(s.gate, ratio, s.watched == 1):
+        _step_observer(s, c, u, dt)
+    else:
+        s.watched = 0
+        observer.age(s.observer, c.observer, dt, dt * c.t7.r_w * u.omega_gb_sens / c.t7.u_f)
     if u.U_em_sens < c.least_volts:
         s.four.on = 0
         return

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from itertools import pairwise
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.monitors.contract import MonitorParams
@@ -62,7 +63,7 @@ class Drift(StrictModel):
 
     machine: float = Field(0.02, gt=0, description="relative, of the machine's torque")
     engine: float = Field(1e-4, gt=0, description="of the engine's")
-    mass: float = Field(1e-4, gt=0, description="of the truck's mass")
+    mass: float = Field(2.4e-4, gt=0, description="of the truck's mass")
     brake: float = Field(1e-3, gt=0, description="of the brakes' torque")
 
 
@@ -72,7 +73,7 @@ class Spread(StrictModel):
     machine: float = Field(0.3, gt=0)
     engine: float = Field(0.05, gt=0)
     slope: float = Field(0.03, gt=0, description="of the road, which nobody measures [rad]")
-    mass: float = Field(0.05, gt=0)
+    mass: float = Field(0.12, gt=0)
     brake: float = Field(0.1, gt=0)
 
 
@@ -87,6 +88,42 @@ class Observer(StrictModel):
     start: float = Field(0.03, gt=0, description="error of the wheels' speed at the start [rad/s]")
     torque: float = Field(1e-3, gt=0, description="noise of the acceleration [rad/s2 sqrt(s)]")
     own: float = Field(0.05, gt=0, description="what the model may make of the machine's errors")
+
+
+class Slow(StrictModel):
+    """What warmth and age may change, of one parameter."""
+
+    low: float = Field(gt=-0.9, le=0, description="largest relative error below what is told")
+    high: float = Field(ge=0, description="likewise above")
+    rate: float = Field(gt=0, description="that it changes by in a second of use [1/s]")
+
+
+class Table(StrictModel):
+    """A function through points, instead of the structural model's."""
+
+    x: tuple[float, ...] = Field(min_length=2, description="rising; of the gears: 1, 2, ..")
+    y: tuple[float, ...] = Field(min_length=2, description="as many")
+
+    @model_validator(mode="after")
+    def _is_a_function(self) -> Self:
+        if len(self.x) != len(self.y):
+            raise ValueError(f"{len(self.x)} x for {len(self.y)} y")
+        if any(b <= a for a, b in pairwise(self.x)):
+            raise ValueError("x must rise")
+        return self
+
+
+class Following(StrictModel):
+    """Parameters that are followed within bounds (monitors/truck/slow.py has their sources)."""
+
+    resistance: Slow = Field(
+        Slow(low=-0.45, high=0.6, rate=2e-3), description="of the winding: copper, -30 to 150 degC around 20 to 60 degC"
+    )
+    torque_constant: Slow = Field(Slow(low=-0.035, high=0.035, rate=1e-4), description="magnets, some 30 K")
+    battery_resistance: Slow = Field(Slow(low=-0.5, high=1.0, rate=5e-4), description="cold, age")
+    open_circuit_voltage: Slow = Field(Slow(low=-0.025, high=0.025, rate=5e-5), description="age, error of the curve")
+    voltage_noise: float = Field(1.0, gt=0, description="of what e8 leaves, at the machine, beside the speed's [V]")
+    power_noise: float = Field(400.0, gt=0, description="of what e11 leaves [W]")
 
 
 class Params(MonitorParams):
@@ -111,8 +148,28 @@ class Params(MonitorParams):
     nu: Levels = Levels()
     thresholds: Thresholds = Thresholds()
     observer: Observer = Observer()
+    follow: Following | None = Field(
+        None,
+        description="warmth and age of machine and battery, within bounds; default: with RDS as given there, else not",
+    )
+    settle_s: float = Field(
+        0.5,
+        ge=0,
+        description="with RDS: use of the machine without a further test on its way, before a fault is named [s]",
+    )
     limit: float = Field(5.0, gt=1, description="of a test quantity, in units of J: it comes down again")
     parameters: dict[str, float] = Field(
         default_factory=dict, description="of the truck, instead of the structural model's"
+    )
+
+    @property
+    def followed(self) -> Following | None:
+        """What is followed, own or default."""
+        return self.follow if self.follow is not None or self.system != "RDS" else Following()
+
+    tables: dict[Literal["f_1", "f_2", "f_3"], Table] = Field(
+        default_factory=dict,
+        description="of the truck, instead of the structural model's: f_1 open circuit voltage [V] over charge, "
+        "f_2 inertia of the gearbox [kg m2] over gear, f_3 its ratio over gear",
     )
     calibrated: str = Field("", description="where nu and thresholds come from")

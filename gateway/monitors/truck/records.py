@@ -12,7 +12,7 @@ from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.jit import Record, f8, f8s, i8
-from gateway.monitors.truck import blanking, collection, dynamic, excitation, gate, isolation, observer
+from gateway.monitors.truck import blanking, collection, dynamic, excitation, gate, isolation, observer, slow
 from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
 from gateway.monitors.truck.params import QUANTITIES, Params
 
@@ -55,6 +55,13 @@ class Const(Record):
     cusum: Annotated[list[cusum.Const], len(QUANTITIES)]
     isolation: isolation.Const
     observer: observer.Const
+    follows: i8
+    machine: slow.Const
+    battery: slow.Const
+    voltage_noise: f8
+    speed_noise: f8
+    power_noise: f8
+    settle: f8
     t1: t1.Const
     t2: t2.Const
     t3: t3_icds.Const
@@ -69,9 +76,15 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and
-    T4 with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
-    ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken.
+    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and T4
+    with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
+    ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
+    ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``apart``: sets of which not all frames
+    came; ``counter``, ``taken_ns``: of the last set that was taken; ``machine``, ``battery``: what is followed of them,
+    and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``settled``: use of the machine since a test fired
+    last [s]; ``named``: the fault that was reported last; ``seen``: tests that have fired since all were quiet, as
+    bits; ``doubts``: of the residuals that wait in ``blanking``; ``machine_waited``, ``battery_waited``: time since
+    they were followed [s].
     """
 
     sets: i8
@@ -85,6 +98,11 @@ class State(Record):
     frames: collection.State
     reported: i8
     watched: i8
+    untested: i8
+    winding: f8
+    magnets: f8
+    open_volts: f8
+    cells: f8
     level: Annotated[f8s, isolation.MOST_TESTS]
     blanking: blanking.State
     observer: observer.State
@@ -94,6 +112,17 @@ class State(Record):
     three: dynamic.State
     four: dynamic.State
     cusum: Annotated[list[cusum.State], len(QUANTITIES)]
+    machine: slow.State
+    battery: slow.State
+    q2: t2.Const
+    q5: t5.Const
+    q6: t6.Const
+    doubts: Annotated[f8s, blanking.MOST, blanking.LANES]
+    machine_waited: f8
+    battery_waited: f8
+    settled: f8
+    named: i8
+    seen: i8
     t1: t1.State
     t2: t2.State
     t3: t3_icds.State
@@ -129,12 +158,58 @@ def prepare(p: Params, s: State, c: Const) -> None:
         nu = getattr(p.nu, residual)
         cusum.prepare(c.cusum[k], nu, nu * getattr(p.thresholds, name), p.limit)
     isolation.prepare(c.isolation, model, p.system)
+    values = dict(p.parameters)
+    if "f_3" in p.tables:
+        values.setdefault("n_g", p.tables["f_3"].x[-1])
     for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
-        fill(getattr(c, field), model, values=p.parameters, filter_bandwidth=p.filter_bandwidth)
+        fill(getattr(c, field), model, values=values, filter_bandwidth=p.filter_bandwidth)
+        _set_tables(p, getattr(c, field))
+    _prepare_following(p, s, c)
     _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
-    s.counter, s.found = -1, -1
+    s.counter, s.found, s.named = -1, -1, -1
     s.frames.last[:] = -1
     s.frames.number[:] = -1
+
+
+def _set_tables(p: Params, c: Any) -> None:
+    """Put the tables of the configuration into the constants of a residual generator.
+
+    Raises:
+        InputError: a table has more points than the model's.
+    """
+    for name, table in p.tables.items():
+        if f"{name}_x" not in c.dtype.names:
+            continue
+        room = len(c[f"{name}_x"])
+        if len(table.x) > room:
+            raise InputError(f"{len(table.x)} points; at most {room}", key=f"tables.{name}")
+        spare = room - len(table.x)
+        c[f"{name}_x"] = [*table.x, *(table.x[-1] + 1e-6 * (k + 1) for k in range(spare))]
+        c[f"{name}_y"] = [*table.y, *[table.y[-1]] * spare]
+
+
+def _prepare_following(p: Params, s: State, c: Const) -> None:
+    c.settle = p.settle_s if p.system == "RDS" else 0.0
+    # Fields one by one: the state's are copies that change.
+    copies: tuple[tuple[Any, Any], ...] = ((s.q2, c.t2), (s.q5, c.t5), (s.q6, c.t6))
+    for mine, told in copies:
+        for name in told.dtype.names:
+            mine[name] = told[name]
+    followed = p.followed
+    c.follows = followed is not None
+    if followed is None:
+        return
+    pairs = (
+        (c.machine, (followed.resistance, followed.torque_constant)),
+        (c.battery, (followed.open_circuit_voltage, followed.battery_resistance)),
+    )
+    for place, pair in pairs:
+        for k, one in enumerate(pair):
+            place.low[k], place.high[k], place.rate[k] = one.low, one.high, one.rate
+            place.prior[k] = max(-one.low, one.high)
+    c.voltage_noise, c.power_noise, c.speed_noise = followed.voltage_noise, followed.power_noise, p.observer.speed
+    slow.prepare(s.machine, c.machine)
+    slow.prepare(s.battery, c.battery)
 
 
 def _prepare_observer(p: Params, s: observer.State, c: observer.Const, least: float) -> None:

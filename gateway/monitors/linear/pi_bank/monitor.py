@@ -9,22 +9,26 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from gateway.fdi.model_set import decision
 from gateway.fdi.pi_bank import bank, isolation, products
 from gateway.fdi.pi_bank.isolation import NONE, settled
 from gateway.fdi.pi_bank.masking import masked
 from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors.contract import (
     TIMER,
+    Arrivals,
     Debounce,
     Fault,
     Monitor,
     Out,
     Readout,
+    Refinement,
     Warnings,
     report,
 )
 from gateway.monitors.linear import plant as linear_plant
 from gateway.monitors.linear.pi_bank.params import Params
+from gateway.monitors.linear.pi_bank.refine import found, wanted
 
 
 class Const(Record):
@@ -32,7 +36,8 @@ class Const(Record):
 
     sampling: linear_plant.Const
     isolation: isolation.Const
-    products: i8
+    models: decision.Const
+    logic: i8
     start: i8
 
 
@@ -41,11 +46,15 @@ class State(Record):
 
     sampling: linear_plant.State
     isolation: isolation.State
+    models: decision.State
     samples: i8
     missing: i8
     restarts: i8
     active: i8
     sensor: i8
+    commands_lost: i8 = means("samples whose command did not come")
+    untested: i8 = means("samples that were not judged")
+    reason: i8 = means("why the last sample was not judged, see Readout; 0: it was")
 
 
 class Evidence(Record):
@@ -56,6 +65,12 @@ class Evidence(Record):
     innovation: Annotated[f8s, bank.MOST_OUTPUTS]
 
 
+#: Logics by their number.
+JUMPS, PRODUCTS, MODELS = range(3)
+_LOGICS = {"jumps": JUMPS, "products": PRODUCTS, "models": MODELS}
+#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
+#: a command was lost; no part explains what came.
+FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
 
@@ -86,6 +101,12 @@ def _faults(p: Params) -> tuple[Fault, ...]:
 
 def _prepare(p: Params, s: State, c: Const) -> None:
     linear_plant.prepare(c.sampling, p)
+    c.logic = _LOGICS[p.decided_by]
+    s.sensor = NONE
+    if c.logic == MODELS:
+        times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
+        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, learning=p.learning, **times)
+        return
     isolation.prepare(
         c.isolation,
         s.isolation,
@@ -98,9 +119,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         start_s=p.start_s,
         hold_s=p.hold_s,
     )
-    c.products = p.logic == "products"
     c.start = max(round(p.start_s / p.plant.period), 1)
-    s.sensor = NONE
     isolation.restart(s.isolation, c.isolation)
 
 
@@ -141,7 +160,7 @@ def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Rec
         s.samples += 1
         if s.samples >= c.start:
             x.started = 1
-        bank.step(x.bank, o, u.y, u.u)
+        bank.step(x.bank, o, u.y, s.sampling.u)
         return
     for k in range(o.p + 1):
         bank.innovate(x.bank, o, k, u.y)
@@ -159,37 +178,124 @@ def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Rec
             x.latched = j
         _report(s, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
     for k in range(o.p + 1):
-        bank.advance(x.bank, o, k, u.u)
+        bank.advance(x.bank, o, k, s.sampling.u)
+
+
+@kernel
+def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
+    """Take one sample by hypotheses."""
+    x, f = s.models, c.models.filters
+    decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
+    s.sensor = NONE
+    if c.models.learning == 1:
+        s.reason = FINDING
+        return
+    if x.unexplained == 1:
+        s.reason = AMBIGUOUS
+        _tell(s, UNEXPLAINED, True, 1.0, 0.0, out)
+        return
+    if x.tested == 0:
+        s.reason = FINDING if x.done < c.models.start else UNDECIDED
+        return
+    _tell(s, UNEXPLAINED, False, 0.0, 0.0, out)
+    named = decision.part_of(c.models, x.active)
+    for part in range(f.m + f.p):
+        limit = c.models.actuator[part] if part < f.m else c.models.sensor[part - f.m]
+        at_fault = part == named and x.confirmed == 1
+        _tell(s, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
+    if named >= f.m:
+        s.sensor = named - f.m
+
+
+@kernel
+def _tell(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
+    """Report a test of a hypothesis with size and innovations as evidence."""
+    e = report(out, fault, failed, abs(value), limit)
+    if not failed:
+        return
+    x = s.models
+    e.magnitude, e.observer = value, float(x.active)
+    for j in range(bank.MOST_OUTPUTS):
+        e.innovation[j] = x.filters.e[x.active, j]
+
+
+@kernel
+def _lost(s: State, c: Const, at: int, u: linear_plant.Inputs) -> bool:
+    """Find the commands of a sample; tells whether one is lost."""
+    linear_plant.commands(s.sampling, c.sampling, u, at)
+    for j in range(c.sampling.inputs):
+        if s.sampling.unsure[j] == 1:
+            s.commands_lost += 1
+            return True
+    return False
+
+
+@kernel
+def _skip(s: State, c: Const, u: linear_plant.Inputs, steps: int) -> None:
+    """Go on over the samples that did not come, each with the command that held then."""
+    if steps - 1 > linear_plant.MOST_MISSING or s.sampling.gap == 1:
+        s.restarts += 1
+        s.samples = 0
+        if c.logic == MODELS:
+            decision.restart(s.models, c.models)
+        else:
+            isolation.restart(s.isolation, c.isolation)
+        return
+    for k in range(steps - 1):
+        s.missing += 1
+        lost = _lost(s, c, k + 1, u)
+        if c.logic == MODELS:
+            decision.advance(s.models, c.models, s.sampling.u, s.sampling.unsure)
+        else:
+            isolation.missing(s.isolation, c.isolation, s.sampling.u)
+            if lost:
+                isolation.unknown_command(s.isolation, c.isolation)
 
 
 @kernel
 def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample."""
-    if u.trigger == TIMER:
+    if u.trigger == TIMER or linear_plant.command(s.sampling, c.sampling, u):
         return
     steps = linear_plant.samples(s.sampling, c.sampling, u)
     if steps == 0:
         return
+    _skip(s, c, u, steps)
+    lost = _lost(s, c, steps, u)
+    linear_plant.heard_all(s.sampling, c.sampling)
     x = s.isolation
-    if steps - 1 > linear_plant.MOST_MISSING:
-        s.restarts += 1
-        s.samples = 0
-        isolation.restart(x, c.isolation)
-    else:
-        for _ in range(steps - 1):
-            s.missing += 1
-            isolation.missing(x, c.isolation, u.u)
-    if c.products == 1:
+    s.reason = 0
+    if c.logic == MODELS:
+        _models(s, c, u, out)
+        s.active = s.models.active
+    elif c.logic == PRODUCTS:
         _products(s, c, u, out)
     else:
-        isolation.step(x, c.isolation, u.y, u.u)
+        isolation.step(x, c.isolation, u.y, s.sampling.u)
+        if lost:
+            isolation.unknown_command(x, c.isolation)
+        if x.unexplained == 1:
+            s.reason = AMBIGUOUS
+        elif x.tested == 0:
+            s.reason = FINDING if x.started == 0 else (COMMAND if x.blind > 0 else UNDECIDED)
         _conclude(s, c, out)
-    s.active, s.sensor = x.active, x.latched
+    if c.logic != MODELS:
+        s.active, s.sensor = x.active, x.latched
+    if s.reason > 0:
+        s.untested += 1
 
 
 def _warnings(p: Params) -> tuple[str, ...]:
     """Say which faults hide each other from stationary values, and how slow the bank is."""
     said = []
+    if p.decided_by == "models":
+        for j, part in enumerate(p.output):
+            if j not in p.told.left_out:
+                said.append(
+                    f"sensor {part.name} cannot be left out: without it the others do not show the whole plant. "
+                    "Its faults are told by their course only, and may stay unexplained"
+                )
+        return tuple(said)
     sizes = 5.0 * p.actuator_limits
     for hidden in masked(p.plant, sizes, p.actuator_limits):
         actuator, sensor = p.input[hidden.actuator], p.output[hidden.sensor]
@@ -201,7 +307,7 @@ def _warnings(p: Params) -> tuple[str, ...]:
             f"{hidden.low:.3g} to {hidden.high:.3g}"
         )
     slowest = max(settled(p.plant, observer) for observer in p.observers)
-    if p.start_s < 1.0 and p.logic == "products":
+    if p.start_s < 1.0 and p.decided_by == "products":
         said.append(f"start_s = {p.start_s}: the observers settle with {slowest:.2g} s")
     return tuple(said)
 
@@ -219,5 +325,10 @@ MONITOR = Monitor(
     triggers=linear_plant.triggers,
     prepare=_prepare,
     faults=_faults,
-    capabilities=(Readout(("active", "sensor", "missing", "restarts")), Warnings(_warnings)),
+    capabilities=(
+        Arrivals(lambda c: c.sampling.message),
+        Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
+        Refinement(wanted, found),
+        Warnings(_warnings),
+    ),
 )

@@ -51,6 +51,10 @@ class Const(Record):
     r_w: f8
     g: f8
     c_w: f8
+    T_l0: f8
+    T_lg: f8
+    T_lw: f8
+    n_g: f8
     f_2_x: Annotated[f8s, 12]
     f_2_y: Annotated[f8s, 12]
     f_3_x: Annotated[f8s, 12]
@@ -97,7 +101,7 @@ def step(s: State, c: Const, u: Any, dt: float) -> float:
     T_mj = T_c + T_em*c.u_em  # e14
     J_mj = c.J_c + c.J_e + c.J_em*c.u_em**2  # e15
     J_gb = interpolate(c.f_2_x, c.f_2_y, u.gear)  # e17
-    T_gbl = -0.6*u.gear + 0.08*omega_mj + 15.2  # e20
+    T_gbl = c.T_l0 + c.T_lg*(-u.gear + c.n_g) + c.T_lw*omega_mj  # e20
     eta_gb = ((c.eta_pos) if (T_gbl < T_mj) else (c.eta_neg))  # e19
     T_gb = eta_gb*u_gb*(-T_gbl + T_mj)  # e21
     J_tot = u_gb**2*(J_gb + J_mj)  # e22

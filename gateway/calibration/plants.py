@@ -1,0 +1,145 @@
+"""Models of plants refined by healthy logs (:class:`gateway.monitors.contract.Refinement`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import BaseModel
+
+from gateway.calibration.logs import Progress, batches, of_kind
+from gateway.config.model import Config
+from gateway.config.monitor_types import monitor_of
+from gateway.monitors.contract import Refined, Refinement
+from gateway.runtime.app import Gateway
+
+#: Keys that a replay for learning sets and a configuration is not to hold.
+_REPLAY = ("learning", "poles")
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What logs say of a monitor's plant.
+
+    Attributes:
+        monitor: its name.
+        seconds: of the logs.
+        fit: of each log, see :class:`gateway.monitors.contract.Refined`.
+        rows: what, told, found in the end, how sure.
+        keys: of its table, with new values.
+    """
+
+    monitor: str
+    seconds: float
+    fit: tuple[float, ...]
+    rows: tuple[tuple[str, float, float, float], ...]
+    keys: Mapping[str, Any]
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML has it."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(exclude_none=True)
+    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
+
+
+def _changed(config: Config, place: int, keys: Mapping[str, Any]) -> Config:
+    """Return a configuration with one monitor, and other keys in its table."""
+    entry = config.monitor[place]
+    extra = {**(entry.model_extra or {}), **{key: _plain(value) for key, value in keys.items()}}
+    extra = {key: value for key, value in extra.items() if value is not None}
+    bare = entry.model_copy()
+    object.__setattr__(bare, "__pydantic_extra__", extra)
+    return config.model_copy(update={"monitor": (bare,)})
+
+
+def _replayed(
+    config: Config, log: Path, file: Path | None, maps: Sequence[str], progress: Progress
+) -> tuple[float, Any]:
+    """Replay a log; returns its seconds, and the only monitor's state at its end."""
+    gateway = Gateway(config, None, file=file)
+    begun = last = 0
+    try:
+        for frames in batches(config, log, progress, maps):
+            if not begun:
+                begun = int(frames[0]["t_ns"])
+                gateway.start(begun)
+            gateway.feed(gateway.without_own(frames))
+            last = int(frames[-1]["t_ns"])
+        return (last - begun) * 1e-9, gateway.engine.state_of(0)[0].copy()
+    finally:
+        gateway.close()
+
+
+def learn(
+    config: Config, logs: Sequence[Path], *, file: Path | None, maps: Sequence[str], progress: Progress
+) -> list[Plant]:
+    """Refine the plants of all monitors that have one by logs, one after the other."""
+    plants = []
+    for chosen in of_kind(config, Refinement):
+        keys: dict[str, Any] = {}
+        told: dict[str, float] = {}
+        fits, seconds = [], 0.0
+        refined: Refined | None = None
+        for log in logs:
+            asked = _changed(config, chosen.place, {**chosen.calibration.wanted(chosen.params), **keys})
+            _, params = monitor_of(asked.monitor[0])
+            took, state = _replayed(asked, log, file, maps, progress)
+            refined = chosen.calibration.found(params, state)
+            seconds += took
+            fits.append(refined.fit)
+            keys |= refined.keys
+            for name, before, _, _ in refined.rows:
+                told.setdefault(name, before)
+        if refined is None:
+            continue
+        rows = tuple((name, told[name], now, sure) for name, _, now, sure in refined.rows)
+        plants.append(Plant(chosen.name, seconds, tuple(fits), rows, keys))
+    return plants
+
+
+def write(path: Path, plants: Sequence[Plant], source: str) -> None:
+    """Put matrices, bounds and noise into the tables of a configuration's monitors; all else stays as it is."""
+    document = tomlkit.parse(path.read_text())
+    by_name = {plant.monitor: plant for plant in plants}
+    for entry in document.get("monitor", []):
+        plant = by_name.get(str(entry.get("name")))
+        if plant is None:
+            continue
+        for key, value in plant.keys.items():
+            if key in _REPLAY:
+                continue
+            if key == "output":
+                for table, part in zip(entry["output"], value, strict=True):
+                    table["noise"] = float(f"{part.noise:.4g}")
+                continue
+            _put(entry, key, _rounded(_plain(value)))
+        _put(entry, "calibrated", source)
+    path.write_text(tomlkit.dumps(document))
+
+
+def _put(entry: Any, key: str, value: Any) -> None:
+    """Set a key of a table, a new one before the tables in it: behind them it would be theirs."""
+    if key in entry:
+        entry[key] = value
+        return
+    below = {name: entry.pop(name) for name in list(entry) if name in ("input", "output")}
+    if isinstance(value, dict):
+        table = tomlkit.inline_table()
+        table.update(value)
+        value = table
+    entry[key] = value
+    for name, tables in below.items():
+        entry[name] = tables
+
+
+def _rounded(value: Any) -> Any:
+    """Return a value with six digits a number."""
+    if isinstance(value, dict):
+        return {key: _rounded(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [_rounded(v) for v in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -1,0 +1,147 @@
+"""Constants of a set of models: from the plant, its noise, its errors and the faults that count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.fdi.linear.plant import LinearPlant, observability
+from gateway.fdi.linear.uncertainty import Entries
+from gateway.fdi.model_set.filters import (
+    GAIN,
+    HEALTHY,
+    MOST_ENTRIES,
+    OFFSET,
+    SENSOR,
+    SILENT,
+    Const,
+)
+from gateway.fdi.pi_bank.design import Noise
+from gateway.fdi.quantiles import chi2_above
+
+Array = NDArray[np.float64]
+
+#: Time constant of a plant's own errors: they age, they do not jump [s].
+AGEING_S = 36_000.0
+#: Of offsets of healthy sensors and actuators, and their standard deviation in thresholds.
+OFFSET_S, OFFSET_SIZE = 3600.0, 0.2
+#: Standard deviation of a fault that has begun, and of an unknown command, in thresholds; of a gain.
+FAULT_SIZE, COMMAND_SIZE, GAIN_SIZE = 30.0, 100.0, 0.5
+#: What a fault drifts within a root of a second, in thresholds; of a gain.
+DRIFT_SIZE, GAIN_DRIFT = 0.1, 0.01
+#: Share of a begun fault's variance that one which is followed takes on in a sample.
+LOOSE = 1e-3
+#: Range of a silent sensor's reading, in thresholds.
+RANGE = 100.0
+#: Share of healthy samples that look like a jump.
+JUMPS = 1e-6
+#: What an unknown state does to the outputs, in standard deviations of their noise.
+UNKNOWN = 1e4
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a user tells of a plant.
+
+    Attributes:
+        plant: in discrete time.
+        a, b: as given, continuous or discrete.
+        discrete: which.
+        noise: of states, sensors; of the faults of actuators.
+        entries: of a and b that are uncertain.
+        actuator: thresholds, shape (m,).
+        sensor: thresholds, shape (p,).
+        left_out: sensors without which the plant is still observable: they may be at fault in any way.
+    """
+
+    plant: LinearPlant
+    a: Array
+    b: Array
+    discrete: bool
+    noise: Noise
+    entries: Entries
+    actuator: Array
+    sensor: Array
+    left_out: tuple[int, ...]
+
+
+def hypotheses(told: Told) -> list[tuple[int, int]]:
+    """Return kind and place of each hypothesis."""
+    m, p = told.plant.inputs, told.plant.outputs
+    found = [(HEALTHY, 0)]
+    found += [(OFFSET, i) for i in range(m)] + [(GAIN, i) for i in range(m)]
+    found += [(SENSOR, j) for j in range(p)]
+    found += [(SILENT, j) for j in told.left_out]
+    return found
+
+
+def prepare(c: Const, told: Told) -> None:
+    """Fill a record of Const.
+
+    Raises:
+        ValueError: too many entries are uncertain.
+    """
+    plant, q = told.plant, len(told.entries)
+    n, m, p, period = plant.states, plant.inputs, plant.outputs, plant.period
+    if q > MOST_ENTRIES:
+        raise ValueError(f"{q} uncertain entries of a and b; at most {MOST_ENTRIES}: give model_error by entry")
+    c.n, c.m, c.p, c.q = n, m, p, q
+    c.total = n + q + 2 * m + p
+    c.discrete = told.discrete
+    c.scale = 1.0 if told.discrete else period
+    c.matrix[:n, : n + m] = np.hstack([told.a, told.b]) * c.scale
+    c.row[:q], c.column[:q] = told.entries.row, told.entries.column
+    given = np.hstack([told.a, told.b])[told.entries.row, told.entries.column]
+    # Of an entry that is 0 the bound is all that is known.
+    c.relative[:q] = 1.0 / np.maximum(np.abs(given), told.entries.bound) ** 2
+    c.c[:p, :n] = plant.c
+    c.noise[:n], c.r[:p] = told.noise.states**2 * period, told.noise.outputs**2
+    c.unknown[:n] = _unknown(plant, told.noise.outputs) ** 2
+    offsets = np.concatenate([told.actuator, told.sensor])
+    nothing = np.zeros(m)
+    fault = FAULT_SIZE * offsets
+    c.prior[: c.total - n] = (
+        np.concatenate([told.entries.bound, OFFSET_SIZE * told.actuator, nothing, OFFSET_SIZE * told.sensor]) ** 2
+    )
+    c.keep[: c.total - n] = np.repeat(
+        [exp(-period / AGEING_S), exp(-period / OFFSET_S), 1.0, exp(-period / OFFSET_S)], [q, m, m, p]
+    )
+    drifts = [told.noise.faults, GAIN_DRIFT + nothing, DRIFT_SIZE * told.sensor]
+    c.drive[q : c.total - n] = np.concatenate(drifts) ** 2 * period
+    c.free[q : c.total - n] = np.concatenate([fault[:m], GAIN_SIZE + nothing, fault[m:]]) ** 2
+    c.command[:m] = (COMMAND_SIZE * told.actuator) ** 2
+    c.loose = LOOSE
+    c.gate = chi2_above(JUMPS, p)
+    c.range[:p] = [-log(RANGE * size) for size in told.sensor]
+    found = hypotheses(told)
+    c.hypotheses = len(found)
+    for h, (kind, place) in enumerate(found):
+        c.kind[h], c.place[h] = kind, place
+
+
+def _unknown(plant: LinearPlant, noise: Array) -> Array:
+    """Return how large each state may be before anything is known: its outputs are UNKNOWN of their noise."""
+    rows, shown = plant.c / noise[:, None], np.zeros(plant.states)
+    for _ in range(4 * plant.states):
+        shown = np.maximum(shown, np.abs(rows).max(axis=0))
+        rows = rows @ plant.phi
+    return np.asarray(UNKNOWN / np.maximum(shown, 1e-9))
+
+
+def isolable(plant: LinearPlant) -> tuple[int, ...]:
+    """Return the sensors without which the plant is still observable, and shows constant faults of its actuators."""
+    n, m = plant.states, plant.inputs
+    found = []
+    for j in range(plant.outputs):
+        c = plant.without(j)
+        if len(c) < m or np.linalg.matrix_rank(observability(plant.phi, c), tol=1e-10) < n:
+            continue
+        block = np.zeros((n + len(c), n + m))
+        block[:n, :n], block[:n, n:], block[n:, :n] = plant.phi - np.eye(n), plant.gamma, c
+        block /= np.maximum(np.abs(block).max(axis=1, keepdims=True), 1e-300)
+        if np.linalg.matrix_rank(block, tol=1e-9) == n + m:
+            found.append(j)
+    return tuple(found)
