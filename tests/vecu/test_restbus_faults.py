@@ -102,7 +102,7 @@ TABLE = [
     ("checksum", DRIVE, "U0410-83", 3.0, 0.2),
     ("checksum", OTHER, "U0411-83", 3.0, 0.2),
     ("lost", OTHER, "U0111-87", 3.0, 0.15),
-    ("lost", OTHER | {"probability": 0.5}, "U0411-82", 3.0, 0.6),
+    ("lost", OTHER | {"probability": 0.3}, "U0411-82", 3.0, 0.6),
     ("late", DRIVE | {"delay_ms": 150}, "U0110-87", None, 0.15),
     ("doubled", DRIVE, "U0410-82", 3.0, 0.2),
     ("short", OTHER, "U0411-81", 3.0, 0.2),
