@@ -134,12 +134,16 @@ def simulate(
     wait: Annotated[float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")] = 60.0,
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
+    junit: Annotated[
+        Path | None,
+        typer.Option(help="Write a JUnit file, a test case an expectation; as --check."),
+    ] = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
-    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json))
+    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, json=json, junit=junit))
 
 
 @app.command()
@@ -317,6 +321,7 @@ def replay(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
+    junit: Annotated[Path | None, typer.Option(help="Write a JUnit file, a test case a fault.")] = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -341,6 +346,7 @@ def replay(
             seed=seed,
             json=json,
             fail_on_dtc=fail_on_dtc,
+            junit=junit,
         )
     )
 

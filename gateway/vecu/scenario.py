@@ -127,6 +127,7 @@ class Scenario(StrictModel):
     fault: tuple[SerializeAsAny[EcuFault], ...] = ()
     wire: tuple[WireFault, ...] = ()
     expect: tuple[Expectation, ...] = ()
+    requirement: tuple[str, ...] = Field((), description="ids of requirements that it tests, for reports")
     unexpected: Literal["fail", "allow"] = Field("fail", description="DTCs that no line expects")
 
     @model_validator(mode="before")

@@ -58,7 +58,9 @@ signal = [
 [[monitor]]
 name = "relations"
 type = "rule"
-rule = [{{ name = "same", holds = "abs(Drive.One - Other.Two) < 12", failed_ms = 100, passed_ms = 200, code = "C1003" }}]
+rule = [
+    {{ name = "same", holds = "abs(Drive.One - Other.Two) < 12", failed_ms = 100, passed_ms = 200, code = "C1003" }},
+]
 [fault."can.Drive.counter"]                # one frame in two is right where each comes twice
 debounce = {{ failed_after = 1 }}
 """
