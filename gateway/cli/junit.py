@@ -8,15 +8,13 @@ attribute of it. Names are the same in each run, so that a test's history is tha
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as Xml
 
 from gateway.errors import InputError
-from gateway.vecu.expectations import OTHERS, Finding
-from gateway.vecu.scenario import Scenario
 
 #: What XML 1.0 cannot have, written in any way.
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -93,21 +91,6 @@ def _tell(entry: Xml.Element, case: Case) -> None:
 
 def _plain(text: str) -> str:
     return _FORBIDDEN.sub("?", text)
-
-
-def of_findings(scenario: Scenario, findings: Sequence[Finding]) -> list[Case]:
-    """Return a scenario's verdict, a case an expectation; the DTCs that none names are one more."""
-    named = [finding for finding in findings if finding.expected != OTHERS]
-    cases = [Case(one.expected, one.text, "passed" if one.good else "failure") for one in named]
-    if scenario.unexpected == "fail":
-        others = "\n".join(finding.text for finding in findings if finding.expected == OTHERS)
-        cases.append(Case(OTHERS, others, "failure" if others else "passed"))
-    return cases
-
-
-def stopped(scenario: Scenario, why: str) -> list[Case]:
-    """Return the case of a scenario that was not judged."""
-    return [Case(scenario.name, why, "error")]
 
 
 def of_faults(faults: Iterable[tuple[str, str]], failed: Mapping[str, str], not_tested: Iterable[str]) -> list[Case]:

@@ -16,7 +16,8 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
-from gateway.cli.junit import of_findings, stopped, write_junit
+from gateway.cli.junit import write_junit
+from gateway.cli.junit_scenario import of_findings, stopped
 from gateway.cli.present import (
     EventPrinter,
     find_scenario,

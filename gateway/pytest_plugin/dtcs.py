@@ -47,6 +47,7 @@ class Dtcs:
             AssertionError: it was not; names the DTC, the time expected, and the time seen.
             InputError: no fault of the configuration has this DTC.
         """
+        __tracebackhide__ = True  # pytest shows the line of the test
         self._check(dtc)
         line = Expectation(dtc=dtc, after_s=after, by_s=by, healed_by_s=healed_by)
         end = max(by, healed_by or 0.0)
@@ -66,6 +67,7 @@ class Dtcs:
             AssertionError: it was; names the DTC and the time.
             InputError: no fault of the configuration has this DTC.
         """
+        __tracebackhide__ = True  # pytest shows the line of the test
         self._check(dtc)
         self._bench.run_until(until)
         self._demand(self._judged(Expectation(dtc=dtc, absent=True)))
@@ -81,6 +83,7 @@ class Dtcs:
             AssertionError: one was; names DTCs and times.
             InputError: no fault of the configuration has a DTC of ``but``.
         """
+        __tracebackhide__ = True  # pytest shows the line of the test
         for dtc in but:
             self._check(dtc)
         if until is not None:
@@ -104,6 +107,7 @@ class Dtcs:
         return judge.findings()
 
     def _demand(self, findings: list[Finding]) -> None:
+        __tracebackhide__ = True  # pytest shows the line of the test
         wrong = [finding.text for finding in findings if not finding.good]
         if wrong:
             first = {dtc: t for t, dtc, status in reversed(self.seen) if status & Status.TEST_FAILED}

@@ -166,13 +166,13 @@ def test_what_fails_says_what_was_seen(project):
     for text in (
         "P0562-16 not set by 5.1 s (set so far: none; now 5.100 s)",
         "P0562-16 not healed by 9.0 s, set at 5.",
-        "did you mean P0562-16",
+        "did you mean P0563-17 or P0562-16?",
         "virtual ECU 'battery' sends until 1 s only: give it a duration_s",
-        "did you mean restbus",
+        "did you mean restbus?",
         "can.log",
     ):
         assert text in said, text
-    assert "/gateway/pytest_plugin/" not in said.split("short test summary")[0]
+    assert "gateway/pytest_plugin/" not in said  # the way through our own code helps nobody
     [log] = [line for line in said.splitlines() if line.strip().endswith("can.log")]
     assert Path(log.strip()).stat().st_size > 1000
 
