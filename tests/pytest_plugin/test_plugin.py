@@ -13,7 +13,14 @@ from junitparser import JUnitXml
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "battery_voltage"
 DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
-BROKEN = DRAINED.replace("by_s = 6.0", "by_s = 5.1")
+for _old, _new in (
+    ("duration_s = 20.0", "duration_s = 7.0"),
+    ("from_s = 5.0\nto_s = 10.0", "from_s = 1.0\nto_s = 3.0"),
+    ("after_s = 5.0\nby_s = 6.0\nhealed_by_s = 12.0", "after_s = 1.0\nby_s = 2.0\nhealed_by_s = 6.0"),
+):
+    assert _old in DRAINED
+    DRAINED = DRAINED.replace(_old, _new)
+BROKEN = DRAINED.replace("by_s = 2.0", "by_s = 1.1")
 INI = "[pytest]\ngateway_scenarios = scenarios\ngateway_config = gateway.toml\n"
 TESTS = """
 import pytest
@@ -134,7 +141,7 @@ def test_scenarios_and_fixtures(project):
     told = properties(cases["drained"])
     assert ("requirement", "SWR-7") in told
     assert ("seed", "1") in told
-    assert any(name == "verdict" and value.startswith("P0562-16 set at 5.") for name, value in told)
+    assert any(name == "verdict" and value.startswith("P0562-16 set at 1.") for name, value in told)
     assert [p for p in properties(cases["test_drained"]) if p[0] == "requirement"] == [
         ("requirement", "SWR-1"),
         ("requirement", "SWR-2"),
@@ -149,11 +156,11 @@ def test_a_broken_scenario_fails(project, workers):
     (project / "scenarios" / "settings.toml").write_text('name = "no scenario"\n')
     code, said = run(project, "-n", workers, "--junitxml=out.xml")
     assert (code, "2 failed" in said) == (1, True), said
-    assert "NOT as expected: P0562-16 not set by 5.1 s, but at 5." in said
+    assert "NOT as expected: P0562-16 not set by 1.1 s, but at 1." in said
     assert "as expected: P0562-16 healed" not in said.split("seed 1")[0].split("NOT as expected")[0]
     cases = {case.name: case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite}
     assert cases.keys() == {"broken", "misspelt"}
-    assert "P0562-16 not set by 5.1 s, but at 5." in cases["broken"].result[0].text
+    assert "P0562-16 not set by 1.1 s, but at 1." in cases["broken"].result[0].text
     assert "misspelt.toml: ecu[0].type" in cases["misspelt"].result[0].text
     assert "Traceback" not in said
 

@@ -33,7 +33,7 @@ CARS = {
         {"ESP_21.ESP_v_Signal": "{ sine = { mean = 80, amplitude = 30, period_s = 2 } }"},
         20,
     ),
-    "ford_lincoln_base_pt": ("", {"ECM_Diesel", "PCM_HEV"}, {}, 0),
+    "ford_lincoln_base_pt": ("", {"PCM_HEV"}, {}, 0),
 }
 COURSES = {
     "WHEEL_SPEEDS.WHEEL_SPEED_FL": lambda t: np.interp(t, [0, 2], [10, 60]),

@@ -43,7 +43,7 @@ invalid = "U0410"
 {PROTECTION}
 [[bus.check]]
 message = "Other"
-timeout_ms = 100
+timeout_ms = 300
 lost = "U0111"
 invalid = "U0411"
 {PROTECTION}
@@ -103,8 +103,8 @@ TABLE = [
     ("counter", OTHER | {"size": 5}, "U0411-82", 3.0, 0.2),
     ("checksum", DRIVE, "U0410-83", 3.0, 0.2),
     ("checksum", OTHER, "U0411-83", 3.0, 0.2),
-    ("lost", OTHER, "U0111-87", 3.0, 0.15),
-    ("lost", OTHER | {"probability": 0.3}, "U0411-82", 3.0, 0.6),
+    ("lost", OTHER, "U0111-87", 3.0, 0.35),
+    ("lost", OTHER | {"probability": 0.6}, "U0411-82", 3.0, 0.9),
     ("late", DRIVE | {"delay_ms": 150}, "U0110-87", None, 0.15),
     ("doubled", DRIVE, "U0410-82", 3.0, 0.2),
     ("short", OTHER, "U0411-81", 3.0, 0.2),
@@ -147,7 +147,7 @@ def test_each_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path
     assert {event["dtc"] for event in failed} == {dtc}
     assert 2.0 <= failed[0]["t_ns"] / 1e9 <= 2.0 + within_s
     assert [fact.kind for fact in truth] == [kind]
-    assert truth[0].t_ns == pytest.approx(2e9, abs=25e6)
+    assert truth[0].t_ns == pytest.approx(2e9, abs=200e6 if "probability" in keys else 25e6)
     if to_s is not None:  # what is over heals
         assert not events[-1]["status"] & 1
 

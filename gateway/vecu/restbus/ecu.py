@@ -95,6 +95,7 @@ class _Senders:
         """Return when the frames of a message are sent [s]."""
         first = phase * min(period_s, self._run.duration_s)
         times = first + np.arange(int((self._run.duration_s - first) / period_s) + 1) * period_s
+        times = times[times < self._run.duration_s]
         if self._params.jitter_ms:
             times = times + self._run.rng.normal(0.0, self._params.jitter_ms * 1e-3, len(times))
         return np.sort(np.maximum(times, 0.0))
