@@ -102,6 +102,7 @@ class Judge:
             seen = self._seen.get(line.dtc)
             times = seen.set_s if seen else []
             if line.absent:
+                times = [t for t in times if t <= self._scenario.duration_s]
                 good = not times
                 text = "never set" if good else f"set at {times[0]:.3f} s, should never be"
                 found.append(Finding(good, f"{line.dtc} {text}", named(line)))
@@ -120,7 +121,9 @@ class Judge:
                 found.append(Finding(True, f"{line.dtc} set at {inside[0]:.3f} s", named(line)))
             if line.healed_by_s is not None and inside and seen is not None:
                 healed = [t for t in seen.healed_s if inside[0] <= t <= line.healed_by_s]
-                good = bool(healed) and not (seen.failed and seen.set_s[-1] > healed[-1])
+                # What is set after the drive is about ECUs that have been switched off.
+                again = [t for t in seen.set_s if healed and healed[-1] < t <= self._scenario.duration_s]
+                good = bool(healed) and (not again or any(t > again[-1] for t in seen.healed_s))
                 later = [t for t in seen.healed_s if t > line.healed_by_s]
                 when = f", but at {later[0]:.3f} s" if later else f", set at {inside[0]:.3f} s"
                 text = f"healed at {healed[0]:.3f} s" if good else f"not healed by {line.healed_by_s} s{when}"
