@@ -58,6 +58,13 @@ StatusOption = Annotated[
     typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
 ]
 HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report of it: one file, e.g. report.html.")]
+LogArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst; or a folder of segments."
+    ),
+]
+JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
 PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
 ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
@@ -253,12 +260,28 @@ def simulate(
     record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
     seed: Seed = None,
     html: HtmlOption = None,
+    junit: Annotated[
+        Path | None,
+        typer.Option(help="Write a JUnit file, a test case an expectation; as --check."),
+    ] = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
     from gateway.cli.simulate import simulate as work
 
-    raise typer.Exit(work(scenario, bus=bus, check=check, wait=wait, record=record, seed=seed, html=html, json=json))
+    raise typer.Exit(
+        work(
+            scenario,
+            bus=bus,
+            check=check,
+            wait=wait,
+            record=record,
+            seed=seed,
+            html=html,
+            json=json,
+            junit=junit,
+        )
+    )
 
 
 @app.command()
@@ -421,13 +444,7 @@ SeriesSignals = Annotated[
 
 @app.command()
 def replay(
-    log: Annotated[
-        Path,
-        typer.Argument(
-            help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst;"
-            " or a folder of segments."
-        ),
-    ],
+    log: LogArgument,
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
@@ -459,6 +476,7 @@ def replay(
     signals: SeriesOption = None,
     plot: SeriesPlot = None,
     signal: SeriesSignals = None,
+    junit: JunitOfFaults = None,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -487,6 +505,7 @@ def replay(
             chosen=signal or (),
             json=json,
             fail_on_dtc=fail_on_dtc,
+            junit=junit,
         )
     )
 

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
+from gateway.cli.junit import Case, of_faults, write_junit
 from gateway.cli.present import EventPrinter, find_config, say_unless_stored
 from gateway.cli.report import RunReport
 from gateway.cli.trace import Trace, only, single
@@ -23,6 +24,7 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
+from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import Parts, prepare
 from gateway.runtime.injection import Injector, parse_injection
@@ -48,6 +50,7 @@ def replay(
     chosen: Sequence[str] = (),
     json: bool,
     fail_on_dtc: bool,
+    junit: Path | None = None,
 ) -> int:
     """Replay a log; returns the exit code. Arguments as the command has them (``gateway replay --help``).
 
@@ -67,6 +70,7 @@ def replay(
     injectors = _injectors(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts)
     gateway.listen(printer)
+    failures = _Failures(printer, gateway)
     try:
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
@@ -84,12 +88,13 @@ def replay(
             allow_cut=allow_cut,
         )
         summary = gateway.summary(seconds)
-        found.notes += _notes(found, config, summary, dict(zip(injections, injectors, strict=True)))
-        found.notes += watched.notes
+        found.notes += [*_notes(found, config, summary, dict(zip(injections, injectors, strict=True))), *watched.notes]
         printer(found.event())
         printer(summary)
         if report is not None:
             report.write_log(log, [found.event(), summary], injections)
+        if junit is not None:
+            _write_junit(junit, gateway, failures, found, log, seconds, injections)
     finally:
         gateway.close()
     if found.wrong:
@@ -97,6 +102,45 @@ def replay(
     if lost := say_unless_stored(gateway.stored, memory):
         return lost
     return 1 if fail_on_dtc and printer.failures else 0
+
+
+class _Failures:
+    """Keeps when each fault failed first, as a line for people.
+
+    Args:
+        printer: that knows the time which people see as zero.
+        gateway: not started yet.
+    """
+
+    def __init__(self, printer: EventPrinter, gateway: Gateway) -> None:
+        self._printer = printer
+        self.told: dict[str, str] = {}
+        gateway.listen(self)
+
+    def __call__(self, event: Mapping[str, Any]) -> None:
+        """Take one event."""
+        if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
+            seconds = (event["t_ns"] - self._printer.start_ns) / 1e9
+            shown = ", ".join(f"{name} {value:.6g}" for name, value in event["evidence"].items() if value is not None)
+            self.told.setdefault(event["fault"], f"{event['dtc']} set at {seconds:.3f} s\n{shown}")
+
+
+def _write_junit(
+    path: Path,
+    gateway: Gateway,
+    failures: _Failures,
+    found: Contents,
+    log: Path,
+    seconds: float,
+    injected: Sequence[str],
+) -> None:
+    """Write a test case for each fault, and one for the log itself."""
+    faults = [(definition.id, str(definition.dtc)) for definition in gateway.catalogue]
+    open_ones = [name for name, _ in faults if gateway.memory.status_now(name) & Status.NOT_COMPLETED_THIS_CYCLE]
+    wrong = "\n".join(str(error) for error in found.wrong)
+    cases = [Case("log is whole", wrong, "error" if wrong else "passed"), *of_faults(faults, failures.told, open_ones)]
+    properties = [("log", log.name), *(("injected", text) for text in injected)]
+    write_junit(path, gateway.config.name, cases, seconds, properties)
 
 
 def _notes(found: Contents, config: Config, summary: Mapping[str, Any], injected: Mapping[str, Injector]) -> list[str]:

@@ -16,6 +16,8 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
+from gateway.cli.junit import write_junit
+from gateway.cli.junit_scenario import of_findings, stopped
 from gateway.cli.present import (
     EventPrinter,
     find_scenario,
@@ -31,7 +33,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
 from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
+from gateway.runtime.drive import drive, judgeable
 from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
@@ -203,6 +205,7 @@ def simulate(
     seed: int | None,
     html: Path | None = None,
     json: bool,
+    junit: Path | None = None,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
     if html is not None:
@@ -211,6 +214,10 @@ def simulate(
             raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
     scenario, config, player = _open(scenario_name, seed)
+    check = check or junit is not None
+    if check and bus == INSIDE:
+        judgeable(scenario, config, file=find_scenario(scenario_name))
+    junit_file = _JunitFile(junit, scenario, player)
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
     with ExitStack() as stack:
         writer = None if record is None else stack.enter_context(open_writer(record))
@@ -234,9 +241,10 @@ def simulate(
             summary = gateway.summary(time.monotonic() - begun)
             printer(summary)
             if stop():
-                return _stopped(scenario, stop)
+                return _stopped(scenario, stop, junit_file)
             if report is not None:
                 report.write_scenario(scenario, player, judge, summary)
+            junit_file.write(judge)
             return _verdict(judge, json=json, check=check)
         stop.ready()
         uris = [entry.uri for entry in config.bus] if bus is None else [bus]
@@ -248,13 +256,44 @@ def simulate(
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
     if stop():
-        return _stopped(scenario, stop) if check else 0
+        return _stopped(scenario, stop, junit_file) if check else 0
+    junit_file.write(judge)
     return _verdict(judge, json=json, check=check) if check else 0
 
 
-def _stopped(scenario: Scenario, stop: Ending) -> int:
+class _JunitFile:
+    """The JUnit file of a run, if one is asked for.
+
+    Args:
+        path: of the file; None: none is.
+        scenario: that is played.
+        player: of the scenario.
+    """
+
+    def __init__(self, path: Path | None, scenario: Scenario, player: Player) -> None:
+        self._path, self._scenario, self._player = path, scenario, player
+        self._begun = time.monotonic()
+
+    def write(self, judge: Judge | None, why: str = "") -> None:
+        """Write the verdict; without a judge: why there is none."""
+        if self._path is None:
+            return
+        scenario = self._scenario
+        cases = stopped(scenario, why) if judge is None else of_findings(scenario, judge.findings())
+        properties: list[tuple[str, object]] = [("seed", self._player.seed)]
+        properties += [("requirement", name) for name in scenario.requirement]
+        properties += [
+            ("injected", f"{fact.kind.replace('_', ' ')} at {fact.t_ns / 1e9:.3f} s, {fact.count}")
+            for fact in self._player.truth
+        ]
+        write_junit(self._path, scenario.name, cases, time.monotonic() - self._begun, properties)
+
+
+def _stopped(scenario: Scenario, stop: Ending, report: _JunitFile) -> int:
     """Say that nothing is judged, since a signal came before the end; returns the exit code."""
-    say(f"{scenario.name}: stopped by a signal before its end: nothing is judged")
+    text = "stopped by a signal before its end: nothing is judged"
+    say(f"{scenario.name}: {text}")
+    report.write(None, text)
     return stop.code
 
 

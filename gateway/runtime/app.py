@@ -54,6 +54,7 @@ from gateway.servers.access import signals_of
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.servers.uds.extended_data import EXTENDED_DATA
+from gateway.signals.database import Database
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -299,6 +300,11 @@ class Gateway:
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
         return self.servers.next_prompt_ns
+
+    @property
+    def databases(self) -> Sequence[Database]:
+        """The databases of its buses."""
+        return self._parts.databases
 
     @property
     def dtc_frame_id(self) -> int:

@@ -10,6 +10,7 @@ import itertools
 import os
 import select
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -18,11 +19,13 @@ from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, empty
 from gateway.bus.uri import open_bus
 from gateway.common.resources import shipped
-from gateway.errors import BusError
+from gateway.config.model import Config
+from gateway.errors import BusError, InputError
 from gateway.runtime.app import Gateway
 from gateway.servers.dtc_frame import DtcReport, read_dtc_frame
 from gateway.vecu.expectations import Judge
 from gateway.vecu.player import Player
+from gateway.vecu.scenario import Scenario
 
 #: Longest wait for frames that were sent already [s].
 PATIENCE_S = 10.0
@@ -105,6 +108,22 @@ class Driven(Protocol):
 
     def stop(self, t_ns: int) -> None:
         """End the operation cycle."""
+
+
+def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
+    """Refuse to judge a scenario whose gateway tells no tester of its DTCs: each expectation of silence would hold.
+
+    Args:
+        scenario: with expectations.
+        config: of the gateway.
+        file: of the scenario.
+
+    Raises:
+        InputError: the configuration has no DTC frame.
+    """
+    if config.output.dtc_frame is None:
+        text = "expectations are judged by the gateway's DTC frame: its configuration needs [output.dtc_frame]"
+        raise InputError(text, file=file, key="config", value=str(scenario.config))
 
 
 def drive(

@@ -158,7 +158,7 @@ def _known_values(tree: Any, multiplexer: str) -> set[int]:
     return known
 
 
-def _sticks_out(message: Message, signal: Signal) -> bool:
+def sticks_out(message: Message, signal: Signal) -> bool:
     """Tell whether a signal needs more bytes than its message has."""
     start = signal.start
     if signal.byte_order == "big_endian":
@@ -323,7 +323,7 @@ class _Rows:
         entry = self.messages[row]
         entry["first"], entry["count"] = len(self.signals), len(needed)
         # A message that is too short for its own signals can never be decoded (nor by cantools).
-        broken = any(_sticks_out(message, signal) for signal in message.signals)
+        broken = any(sticks_out(message, signal) for signal in message.signals)
         entry["length"] = NEVER_LONG_ENOUGH if broken else message.length
         entry["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         entry["bus"] = bus

@@ -64,7 +64,7 @@ class Player:
                 if error.key is None:
                     raise
                 key = f"ecu[{k}].{error.key}"
-                raise InputError(error.message, file=error.file, key=key, value=error.value) from error
+                raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
             runs.append(frames)
             self.truth += truth
         frames = np.concatenate(runs)

@@ -127,6 +127,7 @@ class Scenario(StrictModel):
     fault: tuple[SerializeAsAny[EcuFault], ...] = ()
     wire: tuple[WireFault, ...] = ()
     expect: tuple[Expectation, ...] = ()
+    requirement: tuple[str, ...] = Field((), description="ids of requirements that it tests, for reports")
     unexpected: Literal["fail", "allow"] = Field("fail", description="DTCs that no line expects")
 
     @model_validator(mode="before")
@@ -179,6 +180,16 @@ def _all(entries: Sequence[Any], name: str, read: Callable[[Any, str], T], wrong
     return found
 
 
+def located(scenario: Scenario, folder: Path) -> Scenario:
+    """Return a scenario whose paths, relative to a folder, are made whole.
+
+    Raises:
+        InputError: a file that an ECU names is not there.
+    """
+    ecus = tuple(_of_type(ecu.type, f"ecu[{k}]").locate(ecu, folder, f"ecu[{k}]") for k, ecu in enumerate(scenario.ecu))
+    return scenario.model_copy(update={"config": folder / scenario.config, "ecu": ecus})
+
+
 def load_scenario(path: Path) -> Scenario:
     """Read a scenario; paths in it become relative to its folder.
 
@@ -187,12 +198,8 @@ def load_scenario(path: Path) -> Scenario:
     """
     importable(path.parent)
     try:
-        scenario = load(path, Scenario)
-        ecus = tuple(
-            _of_type(ecu.type, f"ecu[{k}]").locate(ecu, path.parent, f"ecu[{k}]") for k, ecu in enumerate(scenario.ecu)
-        )
+        return located(load(path, Scenario), path.parent)
     except InputErrors as errors:
         raise InputErrors([error.within(path) for error in errors.errors]) from errors
     except InputError as error:
         raise error.within(path) from error
-    return scenario.model_copy(update={"config": path.parent / scenario.config, "ecu": ecus})

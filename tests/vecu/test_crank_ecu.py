@@ -277,6 +277,11 @@ def test_expectations():
     assert judged([], [(0.7, "U0100-87", 0x2F, 1)], unexpected="allow") == []
     # after the drive the ECUs are switched off
     assert judged([], [(99.0, "U0100-87", 0x2F, 1)]) == []
+    assert judged([{"dtc": "U0100-87", "absent": True}], [(99.0, "U0100-87", 0x2F, 1)]) == [True]
+    gone = [(0.7, "P0336-39", 0x2F, 1), (1.2, "P0336-39", 0x2E, 1), (2.3, "P0336-39", 0x2F, 2)]
+    assert judged(want, gone) == [True, True]
+    # set again in the drive, and healed again
+    assert judged(want, [*again, (1.9, "P0336-39", 0x2E, 2)]) == [True, True]
     assert judged([{"dtc": "U0100-87", "absent": True}], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
     assert judged([{"dtc": "U0100-87", "absent": True}], []) == [True]
 

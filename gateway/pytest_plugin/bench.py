@@ -1,0 +1,218 @@
+"""A gateway in this process with a clock that goes when it is told to, and virtual ECUs on its buses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+
+from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
+from gateway.common.plugins import importable
+from gateway.common.tomlfile import validate
+from gateway.config.load import load_config
+from gateway.errors import GatewayError, InputError, named
+from gateway.runtime.app import Gateway
+from gateway.vecu.contract import Truth
+from gateway.vecu.player import Player
+from gateway.vecu.scenario import Scenario, located
+
+#: Longest step of the clock [ns].
+STEP_NS = 10_000_000
+#: Clock's step while an answer is waited for [ns].
+_FINE_NS = 1_000_000
+
+
+@dataclass
+class _Sender:
+    """A virtual ECU: its frames from now on, stamped by the bench's clock, and until when it has some."""
+
+    name: str
+    frames: Frames
+    until_ns: int
+    sent: int = 0
+
+
+class Bench:
+    """A gateway of a configuration, driven by a test.
+
+    Args:
+        config: file of the configuration; its fault memory is not touched, one in this process stands for it.
+        seed: of the virtual ECUs.
+
+    Attributes:
+        gateway: the gateway.
+        events: events of the JSON contract so far.
+        truth: what virtual ECUs were told to inject, of all times.
+
+    Raises:
+        InputError, InputErrors: a configuration that is wrong.
+    """
+
+    def __init__(self, config: Path, seed: int = 1) -> None:
+        self._folder = config.parent
+        importable(self._folder)
+        self.config = load_config(config)
+        self.gateway = Gateway(self.config, file=config)
+        self.events: list[dict[str, Any]] = []
+        self.truth: list[Truth] = []
+        self._seed, self._now_ns = seed, 0
+        self._senders: list[_Sender] = []
+        self._listeners: list[Callable[[Frames], None]] = []
+        self._buses = {bus.name: index for index, bus in enumerate(self.config.bus)}
+        self.gateway.listen(self.events.append)
+        self.gateway.start(0)
+
+    @property
+    def now_s(self) -> float:
+        """Time of the bench's clock [s]."""
+        return self._now_ns / 1e9
+
+    def on_frames(self, listener: Callable[[Frames], None]) -> None:
+        """Call a function with all frames on the buses from now on: those of ECUs and testers, and the gateway's."""
+        self._listeners.append(listener)
+
+    def add(
+        self,
+        type_: str,
+        *,
+        faults: Sequence[Mapping[str, Any]] = (),
+        wire: Sequence[Mapping[str, Any]] = (),
+        duration_s: float = 60.0,
+        **params: Any,
+    ) -> str:
+        """Switch on a virtual ECU; its time 0 is now.
+
+        Args:
+            type_: as in a scenario.
+            faults: tables ``[[fault]]`` of a scenario, of this ECU.
+            wire: tables ``[[wire]]``, of its frames.
+            duration_s: how long it sends, at most [s].
+            params: further keys of ``[[ecu]]``; files are relative to the configuration.
+
+        Returns:
+            its name.
+
+        Raises:
+            InputError, InputErrors: keys that are wrong.
+        """
+        data = {
+            "name": type_,
+            "duration_s": duration_s,
+            "ecu": [{"type": type_, **params}],
+            "fault": [dict(fault) for fault in faults],
+            "wire": [dict(fault) for fault in wire],
+        }
+        scenario = located(validate(data, Scenario, None), self._folder)
+        databases = {index: bus.database for index, bus in enumerate(self.config.bus)}
+        player = Player(scenario, self._buses, seed=self._seed + len(self._senders), databases=databases)
+        frames = player.frames.copy()
+        frames["t_ns"] += self._now_ns
+        self.truth += [Truth(f.t_ns + self._now_ns, f.kind, f.count, f.tooth) for f in player.truth]
+        name = scenario.ecu[0].name
+        self._senders.append(_Sender(name, frames, self._now_ns + round(duration_s * 1e9)))
+        return name
+
+    def switch_off(self, name: str) -> None:
+        """Switch a virtual ECU off: it sends no more.
+
+        Raises:
+            InputError: there is none of this name.
+        """
+        names = [sender.name for sender in self._senders]
+        if name not in names:
+            raise InputError(named("the virtual ECUs are", name, names), key="virtual ECU", value=name)
+        self._senders = [sender for sender in self._senders if sender.name != name]
+
+    def send(self, message: str, /, bus: str | None = None, **signals: Any) -> None:
+        """Send one frame of a message now; signals that are not given are 0.
+
+        Raises:
+            InputError: a message, signal or value that is none.
+        """
+        index = self._bus(bus)
+        found = self.gateway.databases[index].message(message)
+        names = [signal.name for signal in found.signals]
+        for name in signals:
+            if name not in names:
+                raise InputError(named(f"the signals of {message} are", name, names), key=message, value=name)
+        try:
+            data = found.encode({**dict.fromkeys(names, 0), **signals}, strict=False)
+        except cantools.database.EncodeError as error:
+            raise InputError(f"cannot be sent: {error}", value=message) from error
+        can_id = found.frame_id | (EXTENDED if found.is_extended_frame else 0)
+        self.send_frame(can_id, bytes(data), bus=index, fd=found.is_fd)
+
+    def _bus(self, name: str | None) -> int:
+        if (name is None and len(self._buses) > 1) or (name is not None and name not in self._buses):
+            raise InputError(named("the buses are", name or "", self._buses), key="bus", value=name or "")
+        return 0 if name is None else self._buses[name]
+
+    def send_frame(self, can_id: int, payload: bytes, *, bus: int = 0, fd: bool = False) -> Frames:
+        """Send one frame now; returns the frames that the gateway sends upon it.
+
+        Args:
+            can_id: identifier, with EXTENDED for one of 29 bits.
+            payload: at most 8 bytes, with CAN FD 64.
+            bus: index of the bus.
+            fd: whether it is a CAN FD frame.
+        """
+        frames = empty(1)
+        put(frames, 0, max(self._now_ns, 1), can_id, payload, bus=bus, flags=FD if fd else 0)
+        return self._feed(frames)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass [s]."""
+        self.run_until(self.now_s + seconds)
+
+    def run_until(self, t_s: float) -> None:
+        """Let time pass until the clock shows a time [s]; one that has passed is no error.
+
+        Raises:
+            GatewayError: a virtual ECU has no frames for so long.
+        """
+        end = round(t_s * 1e9)
+        while self._now_ns < end:
+            self.step(min(STEP_NS, end - self._now_ns))
+
+    def step(self, step_ns: int = _FINE_NS) -> Frames:
+        """Let a short time pass [ns]; returns the frames that the gateway sends meanwhile.
+
+        Raises:
+            GatewayError: a virtual ECU has no frames for so long.
+        """
+        until = self._now_ns + step_ns
+        parts = [empty(0)]
+        for sender in self._senders:
+            if until > sender.until_ns:
+                text = f"virtual ECU {sender.name!r} sends until {sender.until_ns / 1e9:g} s only: give it a duration_s"
+                raise GatewayError(text)
+            last = int(np.searchsorted(sender.frames["t_ns"], until))
+            parts.append(sender.frames[sender.sent : last])
+            sender.sent = last
+        frames = np.concatenate(parts)
+        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        sent = [self._feed(frames)] if len(frames) else []
+        self._now_ns = until
+        sent += [self._told(self.gateway.advance(until)), self._told(self.gateway.poll(until))]
+        return np.concatenate(sent)
+
+    def _feed(self, frames: Frames) -> Frames:
+        self._told(frames)
+        return self._told(self.gateway.feed(frames))
+
+    def _told(self, frames: Frames) -> Frames:
+        if len(frames):
+            for listener in self._listeners:
+                listener(frames)
+        return frames
+
+    def close(self) -> None:
+        """End the operation cycle."""
+        try:
+            self.gateway.stop(self._now_ns)
+        finally:
+            self.gateway.close()

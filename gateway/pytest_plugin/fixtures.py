@@ -1,0 +1,73 @@
+"""The fixtures; each test has a bench of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from gateway.errors import GatewayError
+from gateway.pytest_plugin.bench import Bench
+from gateway.pytest_plugin.can_log import CanLog
+from gateway.pytest_plugin.dtcs import Dtcs
+from gateway.pytest_plugin.uds import client_of
+
+if TYPE_CHECKING:
+    from udsoncan.client import Client
+
+
+def _config_of(request: pytest.FixtureRequest) -> Path:
+    """Return the configuration that a test asks for: by the marker ``gateway``, else by the setting."""
+    marker = request.node.get_closest_marker("gateway")
+    if marker is not None and "config" in marker.kwargs:
+        return Path(request.path).parent / str(marker.kwargs["config"])
+    files: list[Path] = request.config.getini("gateway_config")
+    if not files:
+        pytest.fail("which configuration? Set gateway_config, or @pytest.mark.gateway(config=...)", pytrace=False)
+    return files[0]
+
+
+@pytest.fixture
+def gateway_bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """A gateway in this process, with a clock that the test moves: ``run``, ``run_until``, ``send``, ``events``."""
+    seed = request.config.getoption("--gateway-seed")
+    try:
+        bench = Bench(_config_of(request), 1 if seed is None else seed)
+    except GatewayError as error:
+        pytest.fail(str(error), pytrace=False)
+    request.node.user_properties.append(("seed", 1 if seed is None else seed))
+    yield bench
+    bench.close()
+
+
+@pytest.fixture
+def virtual_ecu(gateway_bench: Bench) -> Callable[..., str]:
+    """Switches on a virtual ECU: ``virtual_ecu("restbus", nodes=["A"], faults=[...], duration_s=60)``."""
+
+    def switch_on(type_: str, **keys: Any) -> str:
+        return gateway_bench.add(type_, **keys)
+
+    return switch_on
+
+
+@pytest.fixture
+def dtcs(gateway_bench: Bench) -> Dtcs:
+    """``dtcs.expect("P0336-29", by=4.5, healed_by=9.0)``, ``absent``, ``none``, ``failed``, ``seen``."""
+    return Dtcs(gateway_bench)
+
+
+@pytest.fixture
+def can_log(gateway_bench: Bench, tmp_path: Path) -> CanLog:
+    """All frames from here on: ``frames``, ``of("Message")``, ``write(path)``; a failed test leaves it as a file."""
+    return CanLog(gateway_bench, tmp_path / "can.log")
+
+
+@pytest.fixture
+def uds(gateway_bench: Bench) -> Client:
+    """A client of udsoncan for the gateway's UDS server."""
+    try:
+        return client_of(gateway_bench)
+    except GatewayError as error:
+        pytest.fail(str(error), pytrace=False)

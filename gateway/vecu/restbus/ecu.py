@@ -1,0 +1,262 @@
+"""Frames of all messages that a rest bus sends, protected by the kernels that check them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import EXTENDED, FD, Frames, empty
+from gateway.common.tomlfile import key_path
+from gateway.errors import InputError, named
+from gateway.signals.bits import mask_of
+from gateway.signals.columns import limits, put_column
+from gateway.signals.database import load_database
+from gateway.signals.protection.protection import ProtectionConst, Tables, fill, protect_all
+from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
+from gateway.vecu.contract import Run, Truth, VirtualEcu
+from gateway.vecu.restbus.courses import Course
+from gateway.vecu.restbus.faults import RestbusFault, faulty, on_wire, unprotect, window
+from gateway.vecu.restbus.params import RestbusParams
+from gateway.vecu.restbus.selection import Sent, sent
+from gateway.vecu.restbus.signals import Courses
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+    from cantools.database.can.signal import Signal
+
+Values = NDArray[np.float64]
+#: The golden ratio's part: messages of one cycle begin spread over it, not all at once.
+_SPREAD = 0.6180339887498949
+
+
+class _Senders:
+    """Makes the frames of one message after the other.
+
+    Args:
+        params: of the ECU.
+        faults: of its signals and messages.
+        run: what is asked for.
+    """
+
+    def __init__(self, params: RestbusParams, faults: Sequence[RestbusFault], run: Run) -> None:
+        self._params, self._run = params, run
+        database = load_database(run.databases)
+        self.sent = sent(params, database)
+        names = {one.message.name: one for one in self.sent}
+        self._courses = Courses(params.signals, database, names)
+        self._faults = faults
+        for fault in faults:
+            _check(fault, names)
+        refs = [
+            SignalRef(run.bus, one.message.name, signal.name)
+            for one in self.sent
+            for signal in one.message.signals
+            if signal.length <= 64
+        ]
+        self._plan: DecodePlan = compile_plan([(run.bus, database)], refs, messages=[(run.bus, name) for name in names])
+        self.truth: list[Truth] = []
+
+    def frames(self, place: int) -> Frames:
+        """Return the frames of one message.
+
+        Args:
+            place: of the message among those sent.
+        """
+        one = self.sent[place]
+        message, run = one.message, self._run
+        times = self._times(one.period_s, place * _SPREAD % 1.0)
+        mine = [fault for fault in self._faults if fault.target == message.name]
+        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+        fill(rows[0], one.protection, tables)
+        row, crcs = rows.view(np.recarray)[0], tables.array()
+        words = self._payloads(message, times, mine, row)
+        protect_all(words, np.full(len(times), message.length), row, crcs, 0)
+        for fault in mine:
+            if fault.kind in ("counter", "checksum"):
+                unprotect(fault, words, times, message.length, row, crcs)
+                self._note(fault, times)
+        frames = empty(len(times))
+        frames["t_ns"] = np.rint(times * 1e9)
+        frames["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        frames["bus"], frames["length"] = run.bus, message.length
+        frames["flags"] = FD if message.is_fd else 0
+        frames["data"] = words.view(np.uint8)
+        for fault in mine:
+            if fault.kind in ("lost", "late", "doubled", "short"):
+                frames, done = on_wire(fault, frames, run.rng)
+                self.truth += done
+        return frames
+
+    def _times(self, period_s: float, phase: float) -> Values:
+        """Return when the frames of a message are sent [s]."""
+        first = phase * min(period_s, self._run.duration_s)
+        times = first + np.arange(int((self._run.duration_s - first) / period_s) + 1) * period_s
+        times = times[times < self._run.duration_s]
+        if self._params.jitter_ms:
+            times = times + self._run.rng.normal(0.0, self._params.jitter_ms * 1e-3, len(times))
+        return np.sort(np.maximum(times, 0.0))
+
+    def _note(self, fault: RestbusFault, times: Values) -> None:
+        begin, end = window(fault, times)
+        if begin < end:
+            self.truth.append(Truth(round(times[begin] * 1e9), fault.kind, end - begin))
+
+    def _row(self, message: Message, signal: Signal) -> Any:
+        ref = SignalRef(self._run.bus, message.name, signal.name)
+        row = self._plan.message(self._run.bus, message.name)
+        return self._plan.signals[int(self._plan.messages["first"][row]) + self._plan.position(*ref)]
+
+    def _payloads(
+        self, message: Message, times: Values, faults: Sequence[RestbusFault], row: Any
+    ) -> NDArray[np.uint64]:
+        """Return payloads before their protection, shape (frames, 8), zero beyond the message's length.
+
+        Signals with a course or a fault are written last: in databases whose signals overlap they are what is sent.
+        """
+        owned = int.from_bytes(np.ascontiguousarray(row.owned).tobytes(), "little")
+        there: dict[str, NDArray[np.bool_]] = {}
+        columns: dict[str, Values] = {}
+        for signal in _parents_first(message):
+            columns[signal.name] = self._values(message, signal, times, faults, owned)
+            there[signal.name] = _carried(signal, message, columns, there, len(times))
+        words = np.zeros((len(times), 8), np.uint64)
+        asked = {name for name in columns if self._courses.given(f"{message.name}.{name}")}
+        asked |= {str(fault.signal).rpartition(".")[2] for fault in faults if fault.of_signal}
+        for signal in sorted(message.signals, key=lambda signal: (signal.name in asked, signal.is_multiplexer)):
+            if signal.name in columns:
+                put_column(words, self._row(message, signal), columns[signal.name], there[signal.name])
+        return words
+
+    def _values(
+        self, message: Message, signal: Signal, times: Values, faults: Sequence[RestbusFault], owned: int
+    ) -> Values:
+        """Return the values of a signal, faults in them.
+
+        Raises:
+            InputError: it cannot carry them, or its protection makes it.
+        """
+        name, row = f"{message.name}.{signal.name}", self._row(message, signal)
+        mine = [fault for fault in faults if fault.signal == name]
+        if not self._courses.given(name) and signal.is_multiplexer and not mine:
+            return self._turns(message, signal, len(times))
+        values = self._courses.at(name, times)
+        low, high = limits(row)
+        if self._courses.given(name):
+            key = key_path(("signals", name))
+            if mask_of(row) & owned:
+                raise InputError("the message's protection makes this signal", key=key, value=name)
+            slack = abs(float(row["scale"])) / 2
+            wrong = values[(values < low - slack) | (values > high + slack)]
+            if len(wrong):
+                raise InputError(f"it can carry {low:g} to {high:g}", key=key, value=float(wrong[0]))
+            noise = self._courses.noise(name)
+            if noise:
+                values = values + self._run.rng.normal(0.0, noise, len(values))
+        for fault in mine:
+            values = faulty(fault, values, times, _beyond(signal, low, high), self._run.rng)
+            self._note(fault, times)
+        return values
+
+    def _turns(self, message: Message, multiplexer: Signal, count: int) -> Values:
+        """Return a multiplexer's values: those that the database knows, one a frame, inner ones slower."""
+        every = {one.name: one for one in message.signals}
+        slower, outer = 1, multiplexer.multiplexer_signal
+        while outer is not None:
+            slower *= max(len(_ids(message, outer)), 1)
+            outer = every[outer].multiplexer_signal
+        ids = np.asarray(_ids(message, multiplexer.name) or [0], np.float64)
+        raw = ids[np.arange(count) // slower % len(ids)]
+        return np.asarray(raw * multiplexer.scale + multiplexer.offset, np.float64)
+
+
+def _ids(message: Message, multiplexer: str) -> list[int]:
+    """Return the values of a multiplexer that signals belong to."""
+    selected = [one for one in message.signals if one.multiplexer_signal == multiplexer]
+    return sorted({i for one in selected for i in one.multiplexer_ids or ()})
+
+
+def _parents_first(message: Message) -> list[Signal]:
+    """Return the signals of at most 64 bits, each multiplexer before what it selects."""
+    left = [signal for signal in message.signals if signal.length <= 64]
+    found: dict[str, Signal] = {}
+    while left:
+        ready = [one for one in left if one.multiplexer_signal is None or one.multiplexer_signal in found]
+        if not ready:
+            break  # of a multiplexer that cannot be sent
+        found |= {one.name: one for one in ready}
+        left = [one for one in left if one.name not in found]
+    return list(found.values())
+
+
+def _carried(
+    signal: Signal, message: Message, columns: dict[str, Values], there: dict[str, NDArray[np.bool_]], count: int
+) -> NDArray[np.bool_]:
+    """Return which frames carry a signal."""
+    if signal.multiplexer_signal is None:
+        return np.ones(count, np.bool_)
+    outer = message.get_signal_by_name(signal.multiplexer_signal)
+    raw = np.rint((columns[outer.name] - outer.offset) / outer.scale)
+    return there[outer.name] & np.isin(raw, signal.multiplexer_ids or [])
+
+
+def _beyond(signal: Signal, low: float, high: float) -> float | None:
+    """Return a value that a signal's bits carry and its range does not, None: there is none."""
+    if signal.maximum is not None and np.isfinite(high) and high > float(signal.maximum):
+        return high
+    return low if signal.minimum is not None and np.isfinite(low) and low < float(signal.minimum) else None
+
+
+def _check(fault: RestbusFault, sent: dict[str, Sent]) -> None:
+    """Refuse a fault of what is not sent.
+
+    Raises:
+        InputError: it names close ones.
+    """
+    key = "fault.signal" if fault.of_signal else "fault.message"
+    value = fault.signal if fault.of_signal else fault.message
+    one = sent.get(fault.target)
+    if one is None:
+        raise InputError(named("the messages sent are", fault.target, sent), key=key, value=value)
+    names = [signal.name for signal in one.message.signals]
+    name = str(fault.signal).rpartition(".")[2]
+    if fault.of_signal and name not in names:
+        raise InputError(named(f"the signals of {fault.target} are", name, names), key=key, value=value)
+
+
+def _frames(params: RestbusParams, faults: Sequence[RestbusFault], run: Run) -> tuple[Frames, list[Truth]]:
+    senders = _Senders(params, faults, run)
+    frames = np.concatenate([senders.frames(place) for place in range(len(senders.sent))])
+    senders.truth.sort(key=lambda fact: fact.t_ns)
+    return frames[np.argsort(frames["t_ns"], kind="stable")], senders.truth
+
+
+def _locate(params: RestbusParams, folder: Path, key: str) -> RestbusParams:
+    """Return parameters whose CSV files are those of the scenario's folder.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    signals = dict(params.signals)
+    for name, course in signals.items():
+        if isinstance(course, Course) and course.csv is not None:
+            file = folder / course.csv.file
+            if not file.is_file():
+                where = f"{key}.{key_path(('signals', name))}.csv.file"
+                raise InputError("there is no such file", key=where, value=str(course.csv.file))
+            signals[name] = course.model_copy(update={"csv": course.csv.model_copy(update={"file": file})})
+    return params.model_copy(update={"signals": signals})
+
+
+ECU = VirtualEcu(
+    type="restbus",
+    api=2,
+    params=RestbusParams,
+    fault=RestbusFault,
+    frames=_frames,
+    locate=_locate,
+    step_ns=1_000_000,
+)

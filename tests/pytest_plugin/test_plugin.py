@@ -1,0 +1,210 @@
+"""The plugin in a project of others: pytest runs it in a process of its own, in its own folder."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from junitparser import JUnitXml
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "battery_voltage"
+DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
+for _old, _new in (
+    ("duration_s = 20.0", "duration_s = 7.0"),
+    ("from_s = 5.0\nto_s = 10.0", "from_s = 1.0\nto_s = 3.0"),
+    ("after_s = 5.0\nby_s = 6.0\nhealed_by_s = 12.0", "after_s = 1.0\nby_s = 2.0\nhealed_by_s = 6.0"),
+):
+    assert _old in DRAINED
+    DRAINED = DRAINED.replace(_old, _new)
+BROKEN = DRAINED.replace("by_s = 2.0", "by_s = 1.1")
+INI = "[pytest]\ngateway_scenarios = scenarios\ngateway_config = gateway.toml\n"
+TESTS = """
+import pytest
+
+pytestmark = pytest.mark.requirement("SWR-1", "SWR-2")
+
+
+def battery(virtual_ecu, **more):
+    virtual_ecu("battery_ecu:ECU", volts=12.6, duration_s=20, **more)
+
+
+def test_drained(gateway_bench, virtual_ecu, dtcs, can_log):
+    battery(virtual_ecu, faults=[{"kind": "drained", "from_s": 5.0, "to_s": 10.0, "volts": 10.5}])
+    set_at = dtcs.expect("P0562-16", by=6.0, after=5.0, healed_by=12.0)
+    assert 5.0 < set_at < 6.0
+    assert dtcs.failed == []
+    dtcs.none(but=("P0562-16",))
+    times = [t for t, values in can_log.of("BATT") if values["Voltage"] < 11]
+    assert 5.0 <= min(times) and max(times) <= 10.1
+    assert gateway_bench.now_s < 12.0
+    assert [fact.kind for fact in gateway_bench.truth] == ["drained"]
+
+
+def test_its_clock_and_single_frames(gateway_bench, dtcs):
+    for _ in range(20):
+        gateway_bench.send("BATT", Voltage=12.5)
+        gateway_bench.run(0.1)
+    dtcs.none()
+    gateway_bench.run(0.3)
+    assert abs(gateway_bench.now_s - 2.3) < 1e-9
+    gateway_bench.run(0.5)
+    assert dtcs.failed == ["U0100-87"]
+
+
+def test_an_ecu_is_switched_off(gateway_bench, virtual_ecu, dtcs):
+    battery(virtual_ecu)
+    dtcs.none(until=2.0)
+    gateway_bench.switch_off("battery")
+    assert 2.3 < dtcs.expect("U0100-87", by=3.0) < 2.7
+
+
+def test_by_uds(gateway_bench, virtual_ecu, dtcs, uds):
+    battery(virtual_ecu, faults=[{"kind": "drained", "from_s": 1.0, "to_s": 9.0, "volts": 10.5}])
+    dtcs.expect("P0562-16", by=3.0)
+    answer = uds.get_dtc_by_status_mask(0x01)
+    assert [dtc.id for dtc in answer.service_data.dtcs] == [0x056216]
+    assert len(uds.get_supported_dtc().service_data.dtcs) > 1          # more than one frame
+    assert 3.0 < gateway_bench.now_s + 2.0 < 6.0
+"""
+FAILING = """
+def test_too_early(virtual_ecu, dtcs, can_log):
+    virtual_ecu("battery_ecu:ECU", volts=12.6, duration_s=20,
+                faults=[{"kind": "drained", "from_s": 5.0, "to_s": 10.0, "volts": 10.5}])
+    dtcs.expect("P0562-16", by=5.1)
+
+
+def test_heals(virtual_ecu, dtcs):
+    virtual_ecu("battery_ecu:ECU", volts=12.6, duration_s=20,
+                faults=[{"kind": "drained", "from_s": 5.0, "to_s": 10.0, "volts": 10.5}])
+    dtcs.expect("P0562-16", by=6.0, healed_by=9.0)
+
+
+def test_misspelt(dtcs):
+    dtcs.expect("P0562-17", by=1.0)
+
+
+def test_without_end(gateway_bench, virtual_ecu):
+    virtual_ecu("battery_ecu:ECU", duration_s=1)
+    gateway_bench.run(2.0)
+
+
+def test_misspelt_ecu(virtual_ecu):
+    virtual_ecu("restbuss")
+"""
+
+
+@pytest.fixture
+def project(tmp_path):
+    """Return the folder of a project with the example's battery."""
+    for name in ("battery.dbc", "battery_voltage.py", "battery_ecu.py", "gateway.toml"):
+        (tmp_path / name).write_text((EXAMPLE / name).read_text())
+    (tmp_path / "gateway.toml").write_text((tmp_path / "gateway.toml").read_text() + "[output.uds]\n")
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "pytest.ini").write_text(INI)
+    for name in ("battery_voltage.py", "battery_ecu.py"):  # those that a scenario's folder has beside it
+        (tmp_path / "scenarios" / name).write_text((EXAMPLE / name).read_text())
+    return tmp_path
+
+
+def run(folder, *arguments):
+    """Run pytest in a folder; returns exit code and what it printed."""
+    installed = any(e.value == "gateway_pytest" for e in importlib.metadata.entry_points(group="pytest11"))
+    door = [] if installed else ["-p", "gateway_pytest"]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST_", "GATEWAY_M", "GATEWAY_TESTS"))}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "pytest", *door, "-p", "no:cacheprovider", "-rA", *arguments]
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def properties(case):
+    return [(p.get("name"), p.get("value")) for p in case._elem.iter("property")]
+
+
+@pytest.mark.long
+def test_scenarios_and_fixtures(project):
+    (project / "scenarios" / "drained.toml").write_text(
+        DRAINED.replace("[[ecu]]", 'requirement = ["SWR-7"]\n[[ecu]]', 1)
+    )
+    (project / "tests" / "test_battery.py").write_text(TESTS)
+    code, said = run(project, "--junitxml=out.xml", "--strict-markers")
+    assert (code, "5 passed" in said) == (0, True), said
+    cases = {case.name: case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite}
+    assert len(cases) == 5
+    told = properties(cases["drained"])
+    assert ("requirement", "SWR-7") in told
+    assert ("seed", "1") in told
+    assert any(name == "verdict" and value.startswith("P0562-16 set at 1.") for name, value in told)
+    assert [p for p in properties(cases["test_drained"]) if p[0] == "requirement"] == [
+        ("requirement", "SWR-1"),
+        ("requirement", "SWR-2"),
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_a_broken_scenario_fails(project, workers):
+    (project / "scenarios" / "broken.toml").write_text(BROKEN)
+    (project / "scenarios" / "misspelt.toml").write_text(DRAINED.replace("battery_ecu:ECU", "battery_ec:ECU"))
+    (project / "scenarios" / "settings.toml").write_text('name = "no scenario"\n')
+    code, said = run(project, "-n", workers, "--junitxml=out.xml")
+    assert (code, "2 failed" in said) == (1, True), said
+    assert "NOT as expected: P0562-16 not set by 1.1 s, but at 1." in said
+    assert "as expected: P0562-16 healed" not in said.split("seed 1")[0].split("NOT as expected")[0]
+    cases = {case.name: case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite}
+    assert cases.keys() == {"broken", "misspelt"}
+    assert "P0562-16 not set by 1.1 s, but at 1." in cases["broken"].result[0].text
+    assert "misspelt.toml: ecu[0].type" in cases["misspelt"].result[0].text
+    assert "Traceback" not in said
+
+
+@pytest.mark.long
+def test_what_fails_says_what_was_seen(project):
+    (project / "tests" / "test_battery.py").write_text(FAILING)
+    code, said = run(project)
+    assert (code, "5 failed" in said) == (1, True), said
+    for text in (
+        "P0562-16 not set by 5.1 s (set so far: none; now 5.100 s)",
+        "P0562-16 not healed by 9.0 s, set at 5.",
+        "did you mean P0563-17 or P0562-16?",
+        "virtual ECU 'battery' sends until 1 s only: give it a duration_s",
+        "did you mean restbus?",
+        "can.log",
+    ):
+        assert text in said, text
+    assert "gateway/pytest_plugin/" not in said  # the way through our own code helps nobody
+    [log] = [line for line in said.splitlines() if line.strip().endswith("can.log")]
+    assert Path(log.strip()).stat().st_size > 1000
+
+
+def test_who_does_not_ask_gets_nothing(project):
+    (project / "pytest.ini").write_text("[pytest]\n")
+    (project / "scenarios" / "broken.toml").write_text(BROKEN)
+    (project / "tests" / "test_plain.py").write_text(
+        "import sys\n\ndef test_nothing(request):\n"
+        "    assert not [name for name in sys.modules if name.split('.')[0] in ('gateway', 'cantools', 'numpy')]\n"
+        "    assert request.config.pluginmanager.get_plugin('gateway.pytest_plugin.plugin') is None\n"
+        "    with __import__('pytest').raises(Exception, match='gateway_bench'):\n"
+        "        request.getfixturevalue('gateway_bench')\n"
+    )
+    code, said = run(project)
+    assert (code, "1 passed" in said) == (0, True), said
+
+
+def test_a_folder_that_is_not_there_is_told(project):
+    (project / "pytest.ini").write_text("[pytest]\ngateway_scenarios = scenaros\n")
+    code, said = run(project)
+    assert (code, "gateway_scenarios: no such folder" in said) == (4, True), said
+
+
+def test_the_door_is_an_entry_point():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert project["project"]["entry-points"]["pytest11"] == {"gateway": "gateway_pytest"}
+    assert "gateway_pytest" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
