@@ -10,11 +10,11 @@ from collections import Counter
 import pytest
 from amount import amount
 from grammar import CONFIG, MESSAGES, Grammar, Traffic
+from recorded_wire import Wire, dissect, write_pcap
 from rig import REQUEST, RESPONSE, Tester, write_config
 from test_authentication import a_tester, certificates, field, signed
 from test_j1939 import coded, pgn_id
 from uds_tester import DIDS, hexed
-from wire import Wire, dissect, write_pcap
 
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services import SERVICES

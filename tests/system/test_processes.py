@@ -89,7 +89,7 @@ def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):
         (("check", "bad.toml"), "bus[0].foo: unknown key"),
         (("replay", "bad.log"), "bad.log:1"),
         (("replay", "none.blf"), "none.blf"),
-        (("simulate", "nosuch"), "shipped: crank_"),
+        (("simulate", "nosuch"), "shipped: battery_"),
         (("demo", "nosuch.toml"), "nosuch.toml"),
         (("bus", "10.0.0.1:5"), "stays on this machine"),
         (("run", "--bus", "nonsense:x"), "no such kind of bus"),

@@ -31,6 +31,8 @@ from gateway.jit import Record, f8, f8s, i4, kernel, u1
 ODDS, UNIQUE = 12.0, 4.0
 #: Most that one contrast counts (a pulse missed or added is about so far off), least variance of a contrast.
 MOST, LEAST_VARIANCE = 0.5, 0.05**2
+#: A contrast that is not known, because one of its intervals is not.
+UNKNOWN = 1e9
 #: The gap is where it is expected when the square of its ratio is right within this factor.
 RIGHT = 1.65
 #: A gap whose squared ratio to its neighbours is less than this is no mark of its own.
@@ -150,7 +152,7 @@ def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
 
 @kernel
 def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
-    """Return S of a shift; the contrasts are in ``logs``, that of the interval k pulses ago at k, NaN: not known."""
+    """Return S of a shift; the contrasts are in ``logs``, that of the interval k pulses ago at k."""
     total = 0.0
     slot = index - 2 + shift
     while slot < 0:
@@ -159,7 +161,7 @@ def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
         slot -= pulses
     for k in range(1, pulses - 1):
         d = an.logs[k] - c.contrast[slot]
-        if d == d:  # noqa: PLR0124 - NaN: not known
+        if d < UNKNOWN:
             total += min(d * d, MOST)
         slot = slot - 1 if slot > 0 else pulses - 1
     return total
@@ -179,7 +181,7 @@ def contrasts(an: State, pulses: int) -> int:
             an.logs[k] = log(y1) - 0.5 * (log(y0) + log(y2))
             known += 1
         else:
-            an.logs[k] = np.nan
+            an.logs[k] = UNKNOWN
     return known
 
 
@@ -189,7 +191,7 @@ def plain(an: State, pulses: int) -> float:
     total = 0.0
     for k in range(1, pulses - 1):
         d = an.logs[k]
-        if d == d:  # noqa: PLR0124 - NaN: not known
+        if d < UNKNOWN:
             total += min(d * d, MOST)
     return total
 

@@ -107,7 +107,7 @@ def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
     largest = 0.0
     for k in range(1, pulses - 1):
         d = an.logs[k]
-        if d == d:  # noqa: PLR0124 - NaN: not known
+        if d < anchor.UNKNOWN:
             largest = max(largest, abs(d))
     beside = AGAINST if _even(an, pulses, known, _hidden_by(c)) else UNDECIDED
     if largest < LEVEL * c.largest:
@@ -136,7 +136,7 @@ def _even(an: anchor.State, pulses: int, known: int, rms: float) -> bool:
     """
     small = 0
     for k in range(1, pulses - 1):
-        if abs(an.logs[k]) < rms:  # not for NaN
+        if abs(an.logs[k]) < rms:
             small += 1
     return bool(small > EVEN * known)
 

@@ -30,6 +30,8 @@ from gateway.monitors.truck.records import (
 QUIET = 20.0
 #: T_norm of a test that may fire.
 ON_ITS_WAY = 0.5
+#: Sets for which a fault that may be named soon is not told as one that is not isolated.
+PENDING = 500
 #: Sets between two reports of the same.
 REPEAT = 100
 #: Largest T_norm that the message can carry.
@@ -94,9 +96,13 @@ def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     # that comes down for want of use is not forgotten, nor a single one's.
     known = s.seen if c.system == ROBUST and fired != 0 else fired
     s.found = isolation.isolated(c.isolation, known)
-    if s.found >= 0 and s.found != s.named and not _settled(s, c):
+    waits = s.found >= 0 and s.found != s.named and not _settled(s, c)
+    s.pending = s.pending + 1 if waits else 0
+    if waits:
         s.found = -1  # a second fault's tests may be on their way
-    changed = changed or s.found != s.named
+    unisolated = fired != 0 and s.found < 0 and not 0 < s.pending < PENDING
+    changed = changed or s.found != s.named or unisolated != (s.unisolated == 1)
+    s.unisolated = unisolated
     s.named = s.found
     s.explained = isolation.candidates(c.isolation, known)
     s.reported += 1
@@ -107,7 +113,7 @@ def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     for place in range(len(s.level)):
         largest = max(largest, s.level[place])
     for k in range(UNISOLATED + 1):
-        failed = k == s.found if k < UNISOLATED else fired != 0 and s.found < 0
+        failed = k == s.found if k < UNISOLATED else unisolated
         e = report(out, k, failed, largest, 1.0)
         if failed:
             for j in range(c.tests):
@@ -124,5 +130,5 @@ def tell(s: State, out: Out[Evidence, Outputs]) -> None:
     for place in range(len(s.level)):
         out.values.level[place] = min(s.level[place], _SHOWN)
     out.values.fired = s.fired
-    out.values.diagnosis = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.fired else 0)
+    out.values.diagnosis = s.found + 1 if s.found >= 0 else (UNISOLATED + 1 if s.unisolated else 0)
     out.values.valid = s.valid

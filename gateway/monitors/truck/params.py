@@ -148,9 +148,10 @@ class Params(MonitorParams):
     nu: Levels = Levels()
     thresholds: Thresholds = Thresholds()
     observer: Observer = Observer()
-    follow: Following | None = Field(
+    follow: Following | Literal[False] | None = Field(
         None,
-        description="warmth and age of machine and battery, within bounds; default: with RDS as given there, else not",
+        description="warmth and age of machine and battery, within bounds; false: not; default: with RDS as given"
+        " there, else not",
     )
     settle_s: float = Field(
         0.5,
@@ -164,7 +165,9 @@ class Params(MonitorParams):
 
     @property
     def followed(self) -> Following | None:
-        """What is followed, own or default."""
+        """What is followed, own or default; None: nothing."""
+        if self.follow is False:
+            return None
         return self.follow if self.follow is not None or self.system != "RDS" else Following()
 
     tables: dict[Literal["f_1", "f_2", "f_3"], Table] = Field(

@@ -11,7 +11,7 @@ from gateway.errors import InputError, nearest
 from gateway.fdi import cusum
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
-from gateway.jit import Record, f8, f8s, i8
+from gateway.jit import Record, f8, f8s, i8, u1
 from gateway.monitors.truck import blanking, collection, dynamic, excitation, gate, isolation, observer, slow
 from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
 from gateway.monitors.truck.params import QUANTITIES, Params
@@ -80,11 +80,11 @@ class State(Record):
     with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
     ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
     ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``apart``: sets of which not all frames
-    came; ``counter``, ``taken_ns``: of the last set that was taken; ``machine``, ``battery``: what is followed of them,
-    and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``settled``: use of the machine since a test fired
-    last [s]; ``named``: the fault that was reported last; ``seen``: tests that have fired since all were quiet, as
-    bits; ``doubts``: of the residuals that wait in ``blanking``; ``machine_waited``, ``battery_waited``: time since
-    they were followed [s].
+    came; ``counter``, ``taken_ns``: of the last set that was taken; ``machine``, ``battery``: what is followed of
+    them, and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``pending``: sets for which a name has
+    waited; ``unisolated``: that is told; ``settled``: use of the machine since a test fired last [s]; ``named``: the
+    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``doubts``: of the
+    residuals that wait in ``blanking``; ``machine_waited``, ``battery_waited``: time since they were followed [s].
     """
 
     sets: i8
@@ -121,6 +121,8 @@ class State(Record):
     machine_waited: f8
     battery_waited: f8
     settled: f8
+    pending: i8
+    unisolated: u1
     named: i8
     seen: i8
     t1: t1.State

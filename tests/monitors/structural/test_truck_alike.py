@@ -50,7 +50,7 @@ def configuration(folder):
     path.write_text(
         f'[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["{shipped("dbc/truck.dbc")}"]\n'
         f'health = {{ watched = false }}\n[memory]\npath = "{folder}/faults.sqlite"\n'
-        '[[monitor]]\nname = "by_hand"\ntype = "hybrid_powertrain"\n'
+        '[[monitor]]\nname = "by_hand"\ntype = "hybrid_powertrain"\nfollow = false\n'
         f'[[monitor]]\nname = "own"\ntype = "structural"\nmodel = "truck.toml"\nsample = "set"\ntests = {list(TESTS)}\n'
         f"signals = {{ {signals} }}\n"
     )
