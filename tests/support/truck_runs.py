@@ -13,7 +13,16 @@ from gateway.vecu.truck.ecu import frames_of
 from gateway.vecu.truck.params import TruckFault, TruckParams
 
 TRUCK = TruckParams(type="truck")
-CONFIG = load_config(shipped("configs/truck.toml"))
+
+
+def _shipped():
+    """The shipped configuration, but with the monitor as it is by default: it follows warmth and age."""
+    config = load_config(shipped("configs/truck.toml"))
+    (entry,) = config.monitor
+    return config.model_copy(update={"monitor": (entry.model_copy(update={"follow": None, "observer": {}}),)})
+
+
+CONFIG = _shipped()
 UNISOLATED = "P1A1F-62"
 NAMES = (*(name for name, _, _ in QUANTITIES), "T7")
 
