@@ -80,7 +80,8 @@ class PageProcess:
     def __init__(self, status: Path, port: int, *, open_page: bool = False) -> None:
         need("serve", "pages", key="--serve")
         program = "from gateway.cli import main; main()"
-        command = [sys.executable, "-c", program, "serve", "--status", str(status), "--port", str(port)]
+        # -P: a folder "gateway" where it is started is not this package.
+        command = [sys.executable, "-P", "-c", program, "serve", "--status", str(status), "--port", str(port)]
         command += ["--parent", str(os.getpid()), *(["--open"] if open_page else [])]
         self._ending = False
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)  # noqa: S603 - our own command
