@@ -181,6 +181,23 @@ class Fault:
     at: float
 
 
+def _spoil(column, fault, time, rng):
+    """Put a fault into the samples of an input or output, in place."""
+    on = time >= fault.at
+    if fault.kind == "offset":
+        column[on] += fault.size
+    elif fault.kind == "drift":
+        column[on] += fault.size * (time[on] - fault.at)
+    elif fault.kind == "gain":
+        column[on] *= fault.size
+    elif fault.kind == "stuck":
+        column[on] = column[np.argmax(on)]
+    elif fault.kind == "noise":
+        column[on] += rng.normal(0.0, fault.size, on.sum())
+    else:
+        raise ValueError(fault.kind)
+
+
 def simulate(plant, seconds, rng, faults=()):
     """Return outputs as sensors read them, and commands as told, sample by sample."""
     a, b = plant.true
@@ -196,17 +213,7 @@ def simulate(plant, seconds, rng, faults=()):
     time = np.arange(samples) * plant.period
     for fault in faults:
         if fault.part in plant.inputs:
-            i, on = plant.inputs.index(fault.part), time >= fault.at
-            if fault.kind == "offset":
-                acts[on, i] += fault.size
-            elif fault.kind == "drift":
-                acts[on, i] += fault.size * (time[on] - fault.at)
-            elif fault.kind == "gain":
-                acts[on, i] *= fault.size
-            elif fault.kind == "stuck":
-                acts[on, i] = acts[np.argmax(on), i]
-            else:
-                raise ValueError(fault.kind)
+            _spoil(acts[:, plant.inputs.index(fault.part)], fault, time, rng)
     w = rng.normal(0.0, 1.0, (samples, n)) * plant.state_noise * np.sqrt(plant.period)
     push = acts @ gamma.T + w
     x, states = np.zeros(n), np.empty((samples, n))
@@ -216,17 +223,5 @@ def simulate(plant, seconds, rng, faults=()):
     y = states @ plant.c.T + rng.normal(0.0, 1.0, (samples, len(plant.c))) * plant.noise
     for fault in faults:
         if fault.part in plant.outputs:
-            j, on = plant.outputs.index(fault.part), time >= fault.at
-            if fault.kind == "offset":
-                y[on, j] += fault.size
-            elif fault.kind == "drift":
-                y[on, j] += fault.size * (time[on] - fault.at)
-            elif fault.kind == "gain":
-                y[on, j] *= fault.size
-            elif fault.kind == "stuck":
-                y[on, j] = y[np.argmax(on), j]
-            elif fault.kind == "noise":
-                y[on, j] += rng.normal(0.0, fault.size, on.sum())
-            else:
-                raise ValueError(fault.kind)
+            _spoil(y[:, plant.outputs.index(fault.part)], fault, time, rng)
     return y, u
