@@ -18,6 +18,7 @@ from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
 from gateway.engine.gate import WatchConst, WatchState
 from gateway.engine.tables import NEVER, ClockState, HandlerState, VectorState
+from gateway.engine.timers import note_all
 from gateway.jit import Record
 from gateway.signals.tables import SignalRef
 
@@ -33,7 +34,6 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
     """
     clock = new.tables.clock[0]
     _take(clock, old.tables.clock[0], ClockState)
-    clock["deadline_ns"] = clock["now_ns"]  # a lower bound: the next pass looks for the real one
     _signals(new, old, buses)
     _messages(new, old, buses)
     _monitors(new, old, buses)
@@ -45,6 +45,7 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
             new.tables.buckets[k] = old.tables.buckets[places[slot.id]]
     _health(new, old, buses)
     _cycles(new, old, buses, cycles)
+    note_all(new.tables)
 
 
 def _take(target: Any, source: Any, state: type[Record], const: type[Record] | None = None) -> bool:

@@ -32,6 +32,7 @@ from gateway.engine.tables import (
     Vector,
     table,
 )
+from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
 from gateway.errors import InputError, named
 from gateway.monitors.conformance import checked_emission, checked_faults
@@ -322,7 +323,9 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
     outbox, outbox_cells = emission.outbox()
     out, clock = table(1, RESULTS), table(1, Clock)
     clock[0]["deadline_ns"] = NEVER
-    clock[0]["timed"] = bool(verdicts.debounces["timed"].any())
+    timers, heap = timers_of(
+        [(CHECK, others["checks"]), (HANDLER, made.rows), (DEBOUNCE, verdicts.debounces), (HEALTH, others["health"])]
+    )
     return Tables(
         keys=plan.keys,
         rows=plan.rows,
@@ -349,6 +352,8 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         outbox=outbox,
         outbox_cells=outbox_cells,
         reports=table(MOST_REPORTS, Report),
+        timers=timers,
+        heap=heap,
         clock=clock,
         **others,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gateway.engine.tables import Tables
+from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH
 from gateway.monitors.contract import RESULTS
 
 
@@ -30,6 +31,12 @@ def assert_consistent(t: Tables) -> None:
     assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
     assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
     assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
+    assert len(t.timers) == len(t.heap) > 0
+    assert (t.timers["place"][t.heap] == range(len(t.heap))).all()
+    for kind, owners in ((CHECK, t.checks), (HANDLER, t.handlers), (DEBOUNCE, t.debounces), (HEALTH, t.health)):
+        mine = t.timers[t.timers["kind"] == kind]
+        assert (mine["index"] < len(owners)).all()
+        assert (t.timers["index"][owners["timer"][mine["index"]]] == mine["index"]).all()
     assert len(t.buckets) in (0, faults)
     assert t.values.shape == t.present.shape
     assert t.out.itemsize == RESULTS.itemsize

@@ -27,6 +27,7 @@ class DebouncePlace(Record):
     """Places in other tables, and settings that the state does not depend on."""
 
     trigger: i8 = means("counter at which the freeze frame is wanted; 0: never")
+    timer: i4 = means("of a debounce by time; -1: it counts results")
     cycle: i4 = means("operation cycle; -1: the gateway's run")
     first_condition: i4
     conditions: i4

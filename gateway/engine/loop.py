@@ -35,6 +35,7 @@ from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
 from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
 from gateway.engine.tables import NEVER
+from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel
 from gateway.monitors.contract import FAILED, TIMER
 from gateway.signals.decode import (
@@ -89,7 +90,7 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     h.tested = 1
     h.wake_ns = out.wake_ns if out.wake_ns > 0 else NEVER
     clock = T.clock[0]
-    clock.deadline_ns = min(clock.deadline_ns, h.wake_ns)
+    arm(T, h.timer, h.wake_ns)
     clock.results_lost += out.overflow
     if out.send == 1 and h.emit >= 0:
         emit(T, t_ns, T.emits[h.emit])
@@ -122,38 +123,27 @@ def advance_time_debounce(T: Any, due: int, fault: int) -> None:
 @kernel
 def run_timers(T: Any, t_ns: int) -> None:
     """Run every timer due at or before ``t_ns``, in order of deadline, each at its own time."""
-    clock = T.clock[0]
-    while clock.deadline_ns <= t_ns:
-        due, check, handler, fault, bus = NEVER, -1, -1, -1, -1
-        for k in range(T.checks.shape[0]):
-            if T.checks[k].deadline_ns < due:
-                due, check = T.checks[k].deadline_ns, k
-        for k in range(T.handlers.shape[0]):
-            if T.handlers[k].wake_ns < due:
-                due, check, handler = T.handlers[k].wake_ns, -1, k
-        if clock.timed == 1:
-            for k in range(T.debounces.shape[0]):
-                if T.debounces[k].deadline_ns < due:
-                    due, check, handler, fault = T.debounces[k].deadline_ns, -1, -1, k
-        for k in range(T.health.shape[0]):
-            if T.health[k].deadline_ns < due:
-                due, bus = T.health[k].deadline_ns, k
-        clock.deadline_ns = due
-        if due > t_ns:
+    while True:
+        timer = next_due(T, t_ns)
+        if timer < 0:
             return
-        if bus >= 0:
-            on_timer(T.health[bus], due)
-            report_bus_results(T, due, T.health[bus])
-            skip_settled_windows(T, t_ns, T.health[bus])
-        elif fault >= 0:
-            advance_time_debounce(T, due, fault)
-        elif check >= 0:
-            report_timeout(T, due, T.checks[check])
-            skip_settled_timeouts(T, t_ns, T.checks[check])
-        else:
-            h = T.handlers[handler]
+        t = T.timers[timer]
+        due, index = t.noted_ns, t.index
+        if t.kind == CHECK:
+            report_timeout(T, due, T.checks[index])
+            skip_settled_timeouts(T, t_ns, T.checks[index])
+        elif t.kind == HANDLER:
+            h = T.handlers[index]
             h.wake_ns = NEVER
             step(T, due, TIMER, h)
+        elif t.kind == DEBOUNCE:
+            advance_time_debounce(T, due, index)
+        else:
+            h = T.health[index]
+            on_timer(h, due)
+            report_bus_results(T, due, h)
+            skip_settled_windows(T, t_ns, h)
+        put_right(T, timer)
 
 
 @kernel
@@ -244,10 +234,10 @@ def advance(T: Any, t_ns: int) -> None:
             c = T.checks[k]
             if c.timeout_ns > 0:
                 c.deadline_ns = t_ns + c.timeout_ns
-                clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+                arm(T, c.timer, c.deadline_ns)
         own = T.health[T.health.shape[0] - 1]
         watch_clock(own, t_ns)
-        clock.deadline_ns = min(clock.deadline_ns, own.deadline_ns)
+        arm(T, own.timer, own.deadline_ns)
     if t_ns > clock.now_ns:
         if clock.deadline_ns <= t_ns:
             run_timers(T, t_ns)

@@ -13,6 +13,7 @@ from gateway.engine.debounce import (
 )
 from gateway.engine.events import RESULT_CHANGED
 from gateway.engine.gate import closed
+from gateway.engine.timers import arm
 from gateway.jit import kernel
 from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
 
@@ -77,8 +78,7 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
     note(T, t_ns, fault, failed, value, limit)
     if d.timed == 1:
         kind = report_time_based(d, t_ns, result)
-        clock = T.clock[0]
-        clock.deadline_ns = min(clock.deadline_ns, d.deadline_ns)
+        arm(T, d.timer, d.deadline_ns)
     else:
         kind = report_counter_based(d, result)
     if kind == 0:

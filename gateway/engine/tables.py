@@ -61,6 +61,7 @@ class HandlerPlace(Record):
     fault: i4
     faults: i4
     emit: i4 = means("the message that it sends; -1: none")
+    timer: i4 = means("that wakes it")
     bus: u1
 
 
@@ -94,7 +95,6 @@ class ClockPass(Record):
     """
 
     stop: u1
-    timed: u1 = means("whether a fault is debounced by time")
     held: u1 = means("whether test results do not count at present")
     reported: i8 = means("results of the gateway itself that wait")
     events: i8
@@ -144,6 +144,7 @@ class Tables(NamedTuple):
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
+    Timers: a row for each, and the ``heap`` of their numbers (see engine.timers).
     Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
@@ -181,6 +182,8 @@ class Tables(NamedTuple):
     ring: NDArray[np.void]
     health: NDArray[np.void]
     reports: NDArray[np.void]
+    timers: NDArray[np.void]
+    heap: NDArray[np.int32]
     clock: NDArray[np.void]
 
 

@@ -130,6 +130,7 @@ class HealthPlace(Record):
     """Places in other tables, and settings that the state does not depend on."""
 
     fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means("the engine's index of each fault; -1: not judged")
+    timer: i4
     most: i8
     window_ns: i8 = means(unit="ns")
 

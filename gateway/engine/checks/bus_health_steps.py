@@ -11,6 +11,7 @@ from gateway.engine.checks.bus_health import note, note_step
 from gateway.engine.checks.communication_steps import restart_supervision
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
+from gateway.engine.timers import arm
 from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
 
@@ -41,7 +42,7 @@ def on_step(T: Any, t_ns: int, step_us: int) -> None:
     if h.fault[STEP_FAULT] >= 0:
         note_step(h, t_ns, step_us * 1e-6, clock.clock_steps)
         report_bus_results(T, t_ns, h)
-        clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
+        arm(T, h.timer, h.deadline_ns)
 
 
 @kernel
@@ -71,4 +72,4 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
     if condition in (LOSS, RUNNING):
         restart_supervision(T, t_ns, bus, condition)
     report_bus_results(T, t_ns, h)
-    clock.deadline_ns = min(clock.deadline_ns, h.deadline_ns)
+    arm(T, h.timer, h.deadline_ns)

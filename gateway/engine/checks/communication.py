@@ -133,6 +133,7 @@ class CheckPlace(Record):
 
     fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
     presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
+    timer: i4
     bus: u1
 
 

@@ -20,6 +20,7 @@ from gateway.engine.checks.communication import (
     VALUE,
 )
 from gateway.engine.results import report_result, store_evidence
+from gateway.engine.timers import arm
 from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
@@ -68,7 +69,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         if condition == RUNNING and c.timeout_ns > 0:
             c.deadline_ns = t_ns + c.timeout_ns
             c.silent_ns = 0
-            T.clock[0].deadline_ns = min(T.clock[0].deadline_ns, c.deadline_ns)
+            arm(T, c.timer, c.deadline_ns)
 
 
 @kernel
@@ -224,11 +225,10 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         status: of the decoder.
         bad: place of a signal that carries no value, -1: none.
     """
-    clock = T.clock[0]
     if c.timeout_ns > 0:
         c.deadline_ns = t_ns + c.timeout_ns
         c.silent_ns = 0
-        clock.deadline_ns = min(clock.deadline_ns, c.deadline_ns)
+        arm(T, c.timer, c.deadline_ns)
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
         place = report_result(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
