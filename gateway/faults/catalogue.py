@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
@@ -134,10 +135,11 @@ class Catalogue:
     def __init__(self, definitions: Iterable[FaultDefinition]) -> None:
         self._all = tuple(definitions)
         self._by_id = {definition.id: definition for definition in self._all}
+        names = Counter(definition.id for definition in self._all)
         wrong = [
-            InputError("two faults have this id", key="fault", value=definition.id)
-            for k, definition in enumerate(self._all)
-            if definition.id in (other.id for other in self._all[:k])
+            InputError("two faults have this id", key="fault", value=name)
+            for name, count in names.items()
+            for _ in range(count - 1)
         ]
         by_dtc: dict[Dtc, FaultDefinition] = {}
         by_spn: dict[tuple[int, int | None], FaultDefinition] = {}

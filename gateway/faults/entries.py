@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
@@ -37,6 +38,14 @@ class DtcChange:
         return bool((int(self.old_status) ^ int(self.new_status)) & _TOLD)
 
 
+class DtcStatus(NamedTuple):
+    """A DTC with its status byte, as lists have it; cheap, for catalogues of ten thousand faults."""
+
+    dtc: int
+    fault: str
+    status: int
+
+
 @dataclass(frozen=True)
 class Entry:
     """What the memory knows of one DTC, for readers."""
@@ -54,6 +63,11 @@ class Entry:
     aged_cycles: int
     peak_fdc: int
     near_misses: int
+
+    @property
+    def listed(self) -> DtcStatus:
+        """The entry as lists have it."""
+        return DtcStatus(self.dtc.value, self.fault, int(self.status))
 
 
 #: Fields that an entry has as its record keeps them.

@@ -101,6 +101,7 @@ class EventMemory:
     def _note_failure(self, record: Record, failure: Failure) -> None:
         sequence = self._held.next_in_order()
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
+        self._held.touch(record.id)
         record.first_ns = failure.t_ns if record.first_ns is None else record.first_ns
         record.last_ns = failure.t_ns
         record.first_failed = sequence if record.first_failed is None else record.first_failed
@@ -112,7 +113,7 @@ class EventMemory:
 
     def stored(self) -> list[Record]:
         """Return the records that have an entry."""
-        return [record for record in self._held.records.values() if record.occurrence]
+        return self._held.failed()
 
     def _has_room(self) -> bool:
         return self._size is None or len(self.stored()) < self._size

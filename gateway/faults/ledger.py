@@ -31,6 +31,10 @@ def _copy(record: Record) -> Record:
     return made
 
 
+def _with_entry(records: Mapping[str, Record], faults: Iterable[str]) -> list[Record]:
+    return [record for record in (records[fault] for fault in faults) if record.occurrence]
+
+
 def _joined(first: Changes, then: Changes) -> Changes:
     """Return earlier changes together with later ones, which win."""
     return Changes(
@@ -92,6 +96,7 @@ class Ledger:
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
         self._stored = {fault: _copy(record) for fault, record in self.records.items()}
+        self._failed = {record.id for record in self._stored.values() if record.occurrence}
         self._stored_permanent = self._permanent.all()
         self._write: _Write | None = None
 
@@ -99,6 +104,7 @@ class Ledger:
         """Go on with what another ledger of the same store holds, written or not."""
         old.join()
         self._stored.update(old._stored)
+        self._failed |= old._failed
         self._stored_permanent = old._stored_permanent
         self.records.update(old.records)
         self.cycles.update(old.cycles)
@@ -118,6 +124,7 @@ class Ledger:
         """Add the record of a fault that the store does not know; it is written when it changes."""
         self.records[record.id] = record
         self._stored[record.id] = _copy(record)
+        self._note_failed([record])
 
     def touch(self, fault: str) -> None:
         """Note that a record has changed."""
@@ -213,6 +220,22 @@ class Ledger:
         """Records as last written; while nothing can be written, as they are."""
         return self.records if self.outage.reason else self._stored
 
+    def shown_failed(self) -> list[Record]:
+        """Return those of :attr:`shown` that have failed since they were cleared; in no order."""
+        return self.failed() if self.outage.reason else _with_entry(self._stored, self._failed)
+
+    def failed(self) -> list[Record]:
+        """Return the records that have failed since they were cleared, as they are; in no order."""
+        under_way = () if self._write is None else (record.id for record in self._write.changes.records)
+        return _with_entry(self.records, self._failed.union(self._dirty, under_way))
+
+    def _note_failed(self, stored: Iterable[Record]) -> None:
+        for record in stored:
+            if record.occurrence:
+                self._failed.add(record.id)
+            else:
+                self._failed.discard(record.id)
+
     @property
     def shown_permanent(self) -> list[Permanent]:
         """The permanent DTCs as last written, or as they are; the oldest first."""
@@ -280,6 +303,7 @@ class Ledger:
     def _show(self, changes: Changes, permanent: list[Permanent]) -> None:
         self.commits += 1
         self._stored.update({record.id: record for record in changes.records})
+        self._note_failed(changes.records)
         self._stored_permanent = permanent
 
     def _start_anew(self) -> None:

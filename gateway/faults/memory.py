@@ -95,6 +95,7 @@ class FaultMemory(Readable):
                 view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored"))
+        self._put_in_order()
 
     def succeed(self, old: FaultMemory) -> None:
         """Go on with what another memory of the same store knows, written or not."""

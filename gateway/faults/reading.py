@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway.faults.catalogue import Catalogue, FaultDefinition
-from gateway.faults.entries import Entry, entry_of
+from gateway.faults.entries import DtcStatus, Entry, entry_of
 from gateway.faults.ledger import Ledger
 from gateway.faults.mil import is_mil_on
 from gateway.faults.records import Permanent
@@ -19,16 +19,41 @@ class Readable:
     catalogue: Catalogue
     _held: Ledger
     _definitions: dict[str, FaultDefinition]
+    _order: list[tuple[str, bool]]  # ids in order of DTC, and whether the fault is in the catalogue
+    _by_dtc: dict[int, list[tuple[str, bool]]]
+
+    def _put_in_order(self) -> None:
+        """Put the faults in order of DTC; to be called when there are others."""
+        found = sorted(self._held.records.values(), key=lambda record: (record.dtc, record.id))
+        self._order = [(record.id, self.catalogue.get(record.id) is not None) for record in found]
+        self._by_dtc = {}
+        for record, place in zip(found, self._order, strict=True):
+            self._by_dtc.setdefault(record.dtc, []).append(place)
 
     def entries(self) -> list[Entry]:
         """Return every DTC that has failed since it was cleared, in order of DTC."""
-        found = [entry_of(r) for r in self._held.shown.values() if r.occurrence > 0]
+        found = [entry_of(r) for r in self._held.shown_failed()]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
 
-    def supported(self) -> list[Entry]:
-        """Return every DTC of the catalogue, and those that are still stored, in order of DTC."""
-        found = [entry_of(r) for r in self._held.shown.values() if r.occurrence or self.catalogue.get(r.id) is not None]
-        return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
+    def supported(self, mask: int | None = None) -> list[DtcStatus]:
+        """Return every DTC of the catalogue, and those that are still stored, in order of DTC.
+
+        Args:
+            mask: only those with any of these status bits set; None: all.
+        """
+        found = ((self._held.shown[fault], monitored) for fault, monitored in self._order)
+        return [
+            DtcStatus(record.dtc, record.id, record.status)
+            for record, monitored in found
+            if (mask is None or record.status & mask) and (monitored or record.occurrence)
+        ]
+
+    def entry_of_dtc(self, dtc: int) -> Entry | None:
+        """Return what is known of a DTC of the catalogue, or of one that is still stored; None: it is neither."""
+        for fault, monitored in self._by_dtc.get(dtc, ()):
+            if monitored or self._held.shown[fault].occurrence:
+                return self.entry(fault)
+        return None
 
     def entry(self, fault: str) -> Entry:
         """Return what is known of one fault, also when it has not failed since it was cleared."""
@@ -44,7 +69,7 @@ class Readable:
 
     def count_by_status_mask(self, mask: int) -> int:
         """Return how many entries :meth:`by_status_mask` finds."""
-        return sum(1 for r in self._held.shown.values() if r.occurrence > 0 and r.status & mask)
+        return sum(1 for r in self._held.shown_failed() if r.status & mask)
 
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""
@@ -60,5 +85,5 @@ class Readable:
 
     def in_order(self, what: str) -> list[Entry]:
         """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
-        known = [r for r in self._held.shown.values() if getattr(r, what) is not None]
+        known = [r for r in self._held.shown_failed() if getattr(r, what) is not None]
         return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]

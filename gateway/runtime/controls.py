@@ -61,6 +61,10 @@ class Controls:
         index = self._index.get(fault)
         return 0 if index is None else self._engine.fault_detection_counter(index)
 
+    def fault_detection_counters(self) -> dict[str, int]:
+        """Return the detection counters of all monitored faults now, -128..127."""
+        return dict(zip(self._index, self._engine.fault_detection_counters().tolist(), strict=True))
+
     def wall_ns(self) -> int:
         """Return now, by the wall clock [ns]."""
         return self._engine.wall_ns(self._engine.now_ns)

@@ -65,18 +65,17 @@ class BusServers:
                 server.succeed(other, buses)
             self._set_due(k)
 
+    def indifferent(self, frames: Frames) -> bool:
+        """Tell whether a small batch is for no server: by its identifiers alone, as most are; larger ones are cut."""
+        ids = self._heard
+        return ids is not None and len(frames) <= MAX_SMALL_BATCH and ids.isdisjoint(frames["can_id"].tolist())
+
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch after each frame that is for a server, which sees the memory as it is then.
 
         Yields:
             a piece, its last frame, and the indices of the servers that this frame is for.
         """
-        # Most batches have nothing for a server; a small one is told by its identifiers alone.
-        ids = self._heard
-        small = len(frames) <= MAX_SMALL_BATCH
-        if ids is not None and small and ids.isdisjoint(frames["can_id"].tolist()):
-            yield frames, _NOBODY, []
-            return
         masks = [(k, server.wanted(frames)) for k, server in enumerate(self.all)]
         known = [(k, mask) for k, mask in masks if mask is not None and mask.any()]
         start = 0
@@ -117,6 +116,11 @@ class BusServers:
                 frames.append(self._allowed(server, server.on_time(t_ns)))
                 self._set_due(k)
         return frames
+
+    @property
+    def next_ns(self) -> int:
+        """When the first of them is due."""
+        return self._next_due
 
     @property
     def next_prompt_ns(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from gateway.faults.interventions import Intervention
@@ -50,6 +50,9 @@ class TesterControl(Protocol):
 
     def fault_detection_counter(self, fault: str) -> int:
         """Return a fault's detection counter now, -128..127."""
+
+    def fault_detection_counters(self) -> Mapping[str, int]:
+        """Return the detection counters of all monitored faults now, -128..127."""
 
     def test_result(self, fault: str) -> LatestResult | None:
         """Return a fault's latest test result; None: not tested since the clear, or since the operation cycle began."""

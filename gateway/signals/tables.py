@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -86,9 +87,17 @@ class DecodePlan:
             InputError: it was not.
         """
         try:
-            return self.slot_names.index(SignalRef(bus, message, signal))
-        except ValueError:
+            return self._slots[SignalRef(bus, message, signal)]
+        except KeyError:
             raise InputError("this signal is not decoded", value=f"{message}.{signal}") from None
+
+    @cached_property
+    def _slots(self) -> dict[SignalRef, int]:
+        return {name: slot for slot, name in enumerate(self.slot_names)}
+
+    @cached_property
+    def _rows(self) -> dict[tuple[int, str], int]:
+        return {name: row for row, name in enumerate(self.message_names)}
 
     def position(self, bus: int, message: str, signal: str) -> int:
         """Return the place of a signal among those decoded of its message."""
@@ -96,7 +105,7 @@ class DecodePlan:
 
     def message(self, bus: int, name: str) -> int:
         """Return the row of a message."""
-        return self.message_names.index((bus, name))
+        return self._rows[bus, name]
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) of a bus's messages; None if some match by PGN."""

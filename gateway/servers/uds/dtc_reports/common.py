@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from gateway.faults.entries import Entry
+from gateway.faults.entries import DtcStatus, Entry
 from gateway.servers.uds.context import Context
 from gateway.servers.uds.nrc import NegativeError, Nrc
 
@@ -14,19 +14,15 @@ ALL_RECORDS = 0xFF
 Report = Callable[[Context, bytes], bytes]
 
 
-def status_of(c: Context, entry: Entry) -> int:
-    """Return the status byte of a DTC, as far as it is shown."""
-    return int(entry.status) & c.params.status_mask
-
-
-def matching(c: Context, mask: int) -> list[Entry]:
+def matching(c: Context, mask: int) -> list[DtcStatus]:
     """Return the DTCs with any of the bits set that are both asked for and shown."""
-    return [entry for entry in c.memory.supported() if status_of(c, entry) & mask]
+    return c.memory.supported(mask & c.params.status_mask)
 
 
-def with_status(c: Context, entries: Iterable[Entry]) -> bytes:
-    """Return the codes of DTCs, each with its status byte."""
-    return b"".join(bytes(entry.dtc) + bytes([status_of(c, entry)]) for entry in entries)
+def with_status(c: Context, dtcs: Iterable[DtcStatus]) -> bytes:
+    """Return the codes of DTCs, each with its status byte as far as it is shown."""
+    shown = c.params.status_mask
+    return b"".join((dtc.dtc << 8 | dtc.status & shown).to_bytes(4, "big") for dtc in dtcs)
 
 
 def available(c: Context) -> bytes:
@@ -40,23 +36,23 @@ def entry_of_dtc(c: Context, dtc: bytes) -> Entry:
     Raises:
         NegativeError: there is none.
     """
-    for entry in c.memory.supported():
-        if bytes(entry.dtc) == dtc:
-            return entry
-    raise NegativeError(Nrc.REQUEST_OUT_OF_RANGE)
+    entry = c.memory.entry_of_dtc(int.from_bytes(dtc, "big"))
+    if entry is None:
+        raise NegativeError(Nrc.REQUEST_OUT_OF_RANGE)
+    return entry
 
 
-def severity_of(c: Context, entry: Entry) -> int:
+def severity_of(c: Context, dtc: DtcStatus) -> int:
     """Return the severity byte of a DTC: severity and class."""
-    return c.memory.definition(entry.fault).severity
+    return c.memory.definition(dtc.fault).severity
 
 
-def by_severity(c: Context, severity: int, status: int) -> list[Entry]:
+def by_severity(c: Context, severity: int, status: int) -> list[DtcStatus]:
     """Return the DTCs with any of the bits of both masks set."""
-    return [entry for entry in matching(c, status) if severity_of(c, entry) & severity]
+    return [dtc for dtc in matching(c, status) if severity_of(c, dtc) & severity]
 
 
-def permanent(c: Context) -> list[Entry]:
+def permanent(c: Context) -> list[DtcStatus]:
     """Return the permanent DTCs, in order of their codes."""
     faults = {permanent.fault for permanent in c.memory.permanent()}
-    return sorted((c.memory.entry(fault) for fault in faults), key=lambda entry: entry.dtc)
+    return sorted(c.memory.entry(fault).listed for fault in faults)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.faults.entries import Entry
+from gateway.faults.entries import DtcStatus
 from gateway.servers.uds.context import Context
 from gateway.servers.uds.dtc_reports.common import (
     Report,
@@ -19,8 +19,8 @@ from gateway.servers.uds.dtc_reports.common import (
 FORMAT = 0x00
 
 
-def _number(c: Context, entries: list[Entry]) -> bytes:
-    return available(c) + bytes([FORMAT]) + len(entries).to_bytes(2, "big")
+def _number(c: Context, dtcs: list[DtcStatus]) -> bytes:
+    return available(c) + bytes([FORMAT]) + len(dtcs).to_bytes(2, "big")
 
 
 def number_by_status(c: Context, rest: bytes) -> bytes:
@@ -38,20 +38,20 @@ def number_by_severity(c: Context, rest: bytes) -> bytes:
     return _number(c, by_severity(c, rest[0], rest[1]))
 
 
-def _with_severity(c: Context, entry: Entry) -> bytes:
-    unit = c.memory.definition(entry.fault).functional_unit
-    return bytes([severity_of(c, entry), unit]) + with_status(c, [entry])
+def _with_severity(c: Context, dtc: DtcStatus) -> bytes:
+    unit = c.memory.definition(dtc.fault).functional_unit
+    return bytes([severity_of(c, dtc), unit]) + with_status(c, [dtc])
 
 
 def by_severity_mask(c: Context, rest: bytes) -> bytes:
     """08 reportDTCBySeverityMaskRecord."""
     found = by_severity(c, rest[0], rest[1])
-    return available(c) + b"".join(_with_severity(c, entry) for entry in found)
+    return available(c) + b"".join(_with_severity(c, dtc) for dtc in found)
 
 
 def severity_of_dtc(c: Context, rest: bytes) -> bytes:
     """09 reportSeverityInformationOfDTC."""
-    return available(c) + _with_severity(c, entry_of_dtc(c, rest))
+    return available(c) + _with_severity(c, entry_of_dtc(c, rest).listed)
 
 
 def supported(c: Context, _rest: bytes) -> bytes:
@@ -63,18 +63,20 @@ def ordered(what: str, place: int) -> Report:
     """0B to 0E: the first or most recent DTC to fail, or to be confirmed, since the last clear."""
 
     def report(c: Context, _rest: bytes) -> bytes:
-        return available(c) + with_status(c, c.memory.in_order(what)[place:][:1])
+        found = c.memory.in_order(what)[place:][:1]
+        return available(c) + with_status(c, (entry.listed for entry in found))
 
     return report
 
 
 def fault_detection_counters(c: Context, _rest: bytes) -> bytes:
     """14 reportDTCFaultDetectionCounter: those on their way, neither passed nor failed."""
+    counters = c.control.fault_detection_counters()
     made = b""
-    for entry in c.memory.supported():
-        counter = c.control.fault_detection_counter(entry.fault)
+    for dtc in c.memory.supported():
+        counter = counters.get(dtc.fault, 0)
         if 0 < counter < 127:
-            made += bytes(entry.dtc) + bytes([counter])
+            made += (dtc.dtc << 8 | counter).to_bytes(4, "big")
     return made
 
 

@@ -20,7 +20,7 @@ Identified = Sequence[tuple[int, bytes]]
 def snapshot_identification(c: Context, _rest: bytes) -> bytes:
     """03 reportDTCSnapshotIdentification."""
     return b"".join(
-        bytes(entry.dtc) + bytes([number]) for entry in c.memory.supported() for number, _ in _frames(c, entry)
+        bytes(entry.dtc) + bytes([number]) for entry in c.memory.entries() for number, _ in _frames(c, entry)
     )
 
 
@@ -45,7 +45,7 @@ def snapshot_by_dtc(c: Context, rest: bytes) -> bytes:
     entry, record = entry_of_dtc(c, rest[:3]), rest[3]
     most = c.memory.definition(entry.fault).freeze_frames
     refuse_unless(1 <= record <= most or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
-    made = with_status(c, [entry])
+    made = with_status(c, [entry.listed])
     for number, content in _frames(c, entry):
         if record in (number, ALL_RECORDS):
             made += record_of(number, content)
@@ -58,7 +58,7 @@ def stored_data(c: Context, rest: bytes) -> bytes:
     refuse_unless(1 <= record <= MOST_RECORDS or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
     frames = [(entry, frames[0][1]) for entry in c.memory.in_order("first_failed") if (frames := _frames(c, entry))]
     made = b"".join(
-        bytes([number]) + with_status(c, [entry]) + content_of(content)
+        bytes([number]) + with_status(c, [entry.listed]) + content_of(content)
         for number, (entry, content) in enumerate(frames[:MOST_RECORDS], start=1)
         if record in (number, ALL_RECORDS)
     )
@@ -71,7 +71,7 @@ def extended_data(c: Context, rest: bytes) -> bytes:
     c.memory.commit()
     entry, record = entry_of_dtc(c, rest[:3]), rest[3]
     refuse_unless(record in EXTENDED_DATA or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
-    made = with_status(c, [entry])
+    made = with_status(c, [entry.listed])
     if not entry.occurrence:
         return made
     for number, kind in EXTENDED_DATA.items():
@@ -87,7 +87,7 @@ def extended_by_record(c: Context, rest: bytes) -> bytes:
     c.memory.commit()
     made = rest
     for entry, data in _having(c, rest[0]):
-        made += with_status(c, [entry]) + data
+        made += with_status(c, [entry.listed]) + data
     return made
 
 
@@ -95,10 +95,10 @@ def _having(c: Context, record: int) -> list[tuple[Entry, bytes]]:
     """Return the entries that have an extended data record, with its bytes."""
     refuse_unless(record in EXTENDED_DATA, Nrc.REQUEST_OUT_OF_RANGE)
     encode = EXTENDED_DATA[record].encode
-    found = [(entry, encode(entry)) for entry in c.memory.supported() if entry.occurrence]
+    found = [(entry, encode(entry)) for entry in c.memory.entries()]
     return [(entry, data) for entry, data in found if data]
 
 
 def extended_identification(c: Context, rest: bytes) -> bytes:
     """1A reportDTCExtendedDataRecordIdentification: the DTCs that have a record."""
-    return available(c) + rest + with_status(c, [entry for entry, _ in _having(c, rest[0])])
+    return available(c) + rest + with_status(c, (entry.listed for entry, _ in _having(c, rest[0])))

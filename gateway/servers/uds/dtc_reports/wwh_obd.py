@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import get_args
 
-from gateway.faults.entries import Entry
+from gateway.faults.entries import DtcStatus
 from gateway.faults.settings import Readiness
 from gateway.servers.uds.context import Context
 from gateway.servers.uds.dtc_reports.common import available, by_severity, permanent, severity_of, with_status
@@ -21,9 +21,9 @@ EMISSION_GROUP, ALL_GROUPS = 0x33, 0xFF
 SEVERITY_MASK = 0xFF
 
 
-def _in_group(c: Context, group: int, entries: Iterable[Entry]) -> list[Entry]:
+def _in_group(c: Context, group: int, dtcs: Iterable[DtcStatus]) -> list[DtcStatus]:
     refuse_unless(group in (EMISSION_GROUP, ALL_GROUPS), Nrc.REQUEST_OUT_OF_RANGE)
-    return [entry for entry in entries if group == ALL_GROUPS or c.memory.definition(entry.fault).emission_related]
+    return [dtc for dtc in dtcs if group == ALL_GROUPS or c.memory.definition(dtc.fault).emission_related]
 
 
 def wwh_by_mask(c: Context, rest: bytes) -> bytes:
@@ -31,8 +31,8 @@ def wwh_by_mask(c: Context, rest: bytes) -> bytes:
     group, status, severity = rest
     found = _in_group(c, group, by_severity(c, severity, status))
     made = bytes([group]) + available(c) + bytes([SEVERITY_MASK, WWH_FORMAT])
-    for entry in found:
-        made += bytes([severity_of(c, entry)]) + with_status(c, [entry])
+    for dtc in found:
+        made += bytes([severity_of(c, dtc)]) + with_status(c, [dtc])
     return made
 
 
@@ -48,8 +48,6 @@ def by_readiness_group(c: Context, rest: bytes) -> bytes:
     refuse_unless(readiness in READINESS_GROUPS, Nrc.REQUEST_OUT_OF_RANGE)
     name = READINESS_GROUPS[readiness]
     found = [
-        entry
-        for entry in _in_group(c, group, c.memory.supported())
-        if c.memory.definition(entry.fault).readiness == name
+        dtc for dtc in _in_group(c, group, c.memory.supported()) if c.memory.definition(dtc.fault).readiness == name
     ]
     return bytes([group]) + available(c) + bytes([WWH_FORMAT, readiness]) + with_status(c, found)
