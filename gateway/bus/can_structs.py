@@ -17,7 +17,7 @@ import numpy as np
 
 from gateway.bus.base import Statistics
 from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty, payload
-from gateway.jit import bound, kernel
+from gateway.jit import address_of_array, bound, kernel
 
 # From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
 _CAN_MTU, _CANFD_MTU = 16, 72
@@ -61,7 +61,8 @@ class _Vector(ctypes.Structure):
     _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
 
 
-_libc = ctypes.CDLL(None, use_errno=True)
+_recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
+_recvmmsg.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
 
 
 @kernel
@@ -229,11 +230,11 @@ class RawReceiver:
         """
         self.losses = []
         most = min(len(out), MOST_FRAMES)
-        address = out.ctypes.data
+        address = address_of_array(out)
         if address != self._into:
             self._vectors["base"] = address + self._steps
             self._into = address
-        count = _libc.recvmmsg(self._sock.fileno(), ctypes.c_void_p(self._headers), most, socket.MSG_DONTWAIT, None)
+        count = _recvmmsg(self._sock.fileno(), self._headers, most, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             error = OSError(code, os.strerror(code))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, empty
-from gateway.jit import COMPILED, Record, bound, i8, kernel, means, u1, u4, u8s
+from gateway.jit import COMPILED, Record, Same, bound, i8, kernel, means, u1, u4, u8s
 
 #: Identifiers that are told apart; those beyond are counted only.
 IDENTIFIERS = 1024
@@ -226,15 +226,15 @@ class Traffic:
         self._used = np.zeros(1, np.int64)
         mine = (self.loads, self._seen, self._bits, _DLC, self._used)
         none = empty(0)
-        self._count = bound(count_frames, *mine, rest=(none, none.view("<u8").reshape(0, _CELLS)))
+        self._count = bound(count_frames, *mine, rest=(none, Same(0, none.view("<u8").reshape(0, _CELLS))))
 
     def write(self, frames: Frames) -> None:
         """Count a batch."""
         if not len(frames):
             return
-        if not (frames.flags.c_contiguous and frames.flags.writeable):
+        if not frames.flags.carray:
             frames = frames.copy()  # the kernel is compiled for one kind of array
-        self._count(frames, frames.view("<u8").reshape(len(frames), _CELLS))
+        self._count(frames)
 
     def identifiers(self) -> NDArray[np.void]:
         """Return what was seen of each identifier, by bus and identifier, and begin the gaps anew."""

@@ -17,13 +17,12 @@ from gateway.engine.debounce import all_detection_counters, fault_detection_coun
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
-from gateway.jit import bound
+from gateway.jit import Same, bound
 from gateway.monitors.contract import FAILED, NOT_TESTED
 from gateway.signals.tables import DecodePlan, SignalRef
 
-_CELL, _CELLS = np.dtype("<u8"), FRAME.itemsize // 8
 _NO_FRAMES = empty(0)
-_NO_CELLS = np.zeros((0, _CELLS), np.uint64)
+_NO_CELLS = np.zeros((0, FRAME.itemsize // 8), np.uint64)
 
 #: Takes the events of one pass, in order. The array is only valid during the call.
 Sink = Callable[[Events], None]
@@ -69,7 +68,7 @@ class Engine:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
         for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):
             handler["entry"] = instance.monitor.entry
-        self._run = bound(loop.run, self.tables, rest=(_NO_FRAMES, _NO_CELLS, 0, NEVER))
+        self._run = bound(loop.run, self.tables, rest=(_NO_FRAMES, Same(0, _NO_CELLS), 0, NEVER))
 
     def _first_run(self, *arguments: Any) -> int:
         self.warm()
@@ -96,13 +95,12 @@ class Engine:
             frames: shape (n,) of FRAME.
             sink: called with the events, each time before any later frame is handled.
         """
-        if not (frames.flags.c_contiguous and frames.flags.writeable):
+        if not frames.flags.carray:
             frames = frames.copy()  # the loop is compiled for one kind of array
-        cells = frames.view(_CELL).reshape(len(frames), _CELLS)
         start, count = 0, len(frames)
         sent = []
         while start < count:
-            start = self._run(frames, cells, start, NEVER)
+            start = self._run(frames, start, NEVER)
             self._drain(sink)
             if self._to_send.item():
                 sent.append(self._sent())
@@ -115,7 +113,7 @@ class Engine:
             t_ns: the new time; frames that arrive later with an earlier stamp count as late.
             sink: called with the events.
         """
-        self._run(_NO_FRAMES, _NO_CELLS, 0, t_ns)
+        self._run(_NO_FRAMES, 0, t_ns)
         self._drain(sink)
         return self._sent()
 
@@ -150,7 +148,7 @@ class Engine:
         row["evidence"][:] = 0.0
         row["evidence"][: len(evidence)] = evidence
         clock["reported"] += 1
-        loop.run(self.tables, _NO_FRAMES, _NO_CELLS, 0, NEVER)
+        self._run(_NO_FRAMES, 0, NEVER)
         self._drain(sink)
 
     def _drain(self, sink: Sink) -> None:
@@ -242,7 +240,7 @@ class Engine:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
-        hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "timed", "held"}
+        hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held"}
         hidden |= {"events", "sent", "fed", "taken", "reported"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 

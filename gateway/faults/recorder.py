@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gateway.bus.candump import format_frame
-from gateway.bus.frames import Frames, empty
+from gateway.bus.frames import FRAME, Frames, empty
 from gateway.bus.timeline import spans
 from gateway.common.tomlfile import StrictModel
 from gateway.faults.records import Recording
@@ -52,10 +52,18 @@ class _Trigger:
 
 
 @dataclass(frozen=True)
-class _Batch:
+class _Chunk:
+    """Frames one after the other; ``offset_ns`` is what the wall clock is ahead before the first."""
+
     latest_ns: int
-    offset_ns: int  # of the wall clock
+    offset_ns: int
     frames: Frames
+
+
+#: Frames of a chunk that is filled batch by batch: a batch of one frame costs no array of its own.
+CHUNK = 512
+#: A frame as so many bytes: NumPy copies records field by field, in five times the time.
+_RAW = np.dtype((np.void, FRAME.itemsize))
 
 
 class Recorder:
@@ -71,7 +79,10 @@ class Recorder:
         self._channels = channels
         self._before_ns = round(params.before_ms * 1e6)
         self._after_ns = round(params.after_ms * 1e6)
-        self._batches: deque[_Batch] = deque()
+        self._chunks: deque[_Chunk] = deque()
+        self._filling, self._filled, self._offset_ns = empty(CHUNK), 0, 0
+        self._raw = self._filling.view(_RAW)
+        self._grown = False  # whether there is a chunk more since the last look for what may go
         self._kept = 0
         self._gone: deque[NDArray[np.int64]] = deque()  # stamps of frames given up in a flood
         self._triggers: list[_Trigger] = []
@@ -88,17 +99,35 @@ class Recorder:
         count = len(frames)
         if not count:
             return
-        stamps = frames["t_ns"]
-        first, latest = (int(stamps[0]),) * 2 if count == 1 else (int(stamps.min()), int(stamps.max()))
         # Not at each batch: up to twice of what can be asked for is kept. A failure in this batch may ask for
         # what was before it, so that only what came before is given up.
-        window = 2 * self._before_ns + self._after_ns
         full = self._kept >= 2 * self._params.most_frames
-        if full or (self._batches and self._batches[0].latest_ns < first - window):
-            self._trim(first)
-        for part, offset in spans(frames.copy(), offset_ns):
-            self._batches.append(_Batch(latest, offset, part))
+        if full or self._grown:
+            self._grown = False
+            first = int(frames["t_ns"].min())
+            window = 2 * self._before_ns + self._after_ns
+            if full or self._chunks[0].latest_ns < first - window:
+                self._trim(first)
+        if self._filled + count > CHUNK:
+            self._close()
+        if count > CHUNK:
+            self._keep(frames.copy(), offset_ns)
+        else:
+            if not self._filled:
+                self._offset_ns = offset_ns
+            self._raw[self._filled : self._filled + count] = frames.view(_RAW)
+            self._filled += count
         self._kept += count
+
+    def _keep(self, frames: Frames, offset_ns: int) -> None:
+        self._chunks.append(_Chunk(int(frames["t_ns"].max()), offset_ns, frames))
+        self._grown = True
+
+    def _close(self) -> None:
+        """Begin a new chunk."""
+        if self._filled:
+            self._keep(self._filling[: self._filled].copy(), self._offset_ns)
+            self._filled = 0
 
     def on_failure(self, fault: str, t_ns: int, *, wall_ns: int | None = None) -> None:
         """Note a failure; refused (and counted) while the fault's last one is too young.
@@ -137,22 +166,24 @@ class Recorder:
     def _trim(self, t_ns: int) -> None:
         """Give up frames that no recording will ask for."""
         oldest = min([t_ns, *(trigger.t_ns for trigger in self._triggers)]) - self._before_ns
-        batches = self._batches
-        while batches and batches[0].latest_ns < oldest:
-            self._kept -= len(batches.popleft().frames)
+        self._close()
+        chunks = self._chunks
+        while chunks and chunks[0].latest_ns < oldest:
+            self._kept -= len(chunks.popleft().frames)
         while self._gone and int(self._gone[0].max()) < oldest:
             self._gone.popleft()
         # A flood of frames must not fill the memory: what no recording could hold goes.
         most = self._params.most_frames
-        while not self._triggers and batches and self._kept - len(batches[0].frames) >= most:
-            given_up = batches.popleft().frames
+        while not self._triggers and chunks and self._kept - len(chunks[0].frames) >= most:
+            given_up = chunks.popleft().frames
             self._kept -= len(given_up)
             self._gone.append(given_up["t_ns"].copy())
 
     def _cut(self, trigger: _Trigger) -> Recording:
-        frames = np.concatenate([empty(0), *(batch.frames for batch in self._batches)])
-        lengths = [len(batch.frames) for batch in self._batches]
-        offsets = np.repeat([batch.offset_ns for batch in self._batches], lengths).astype(np.int64)
+        self._close()
+        parts = [part for chunk in self._chunks for part in spans(chunk.frames, chunk.offset_ns)]
+        frames = np.concatenate([empty(0), *(part for part, _ in parts)])
+        offsets = np.repeat([offset for _, offset in parts], [len(part) for part, _ in parts]).astype(np.int64)
         times = frames["t_ns"].copy()
         frames["t_ns"] += offsets
         inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)

@@ -10,8 +10,9 @@ Monitor kernels are reached like interrupt handlers: the vector table holds thei
 is compiled once for all engines.
 """
 
+from gateway.jit.addresses import address_of_array
 from gateway.jit.intrinsics import call_entry, lowest_bit
-from gateway.jit.kernels import Kernel, bound, entry_point, kernel
+from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel
 from gateway.jit.records import (
     Meaning,
     Record,
@@ -37,7 +38,7 @@ from gateway.jit.records import (
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 
 __all__ = [
-    "BOUNDSCHECK", "COMPILED", "Kernel", "Meaning", "Record", "bound", "cache_directory", "call_entry", "entry_point",
-    "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel", "labels", "lowest_bit", "means", "record", "record_at",
-    "u1", "u1s", "u4", "u8", "u8s", "zeros",
+    "BOUNDSCHECK", "COMPILED", "Kernel", "Meaning", "Record", "Same", "address_of_array", "bound", "cache_directory",
+    "call_entry", "entry_point", "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel", "labels", "lowest_bit",
+    "means", "record", "record_at", "u1", "u1s", "u4", "u8", "u8s", "zeros",
 ]  # fmt: skip

@@ -61,6 +61,8 @@ Listener = Callable[[dict[str, Any]], None]
 
 log = get_logger(__name__)
 
+_NO_FRAMES = empty(0)
+
 
 class Gateway:
     """Engine, fault memory and servers of one configuration.
@@ -240,6 +242,8 @@ class Gateway:
         """
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
+        if self.servers.indifferent(frames):  # as to nearly every batch
+            return self._emit(self._process(frames))
         sent: list[Frames] = []
         for piece, last, wanting in self.servers.pieces(frames):
             sent.append(self._emit(self._process(piece), asked=bool(wanting)))
@@ -384,15 +388,23 @@ class Gateway:
             asked: whether somebody asks for what there is now.
         """
         now = self.engine.now_ns
+        if not (self._changes or self._untold or self._early) and self._idle and now < self.servers.next_ns:
+            return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
         self._doubts.poll()
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
             self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
-        frames = [*self._take_early(), sent if self.controls.send else empty(0)]
+        frames = [*self._take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self.servers.on_changes(self._settle(now, asked=asked), now)
         frames += self.servers.on_time(now)
         return _joined(frames)
+
+    @property
+    def _idle(self) -> bool:
+        """Whether nothing waits: no recording, no entry for which there is room now, no write, no search for rules."""
+        recording = self._recorder is not None and self._recorder.busy
+        return not (recording or self.memory.room or self._doubts.busy) and self._upkeep.idle
 
     def _before_clear(self) -> None:
         """Write and tell all that waits: what is cleared next must not be told as set after it."""

@@ -55,6 +55,11 @@ class Doubts:
         else:
             self._sought.append(self._thread.submit(self._event, index, payloads, t_ns))
 
+    @property
+    def busy(self) -> bool:
+        """Whether rules are looked for."""
+        return bool(self._sought)
+
     def poll(self) -> None:
         """Tell what has been found since."""
         if self._sought:

@@ -3,7 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
-from fault_examples import catalogue, event, nothing
+from fault_examples import AtOnce, catalogue, event, nothing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +49,7 @@ action = st.one_of(
 
 
 @settings(max_examples=80)
-@given(st.lists(action, max_size=30), st.sampled_from([None, 2]))
+@given(st.lists(action, max_size=30), st.sampled_from([None, 1, 2]))
 def test_entries_and_dtcs_are_those_of_all_records(actions, size):
     store = Failing(None)
     memory = FaultMemory(catalogue(confirm=(1,) * FAULTS), store, size=size)
@@ -79,6 +79,7 @@ def test_entries_and_dtcs_are_those_of_all_records(actions, size):
             assert memory.supported() == known
             stored = {r.id for r in memory._held.records.values() if r.occurrence}
             assert {r.id for r in memory._held.failed()} == stored
+            assert size is None or len(stored) <= size
             for mask in (0x01, 0x08, 0x50, 0xFF):
                 assert memory.supported(mask) == [dtc for dtc in known if dtc.status & mask]
                 assert memory.count_by_status_mask(mask) == sum(1 for entry in failed if entry.status & mask)
@@ -86,3 +87,13 @@ def test_entries_and_dtcs_are_those_of_all_records(actions, size):
                 found = memory.entry_of_dtc(dtc)
                 assert (None if found is None else found.fault) == next((k.fault for k in known if k.dtc == dtc), None)
         memory.join()
+
+
+def test_room_for_one_is_given_to_one():
+    memory = AtOnce(catalogue(confirm=(1,) * FAULTS), Store(None), size=1)
+    for fault in range(3):
+        memory.apply(event(fault, True, fault + 1), nothing)
+    assert [entry.fault for entry in memory.entries()] == ["m.f0"]
+    memory.clear(0x030011)
+    memory.admit_refused(9)
+    assert [entry.fault for entry in memory.entries()] == ["m.f1"]
