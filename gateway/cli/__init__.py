@@ -569,12 +569,13 @@ def doctor(
     running: Annotated[
         bool, typer.Option("--running", help="Exit with 1 unless a gateway runs, its buses open.")
     ] = False,
+    bench: Annotated[bool, typer.Option("--bench", help="Measure how fast it is, in ten seconds.")] = False,
     json: Json = False,
 ) -> None:
     """Say what this machine offers, and how the gateway on it does."""
     from gateway.cli.doctor import doctor as work
 
-    raise typer.Exit(work(config, memory=memory, running=running, json=json))
+    raise typer.Exit(work(config, memory=memory, running=running, bench=bench, json=json))
 
 
 @faults_app.command("list")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import socket
+import sys
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -123,7 +124,18 @@ def _plugins() -> dict[str, dict[str, str]]:
     return found
 
 
-def doctor(config: Path | None = None, *, memory: Path | None = None, running: bool = False, json: bool) -> int:
+def _measured(config: Path | None, memory: Path | None) -> dict[str, Any]:
+    """Return what this machine does, the disk being that of the fault memory."""
+    from gateway.cli.measure import EACH_S, measure  # noqa: PLC0415 - numpy and the engine: only where it is asked for
+
+    print(f"measuring for {4 * EACH_S:.0f} s ...", file=sys.stderr, flush=True)
+    folder = (memory or load_config(find_config(config)).memory.path).parent
+    return measure(folder if folder.is_dir() else Path())
+
+
+def doctor(
+    config: Path | None = None, *, memory: Path | None = None, running: bool = False, bench: bool = False, json: bool
+) -> int:
     """Report; returns the exit code: with ``running`` 1 unless a gateway runs, buses open, memory written."""
     daemon = _daemon(config, memory)
     healthy = (
@@ -150,6 +162,9 @@ def doctor(config: Path | None = None, *, memory: Path | None = None, running: b
         "extras": extras,
         "plugins": plugins,
     }
+    measured = _measured(config, memory) if bench else {}
+    if bench:
+        facts["bench"] = measured
     if json:
         print_json(facts)
         return code
@@ -167,4 +182,8 @@ def doctor(config: Path | None = None, *, memory: Path | None = None, running: b
     for extra, package in extras.items():
         if package is None:
             print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
+    if bench:
+        from gateway.cli.measure import tell  # noqa: PLC0415
+
+        tell(measured)
     return code
