@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames
+from gateway.bus.frames import EXTENDED, Frames
 from gateway.signals.columns import put_column
 from gateway.signals.database import Database
 from gateway.signals.decode import OK, decode, lookup
@@ -46,6 +46,8 @@ class ChangedMessage:
         self, bus: int, database: Database, message: str, protection: Protection, pgn: Collection[int] = ()
     ) -> None:
         self.bus = bus
+        found = database.message(message)
+        self.can_id = found.frame_id | (EXTENDED if found.is_extended_frame else 0)
         self._plan = compile_plan([(bus, database)], [], messages=[(bus, message)], pgn=pgn)
         tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
         fill(rows[0], protection, tables)

@@ -3,17 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gateway.bus.frames import Frames, empty
 from gateway.errors import InputError
-from gateway.signals.database import load_database
-from gateway.vecu.contract import Run, Truth
+from gateway.signals.database import Database, load_database
+from gateway.signals.protection.own import own_protection
+from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.protection import Protection
+from gateway.vecu.contract import EcuParams, Run, Running, Truth
+from gateway.vecu.harness import Harness, Sender
+from gateway.vecu.message_faults import MessageFault
+from gateway.vecu.overrides import Overrides
 from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import Scenario
-from gateway.vecu.wire_faults import apply_wire_faults
+from gateway.vecu.wire_faults import Wire
+
+#: Steps of a run whose ECUs hear nobody [ns].
+STEP_NS = 10_000_000
+
+
+class _Source:
+    """An ECU with its harness.
+
+    Args:
+        ecu: of the scenario.
+        sender: what it sends.
+        harness: puts its faults in.
+        run: what is asked for.
+    """
+
+    def __init__(self, ecu: EcuParams, sender: Sender, harness: Harness, run: Run) -> None:
+        self.ecu, self.sender, self.harness, self.bus = ecu, sender, harness, run.bus
+        self.truth: list[Truth] = []
+        self.running: Running | None = None
+        self._frames, self._taken = empty(0), 0
+
+    def begin(self, scenario: Scenario, run: Run) -> None:
+        """Make its frames, or start it.
+
+        Raises:
+            InputError: messages that cannot carry what it sends, ...
+        """
+        mine = [f for f in scenario.fault if f.ecu == self.ecu.name and not isinstance(f, MessageFault)]
+        type_ = VIRTUAL_ECUS[self.ecu.type]
+        if type_.begin is not None:
+            self.running = type_.begin(self.ecu, mine, run)
+            return
+        assert type_.frames is not None
+        frames, truth = type_.frames(self.ecu, mine, run)
+        self.truth += truth
+        self._frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @property
+    def end_ns(self) -> int:
+        """Until when it has frames that are known [ns]."""
+        return int(self._frames["t_ns"][-1]) + 1 if len(self._frames) else 0
+
+    def take(self, end_ns: int, heard: Frames) -> Frames:
+        """Return its frames until a time [ns], without faults."""
+        if self.running is not None:
+            return self.running.step(end_ns, heard[heard["bus"] == self.bus])
+        last = int(np.searchsorted(self._frames["t_ns"], end_ns))
+        frames, self._taken = self._frames[self._taken : last], last
+        return frames
 
 
 class Player:
@@ -23,16 +82,20 @@ class Player:
         scenario: what happens.
         buses: name -> index of the buses.
         seed: instead of the scenario's.
-        databases: bus index -> database files of the configuration, for ECUs and wire faults that name messages.
+        databases: bus index -> database files of the configuration, for ECUs and faults that name messages.
+        protections: (bus index, message) -> how the configuration says that it is protected.
+        stepwise: signals may be set while it runs (``overrides``).
 
     Attributes:
-        frames: shape (n,) of FRAME, stamped from 0.
-        truth: what was injected.
+        frames: shape (n,) of FRAME, stamped from 0: all of them, unless it goes step by step.
+        stepwise: it goes step by step, since what is sent depends on what is heard, or set: ``take`` has the frames.
         seed: that was used.
         step_ns: steps in which the frames are to be sent in real time, the shortest that an ECU asks for [ns].
+        overrides: signals that somebody sets while it runs.
 
     Raises:
-        InputError: an ECU names a bus that is not there, or messages that cannot carry what it sends.
+        InputError: an ECU names a bus that is not there, or messages that cannot carry what it sends; a fault of what
+            is not sent.
     """
 
     def __init__(
@@ -42,52 +105,138 @@ class Player:
         *,
         seed: int | None = None,
         databases: Mapping[int, Sequence[Path]] | None = None,
+        protections: Mapping[tuple[int, str], ProtectionParams] | None = None,
+        stepwise: bool = False,
     ) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
-        self.truth: list[Truth] = []
+        self._files, self._protections = databases or {}, protections or {}
         self.step_ns = min(VIRTUAL_ECUS[ecu.type].step_ns for ecu in scenario.ecu)
-        runs = [empty(0)]
-        for k, ecu in enumerate(scenario.ecu):
-            if ecu.bus is None and len(buses) == 1:
-                bus = next(iter(buses.values()))
-            elif ecu.bus is not None and ecu.bus in buses:
-                bus = buses[ecu.bus]
-            else:
-                raise InputError(f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or "")
-            mine = [fault for fault in scenario.fault if fault.ecu == ecu.name]
-            rng = np.random.default_rng([self.seed, k])
-            run = Run(scenario.duration_s, bus, rng, (databases or {}).get(bus, ()))
-            try:
-                frames, truth = VIRTUAL_ECUS[ecu.type].frames(ecu, mine, run)
-            except InputError as error:
-                if error.key is None:
-                    raise
-                key = f"ecu[{k}].{error.key}"
-                raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
-            runs.append(frames)
-            self.truth += truth
-        frames = np.concatenate(runs)
+        self._sources = [self._source(k, ecu, buses) for k, ecu in enumerate(scenario.ecu)]
+        for source in self._sources:
+            if source.running is not None:
+                self.step_ns = min(self.step_ns, source.running.step_ns)
+        named = any(fault.message != "*" for fault in scenario.wire)
+        known = {bus: load_database(files) for bus, files in self._files.items() if named}
+        self._wire = Wire(scenario.wire, np.random.default_rng([self.seed, 1 << 20]), known, buses)
+        self._conditions = [condition for source in self._sources for condition in source.harness.conditions]
+        self._hears = any(source.running is not None for source in self._sources)
+        self.stepwise = stepwise or self._hears or bool(self._conditions)
+        self._heard, self._sent, self._late = empty(0), empty(0), empty(0)
+        self.overrides = Overrides([source.sender for source in self._sources], buses)
+        self.frames = empty(0) if self.stepwise else self._all()
+
+    def _all(self) -> Frames:
+        """Return all frames, those that come at the end or late, too."""
+        end = max(round(self.scenario.duration_s * 1e9), *(source.end_ns for source in self._sources))
+        frames = self.take(end)
+        return np.concatenate([frames, self._late])
+
+    def _source(self, k: int, ecu: EcuParams, buses: Mapping[str, int]) -> _Source:
+        """Return an ECU of the scenario.
+
+        Raises:
+            InputError: it names a bus that is not there, messages that cannot carry what it sends, ...
+        """
+        if ecu.bus is None and len(buses) == 1:
+            bus = next(iter(buses.values()))
+        elif ecu.bus is not None and ecu.bus in buses:
+            bus = buses[ecu.bus]
+        else:
+            raise InputError(f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or "")
+        files = self._files.get(bus, ())
+        faults = [
+            (place, fault)
+            for place, fault in enumerate(self.scenario.fault)
+            if fault.ecu == ecu.name and isinstance(fault, MessageFault)
+        ]
+        truth: list[Truth] = []
+        rng = np.random.default_rng([self.seed, k])
+        run = Run(self.scenario.duration_s, bus, rng, files, truth.append)
+        type_ = VIRTUAL_ECUS[ecu.type]
+        try:
+            sends = None if type_.sends is None else partial(type_.sends, ecu, files)
+            sender = Sender(bus, files, sends, partial(self._known, bus))
+            harness = Harness(faults, sender, np.random.default_rng([self.seed, k, 1]))
+            source = _Source(ecu, sender, harness, run)
+            source.truth = truth
+            source.begin(self.scenario, run)
+        except InputError as error:
+            if error.key is None or error.key.startswith("fault["):
+                raise
+            key = f"ecu[{k}].{error.key}"
+            raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
+        return source
+
+    def _known(self, bus: int, database: Database, name: str) -> Protection:
+        """Return what is known of the protection of a message whose ECU does not say it."""
+        message = database.message(name)
+        asked = self._protections.get((bus, name))
+        return own_protection(message) if asked is None else protection_for(message, asked)
+
+    @property
+    def count(self) -> int:
+        """Number of frames that are known now."""
+        return sum(len(source) for source in self._sources) if self.stepwise else len(self.frames)
+
+    @property
+    def truth(self) -> list[Truth]:
+        """What was injected; of a run step by step: so far."""
+        found = [fact for source in self._sources for fact in (*source.truth, *source.harness.truth)]
+        return [*found, *self._wire.truth]
+
+    def hear(self, frames: Frames) -> None:
+        """Take frames of others on the buses, stamped from the scenario's time 0."""
+        if self._hears or self._conditions:
+            self._heard = np.concatenate([self._heard, frames])
+
+    def take(self, end_ns: int) -> Frames:
+        """Return the frames from where the last call ended until a time [ns]."""
+        others, self._heard = self._heard, empty(0)
+        heard = np.concatenate([self._sent, others])
+        heard = heard[np.argsort(heard["t_ns"], kind="stable")]
+        parts = [source.take(end_ns, heard) for source in self._sources]
+        parts = [self.overrides.apply(part) for part in parts]
+        if self._conditions:
+            every = np.concatenate([others, *parts])
+            every = every[np.argsort(every["t_ns"], kind="stable")]
+            for condition in self._conditions:
+                condition.take(every)
+        parts = [source.harness.apply(part, end_ns) for source, part in zip(self._sources, parts, strict=True)]
+        frames = np.concatenate(parts)
         frames["t_ns"] = np.maximum(frames["t_ns"], 1)  # a bus stamps what has no stamp: 0
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
-        rng = np.random.default_rng([self.seed, 1 << 20])
-        named = any(fault.message != "*" for fault in scenario.wire)
-        known = {bus: load_database(files) for bus, files in (databases or {}).items() if named}
-        self.frames, done = apply_wire_faults(frames, scenario.wire, rng, known)
-        self.truth += done
+        for source in self._sources:
+            frames = frames[~source.harness.starved(frames)]
+        frames = np.concatenate([self._late, self._wire.apply(frames, end_ns)])
+        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        late = frames["t_ns"] >= end_ns
+        frames, self._late = frames[~late], frames[late]
+        self._sent = frames.copy() if self._hears else empty(0)
+        return frames
 
-    def batches(self, step_ns: int = 10_000_000, *, start_ns: int = 0) -> Iterator[tuple[int, Frames]]:
+    def batches(self, step_ns: int | None = None, *, start_ns: int = 0) -> Iterator[tuple[int, Frames]]:
         """Yield (end of the step [ns], its frames), the time from ``start_ns`` on, empty steps too.
 
         Args:
-            step_ns: length of a step.
+            step_ns: length of a step; default: 10 ms, or how often an ECU is to hear; never longer than that.
             start_ns: added to every time stamp.
         """
+        step_ns = STEP_NS if step_ns is None else step_ns
+        step_ns = min(step_ns, self.step_ns) if self._hears else step_ns
         end = round(self.scenario.duration_s * 1e9)
-        frames = self.frames.copy()
-        frames["t_ns"] += start_ns
         first = 0
         for until in range(step_ns, end + step_ns, step_ns):
-            last = int(np.searchsorted(self.frames["t_ns"], until))
-            yield start_ns + until, frames[first:last]
-            first = last
+            if self.stepwise:
+                frames = self.take(until)
+            else:
+                last = int(np.searchsorted(self.frames["t_ns"], until))
+                frames, first = self.frames[first:last].copy(), last
+            frames["t_ns"] += start_ns
+            yield start_ns + until, frames
+
+    def close(self) -> None:
+        """End the ECUs that run; more than once does no harm."""
+        for source in self._sources:
+            if source.running is not None:
+                source.running.close()
