@@ -34,6 +34,7 @@ from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive, judgeable
+from gateway.runtime.playing import player_of
 from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
@@ -49,14 +50,12 @@ LATE_S = 0.02
 TOLD_S = 0.1
 
 
-def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
+def _open(name: Path, seed: int | None, *, stepwise: bool = False) -> tuple[Scenario, Config, Player]:
     file = find_scenario(name)
     scenario = load_scenario(file)
     config = load_config(scenario.config)
-    buses = {bus.name: index for index, bus in enumerate(config.bus)}
-    databases = {index: bus.database for index, bus in enumerate(config.bus)}
     try:
-        return scenario, config, Player(scenario, buses, seed=seed, databases=databases)
+        return scenario, config, player_of(scenario, config, seed=seed, stepwise=stepwise)
     except InputError as error:
         raise error.within(file) from error
 
@@ -78,7 +77,6 @@ class _Narrator:
         self._console = console
         self._player = player
         self._gateway = gateway
-        self._truth = list(player.truth)
         self._shown_s = -1
 
     def begin(self, scenario: Scenario) -> None:
@@ -87,13 +85,12 @@ class _Narrator:
         for ecu in scenario.ecu:
             self._console.print(
                 f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
-                f" {len(self._player.frames)} frames in {scenario.duration_s} s"
+                f" {self._player.count} frames in {scenario.duration_s} s"
             )
 
     def on_frames(self, frames: Frames) -> None:
         """Tell what was injected before the gateway can have seen it."""
-        while self._truth and len(frames) and self._truth[0].t_ns <= frames["t_ns"][-1]:
-            fact = self._truth.pop(0)
+        for fact in self._player.told(int(frames["t_ns"][-1])) if len(frames) else ():
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             self._console.print(
                 f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]: {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
@@ -251,7 +248,8 @@ def simulate(
         if len(uris) != len(config.bus):
             raise InputError("the scenario has several buses; set them in its configuration", value=bus)
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
-        tester = _Tester(buses, judge)
+        stack.callback(player.close)
+        tester = _Tester(buses, judge, player.hear if player.listens else None)
         if check:
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
@@ -298,14 +296,20 @@ def _stopped(scenario: Scenario, stop: Ending, report: _JunitFile) -> int:
 
 
 class _Tester:
-    """Listens to the DTC frames of a gateway elsewhere."""
+    """Listens to the DTC frames of a gateway elsewhere, and to all others for ECUs that hear.
 
-    def __init__(self, buses: list[Bus], judge: Judge) -> None:
-        self._buses = buses
+    Args:
+        buses: of the scenario.
+        judge: takes the reports.
+        hear: takes all frames, stamped by the scenario's clock; None: nobody wants them.
+    """
+
+    def __init__(self, buses: list[Bus], judge: Judge, hear: Callable[[Frames], None] | None = None) -> None:
+        self._buses, self._hear = buses, hear
         self._judge = judge
         self._database = shipped("dbc/gateway.dbc")
         self._batch = empty(256)
-        for bus in buses:
+        for bus in buses if hear is None else ():
             bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
 
@@ -324,6 +328,10 @@ class _Tester:
             count = len(self._batch)
             while count == len(self._batch):
                 count = bus.receive(self._batch)
+                if self._hear is not None and self.begun is not None:
+                    heard = self._batch[:count].copy()
+                    heard["t_ns"] = round((time.monotonic() - self.begun) * 1e9)
+                    self._hear(heard)
                 for frame in self._batch[:count]:
                     found += self._take(frame)
         return found

@@ -152,7 +152,8 @@ def accepted(found: object, name: str) -> VirtualEcu[Any, Any]:
         InputError: it is none, or one of another version.
     """
     if not isinstance(found, VirtualEcu):
-        raise InputError(f"this is no VirtualEcu, but {type(found).__name__}", value=name)
+        text = "this is no VirtualEcu, and no class with step(t, inputs)"
+        raise InputError(f"{text}, but {type(found).__name__}", value=name)
     key = f'virtual ECU "{found.type}"'
     if found.api != API:
         raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -30,13 +31,15 @@ class _Source:
     """An ECU with its harness.
 
     Args:
+        key: its key path in the scenario.
         ecu: of the scenario.
         sender: what it sends.
         harness: puts its faults in.
         run: what is asked for.
     """
 
-    def __init__(self, ecu: EcuParams, sender: Sender, harness: Harness, run: Run) -> None:
+    def __init__(self, key: str, ecu: EcuParams, sender: Sender, harness: Harness, run: Run) -> None:
+        self._key = key
         self.ecu, self.sender, self.harness, self.bus = ecu, sender, harness, run.bus
         self.truth: list[Truth] = []
         self.running: Running | None = None
@@ -69,7 +72,11 @@ class _Source:
     def take(self, end_ns: int, heard: Frames) -> Frames:
         """Return its frames until a time [ns], without faults."""
         if self.running is not None:
-            return self.running.step(end_ns, heard[heard["bus"] == self.bus])
+            try:
+                return self.running.step(end_ns, heard[heard["bus"] == self.bus])
+            except InputError as error:
+                key = f"{self._key}.{error.key}" if error.key else self._key
+                raise InputError(error.message, key=key, value=error.value) from error
         last = int(np.searchsorted(self._frames["t_ns"], end_ns))
         frames, self._taken = self._frames[self._taken : last], last
         return frames
@@ -123,6 +130,7 @@ class Player:
         self._hears = any(source.running is not None for source in self._sources)
         self.stepwise = stepwise or self._hears or bool(self._conditions)
         self._heard, self._sent, self._late = empty(0), empty(0), empty(0)
+        self._told: Counter[tuple[int, str, int]] = Counter()
         self.overrides = Overrides([source.sender for source in self._sources], buses)
         self.frames = empty(0) if self.stepwise else self._all()
 
@@ -158,7 +166,7 @@ class Player:
             sends = None if type_.sends is None else partial(type_.sends, ecu, files)
             sender = Sender(bus, files, sends, partial(self._known, bus))
             harness = Harness(faults, sender, np.random.default_rng([self.seed, k, 1]))
-            source = _Source(ecu, sender, harness, run)
+            source = _Source(f"ecu[{k}]", ecu, sender, harness, run)
             source.truth = truth
             source.begin(self.scenario, run)
         except InputError as error:
@@ -185,9 +193,27 @@ class Player:
         found = [fact for source in self._sources for fact in (*source.truth, *source.harness.truth)]
         return [*found, *self._wire.truth]
 
+    def told(self, until_ns: int) -> list[Truth]:
+        """Return what was injected until a time [ns] and has not been returned before, in order of time."""
+        left = self._told.copy()
+        found = []
+        for fact in sorted(self.truth, key=lambda fact: fact.t_ns):
+            name = fact.t_ns, fact.kind, fact.tooth
+            if left[name]:
+                left[name] -= 1
+            elif fact.t_ns <= until_ns:
+                found.append(fact)
+        self._told.update((fact.t_ns, fact.kind, fact.tooth) for fact in found)
+        return found
+
+    @property
+    def listens(self) -> bool:
+        """Whether what is on the buses matters to it."""
+        return self._hears or bool(self._conditions)
+
     def hear(self, frames: Frames) -> None:
         """Take frames of others on the buses, stamped from the scenario's time 0."""
-        if self._hears or self._conditions:
+        if self.listens:
             self._heard = np.concatenate([self._heard, frames])
 
     def take(self, end_ns: int) -> Frames:

@@ -297,10 +297,10 @@ WRONG = {
     SPEED + '{ csv = { file = "no.csv", value = "v" } }': ("csv.file = 'no.csv'", "no such file"),
     SPEED + '{ csv = { file = "bad.csv", value = "V" } }': ("csv.value = 'V'", "did you mean v?"),
     SPEED + '{ csv = { file = "bad.csv", value = "v" } }': ("bad.csv:3", "two numbers"),
-    '[[fault]]\nkind = "stuck"\nsignal = "Motion.Sped"\nfrom_s = 1': ("fault.signal = 'Motion.Sped'", "mean Speed?"),
+    '[[fault]]\nkind = "stuck"\nsignal = "Motion.Sped"\nfrom_s = 1': ("fault[0].signal = 'Motion.Sped'", "mean Speed?"),
     '[[fault]]\nkind = "offset"\nsignal = "Motion.Speed"\nfrom_s = 1': ("fault[0]", "offset wants a size"),
     '[[fault]]\nkind = "lost"\nsignal = "Motion.Speed"\nfrom_s = 1': ("fault[0]", "lost is a fault of a message"),
-    '[[fault]]\nkind = "checksum"\nmessage = "Motion"\nfrom_s = 1': ("fault.message = 'Motion'", "has no checksum"),
+    '[[fault]]\nkind = "checksum"\nmessage = "Motion"\nfrom_s = 1': ("fault[0].message = 'Motion'", "has no checksum"),
     '[[fault]]\nkind = "out_of_range"\nsignal = "Half.Speed"\nfrom_s = 1': ("'Half.Speed'", "give a size"),
 }  # fmt: skip
 
