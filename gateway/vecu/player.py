@@ -27,6 +27,15 @@ from gateway.vecu.wire_faults import Wire
 STEP_NS = 10_000_000
 
 
+def _joined(parts: Sequence[Frames]) -> Frames:
+    """Return parts as one batch in order of time: a copy."""
+    filled = [part for part in parts if len(part)]
+    if not filled:
+        return empty(0)
+    frames = filled[0] if len(filled) == 1 else np.concatenate(filled)
+    return frames[np.argsort(frames["t_ns"], kind="stable")]
+
+
 class _Source:
     """An ECU with its harness.
 
@@ -60,6 +69,11 @@ class _Source:
         frames, truth = type_.frames(self.ecu, mine, run)
         self.truth += truth
         self._frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+
+    @property
+    def step_ns(self) -> int:
+        """Steps in which it is to be sent [ns]; of one that hears, how often it is to hear."""
+        return VIRTUAL_ECUS[self.ecu.type].step_ns if self.running is None else self.running.step_ns
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -118,11 +132,9 @@ class Player:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         self._files, self._protections = databases or {}, protections or {}
-        self.step_ns = min(VIRTUAL_ECUS[ecu.type].step_ns for ecu in scenario.ecu)
         self._sources = [self._source(k, ecu, buses) for k, ecu in enumerate(scenario.ecu)]
-        for source in self._sources:
-            if source.running is not None:
-                self.step_ns = min(self.step_ns, source.running.step_ns)
+        self.step_ns = min(source.step_ns for source in self._sources)
+        self._loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
         named = any(fault.message != "*" for fault in scenario.wire)
         known = {bus: load_database(files) for bus, files in self._files.items() if named}
         self._wire = Wire(scenario.wire, np.random.default_rng([self.seed, 1 << 20]), known, buses)
@@ -137,8 +149,7 @@ class Player:
     def _all(self) -> Frames:
         """Return all frames, those that come at the end or late, too."""
         end = max(round(self.scenario.duration_s * 1e9), *(source.end_ns for source in self._sources))
-        frames = self.take(end)
-        return np.concatenate([frames, self._late])
+        return _joined([self.take(end), self._late])
 
     def _source(self, k: int, ecu: EcuParams, buses: Mapping[str, int]) -> _Source:
         """Return an ECU of the scenario.
@@ -214,28 +225,24 @@ class Player:
     def hear(self, frames: Frames) -> None:
         """Take frames of others on the buses, stamped from the scenario's time 0."""
         if self.listens:
-            self._heard = np.concatenate([self._heard, frames])
+            self._heard = _joined([self._heard, frames])
 
     def take(self, end_ns: int) -> Frames:
         """Return the frames from where the last call ended until a time [ns]."""
         others, self._heard = self._heard, empty(0)
-        heard = np.concatenate([self._sent, others])
-        heard = heard[np.argsort(heard["t_ns"], kind="stable")]
+        heard = _joined([self._sent, others])
         parts = [source.take(end_ns, heard) for source in self._sources]
         parts = [self.overrides.apply(part) for part in parts]
         if self._conditions:
-            every = np.concatenate([others, *parts])
-            every = every[np.argsort(every["t_ns"], kind="stable")]
+            every = _joined([others, *parts])
             for condition in self._conditions:
                 condition.take(every)
         parts = [source.harness.apply(part, end_ns) for source, part in zip(self._sources, parts, strict=True)]
-        frames = np.concatenate(parts)
+        frames = _joined(parts)
         frames["t_ns"] = np.maximum(frames["t_ns"], 1)  # a bus stamps what has no stamp: 0
-        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
         for source in self._sources:
             frames = frames[~source.harness.starved(frames)]
-        frames = np.concatenate([self._late, self._wire.apply(frames, end_ns)])
-        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        frames = _joined([self._late, self._wire.apply(frames, end_ns)])
         late = frames["t_ns"] >= end_ns
         frames, self._late = frames[~late], frames[late]
         self._sent = frames.copy() if self._hears else empty(0)
@@ -249,7 +256,7 @@ class Player:
             start_ns: added to every time stamp.
         """
         step_ns = STEP_NS if step_ns is None else step_ns
-        step_ns = min(step_ns, self.step_ns) if self._hears else step_ns
+        step_ns = min(step_ns, self._loop_ns)
         end = round(self.scenario.duration_s * 1e9)
         first = 0
         for until in range(step_ns, end + step_ns, step_ns):

@@ -62,7 +62,7 @@ def build(folder: Path, model: dict, fmi: str) -> Path:
     kinds += [(name, "C.parameter", "V.tunable") for name in model["parameters"]]
     if fmi == "3":
         kinds.insert(0, ("time", "C.independent", "V.continuous"))
-    values = {name: 0.0 for name in (*model["inputs"], *model["outputs"])} | model["parameters"]
+    values = dict.fromkeys((*model["inputs"], *model["outputs"]), 0.0) | model["parameters"]
     script = folder / f"{model['name'].lower()}{fmi}.py"
     script.write_text(
         SCRIPT.format(

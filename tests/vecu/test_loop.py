@@ -182,7 +182,7 @@ def test_a_loop_of_an_fmu_and_a_class_is_healthy_and_its_faults_are_named(pair, 
     assert (healthy, truth) == ([], [])
     speed = frames[frames["can_id"] == 257]["data"][:, 4:6].copy().view("<i2")[:, 0] * 0.0005
     assert speed.max() > 2.0, "it is driven, or nothing is shown by silence"
-    assert speed[-1] < 2.0
+    assert speed[np.argmax(speed) :].min() < 1.5
     for fault, dtc, kind in ((SENSOR, "P1A32-64", "offset"), (ACTUATOR, "P1A30-64", "actuator_offset")):
         found, truth, _ = play(write(folder, plant, controller, fault))
         assert [name for _, name in found] == [dtc]
@@ -214,7 +214,7 @@ def test_the_same_seed_gives_the_same_run_and_the_order_of_ecus_does_not_matter(
 WRONG = {
     'u = "Cmd.U"': ('u = "Cmd.V"', "ecu[1].inputs.u = 'Cmd.V'", "no signal 'V'"),
     '"Meas.W" = "w" }': ('"Meas.X" = "w" }', 'ecu[1].outputs."Meas.X"', "no signal 'X'"),
-    '"Meas.I" = "i"': ('"Meas.I" = "j"', 'ecu[1].outputs."Meas.I" = \'j\'', "did you mean i?"),
+    '"Meas.I" = "i"': ('"Meas.I" = "j"', 'ecu[1].outputs."Meas.I" = \'j\'', "the outputs are i, w"),
     "k = 10.0": ("kk = 10.0", "ecu[1].parameters.kk = 'kk'", "did you mean k?"),
     "gain = 1.5": ('gain = "high"', "ecu[0] = 'Controller': step at 0.0000 s", "loop_classes.py:2"),
     '"loop_classes:Motor"': ('"loop_classes:Moter"', "ecu[1].type = 'loop_classes:Moter'", "has no Moter"),
