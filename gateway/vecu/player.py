@@ -112,6 +112,7 @@ class Player:
         stepwise: it goes step by step, since what is sent depends on what is heard, or set: ``take`` has the frames.
         seed: that was used.
         step_ns: steps in which the frames are to be sent in real time, the shortest that an ECU asks for [ns].
+        loop_ns: longest step that it may be taken in, how often an ECU is to hear [ns].
         overrides: signals that somebody sets while it runs.
 
     Raises:
@@ -134,7 +135,7 @@ class Player:
         self._files, self._protections = databases or {}, protections or {}
         self._sources = [self._source(k, ecu, buses) for k, ecu in enumerate(scenario.ecu)]
         self.step_ns = min(source.step_ns for source in self._sources)
-        self._loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
+        self.loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
         named = any(fault.message != "*" for fault in scenario.wire)
         known = {bus: load_database(files) for bus, files in self._files.items() if named}
         self._wire = Wire(scenario.wire, np.random.default_rng([self.seed, 1 << 20]), known, buses)
@@ -256,7 +257,7 @@ class Player:
             start_ns: added to every time stamp.
         """
         step_ns = STEP_NS if step_ns is None else step_ns
-        step_ns = min(step_ns, self._loop_ns)
+        step_ns = min(step_ns, self.loop_ns)
         end = round(self.scenario.duration_s * 1e9)
         first = 0
         for until in range(step_ns, end + step_ns, step_ns):
