@@ -38,7 +38,8 @@ def buses_of(config: pytest.Config) -> list[str]:
     """
     given: list[str] = config.getoption("--gateway-bus")
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if given and worker and not all("{worker}" in uri for uri in given):
+    several = bool(worker) or bool(config.getoption("numprocesses", None))
+    if given and several and not all("{worker}" in uri for uri in given):
         text = "--gateway-bus: workers of xdist cannot share a bus: put {worker} into it, or leave out -n"
         raise pytest.UsageError(text)
     return [uri.replace("{worker}", worker or "main") for uri in given]

@@ -185,19 +185,24 @@ def _sends(params: RestbusParams, databases: Sequence[Path]) -> dict[str, Protec
 
 
 def _locate(params: RestbusParams, folder: Path, key: str) -> RestbusParams:
-    """Return parameters whose CSV files are those of the scenario's folder.
+    """Return parameters whose CSV files and logs are those of the scenario's folder.
 
     Raises:
         InputError: there is no such file.
     """
     signals = dict(params.signals)
     for name, course in signals.items():
-        if isinstance(course, Course) and course.csv is not None:
-            file = folder / course.csv.file
+        if not isinstance(course, Course):
+            continue
+        for kind in ("csv", "log"):
+            asked = getattr(course, kind)
+            if asked is None:
+                continue
+            file = folder / asked.file
             if not file.is_file():
-                where = f"{key}.{key_path(('signals', name))}.csv.file"
-                raise InputError("there is no such file", key=where, value=str(course.csv.file))
-            signals[name] = course.model_copy(update={"csv": course.csv.model_copy(update={"file": file})})
+                where = f"{key}.{key_path(('signals', name))}.{kind}.file"
+                raise InputError("there is no such file", key=where, value=str(asked.file))
+            signals[name] = course.model_copy(update={kind: asked.model_copy(update={"file": file})})
     return params.model_copy(update={"signals": signals})
 
 
