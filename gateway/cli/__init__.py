@@ -264,6 +264,9 @@ def simulate(
         Path | None,
         typer.Option(help="Write a JUnit file, a test case an expectation; as --check."),
     ] = None,
+    control: Annotated[
+        Path | None, typer.Option(help="Listen at this socket for signals and faults to be set (gateway control).")
+    ] = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
@@ -280,8 +283,24 @@ def simulate(
             html=html,
             json=json,
             junit=junit,
+            control=control,
         )
     )
+
+
+@app.command()
+def control(
+    socket: Annotated[Path, typer.Argument(help="Socket of a running gateway simulate --control.")],
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(help="set A.x=5 ..., release A.x, inject kind=lost message=A, heal; none: what is set."),
+    ] = None,
+) -> None:
+    """Set signals of virtual ECUs while they run, let them go, put faults in, and end them."""
+    from gateway.cli.control import ask, request_of
+    from gateway.cli.present import print_json
+
+    print_json(ask(socket, request_of(words or ())))
 
 
 @app.command()

@@ -16,6 +16,7 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
+from gateway.cli.control import Control
 from gateway.cli.junit import write_junit
 from gateway.cli.junit_scenario import of_findings, stopped
 from gateway.cli.present import (
@@ -203,14 +204,17 @@ def simulate(
     html: Path | None = None,
     json: bool,
     junit: Path | None = None,
+    control: Path | None = None,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
+    if control is not None and bus == INSIDE:
+        raise InputError("of a scenario in real time, on a bus", key="--control", value=str(control))
     if html is not None:
         need("serve", "reports", key="--html")
         if bus != INSIDE:
             raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
-    scenario, config, player = _open(scenario_name, seed)
+    scenario, config, player = _open(scenario_name, seed, stepwise=control is not None)
     check = check or junit is not None
     if check and bus == INSIDE:
         judgeable(scenario, config, file=find_scenario(scenario_name))
@@ -250,6 +254,10 @@ def simulate(
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         stack.callback(player.close)
         tester = _Tester(buses, judge, player.hear if player.listens else None)
+        if control is not None:
+            served = Control(control, player, lambda: tester.now_s)
+            stack.callback(served.close)
+            tester.turn = served.turn
         if check:
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
@@ -312,6 +320,12 @@ class _Tester:
         for bus in buses if hear is None else ():
             bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
+        self.turn: Callable[[], None] = lambda: None  # what else is to be done between two steps
+
+    @property
+    def now_s(self) -> float:
+        """Time of the scenario [s], 0 before its begin."""
+        return 0.0 if self.begun is None else time.monotonic() - self.begun
 
     @property
     def waits_until_s(self) -> float:
@@ -320,6 +334,7 @@ class _Tester:
 
     def listen(self, timeout_s: float) -> int:
         """Take what comes within so long [s]; returns how many DTC frames."""
+        self.turn()
         ready, _, _ = select.select([bus.fileno() for bus in self._buses], [], [], timeout_s)
         found = 0
         for bus in self._buses:

@@ -22,7 +22,7 @@ EXTRAS = {
 #: Extra -> what people get with it.
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
-    "fmu": "FMUs as plants (type = \"fmu\")",
+    "fmu": 'FMUs as plants (type = "fmu")',
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
     "parquet": "series as Parquet (replay --signals)",

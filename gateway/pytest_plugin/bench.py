@@ -172,6 +172,26 @@ class Bench:
         for sender in having:
             sender.player.overrides.release(signal)
 
+    def inject(self, ecu: str, **fault: Any) -> None:
+        """Put a fault into what a virtual ECU sends, from now on.
+
+        Args:
+            ecu: its name.
+            fault: keys of ``[[fault]]`` of every ECU: kind, signal or message, ...; times are by the ECU's own clock.
+
+        Raises:
+            InputError, InputErrors: no such ECU, keys that are wrong.
+        """
+        names = [sender.name for sender in self._senders]
+        if ecu not in names:
+            raise InputError(named("the virtual ECUs are", ecu, names), key="virtual ECU", value=ecu)
+        self._senders[names.index(ecu)].player.inject({"ecu": ecu, **fault})
+
+    def heal(self) -> None:
+        """End all faults of messages and signals now."""
+        for sender in self._senders:
+            sender.player.heal()
+
     def switch_off(self, name: str) -> None:
         """Switch a virtual ECU off: it sends no more.
 

@@ -24,6 +24,4 @@ def player_of(scenario: Scenario, config: Config, *, seed: int | None = None, st
     buses = {bus.name: index for index, bus in enumerate(config.bus)}
     databases = {index: bus.database for index, bus in enumerate(config.bus)}
     known = protections(config) if any(isinstance(fault, MessageFault) for fault in scenario.fault) or stepwise else {}
-    return Player(
-        scenario, buses, seed=seed, databases=databases, protections=known, stepwise=stepwise
-    )
+    return Player(scenario, buses, seed=seed, databases=databases, protections=known, stepwise=stepwise)

@@ -110,6 +110,12 @@ class _Fault:
             hit &= self.condition.holds(t_ns)
         return np.asarray(hit, np.bool_)
 
+    def end(self, now_ns: int) -> None:
+        """End it now, if it has not ended yet."""
+        to_s = now_ns * 1e-9
+        if self.fault.to_s is None or self.fault.to_s > to_s:
+            self.fault = self.fault.model_copy(update={"to_s": to_s})
+
     def note(self, t_ns: NDArray[np.int64]) -> None:
         """Note frames that it concerned."""
         if len(t_ns):
@@ -326,16 +332,34 @@ class Harness:
 
     def __init__(self, faults: Sequence[tuple[int, MessageFault]], sender: Sender, rng: np.random.Generator) -> None:
         self._faults: list[_Fault] = []
+        self._sender, self._rng = sender, rng
         for place, fault in faults:
-            key = "when"
-            try:
-                condition = None if fault.when is None else Condition(fault.when, sender.bus, sender.database)
-                key = "signal" if fault.of_signal else "message"
-                self._faults.append(_made(fault, condition, sender, rng))
-            except InputError as error:
-                given = getattr(fault, key)
-                raise InputError(error.message, key=f"fault[{place}].{key}", value=error.value or given) from error
+            self.add(fault, f"fault[{place}]")
+
+    def add(self, fault: MessageFault, place: str = "fault") -> None:
+        """Put in one more fault, from the next chunk on.
+
+        Args:
+            fault: of this ECU.
+            place: key path of its table.
+
+        Raises:
+            InputError: a fault of what is not sent, or cannot have it.
+        """
+        sender, key = self._sender, "when"
+        try:
+            condition = None if fault.when is None else Condition(fault.when, sender.bus, sender.database)
+            key = "signal" if fault.of_signal else "message"
+            self._faults.append(_made(fault, condition, sender, self._rng))
+        except InputError as error:
+            given = getattr(fault, key)
+            raise InputError(error.message, key=f"{place}.{key}", value=error.value or given) from error
         self._faults.sort(key=_stage)
+
+    def end(self, now_ns: int) -> None:
+        """End all faults at a time [ns]; what was injected stays known."""
+        for fault in self._faults:
+            fault.end(now_ns)
 
     @property
     def conditions(self) -> list[Condition]:

@@ -6,11 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gateway.bus.frames import Frames, empty
-from gateway.errors import InputError
+from gateway.common.tomlfile import validate
+from gateway.errors import InputError, named
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
@@ -136,16 +138,40 @@ class Player:
         self._sources = [self._source(k, ecu, buses) for k, ecu in enumerate(scenario.ecu)]
         self.step_ns = min(source.step_ns for source in self._sources)
         self.loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
-        named = any(fault.message != "*" for fault in scenario.wire)
-        known = {bus: load_database(files) for bus, files in self._files.items() if named}
+        by_name = any(fault.message != "*" for fault in scenario.wire)
+        known = {bus: load_database(files) for bus, files in self._files.items() if by_name}
         self._wire = Wire(scenario.wire, np.random.default_rng([self.seed, 1 << 20]), known, buses)
-        self._conditions = [condition for source in self._sources for condition in source.harness.conditions]
+        self._now_ns = 0
+        self._find_conditions()
         self._hears = any(source.running is not None for source in self._sources)
         self.stepwise = stepwise or self._hears or bool(self._conditions)
         self._heard, self._sent, self._late = empty(0), empty(0), empty(0)
         self._told: Counter[tuple[int, str, int]] = Counter()
         self.overrides = Overrides([source.sender for source in self._sources], buses)
         self.frames = empty(0) if self.stepwise else self._all()
+
+    def _find_conditions(self) -> None:
+        self._conditions = [condition for source in self._sources for condition in source.harness.conditions]
+
+    def inject(self, table: Mapping[str, Any]) -> None:
+        """Put in a fault while it runs, as ``[[fault]]`` of a scenario has it; without ``from_s`` from now on.
+
+        Raises:
+            InputError, InputErrors: keys that are wrong, a fault of what is not sent.
+        """
+        names = [source.ecu.name for source in self._sources]
+        begin = {} if "from_s" in table else {"from_s": self._now_ns * 1e-9}
+        whose = {"ecu": names[0]} if len(names) == 1 else {}
+        fault = validate({**whose, **begin, **table}, MessageFault, None, "fault")
+        if fault.ecu not in names:
+            raise InputError(named("the ECUs are", fault.ecu, names), key="fault.ecu", value=fault.ecu)
+        self._sources[names.index(fault.ecu)].harness.add(fault)
+        self._find_conditions()
+
+    def heal(self) -> None:
+        """End all faults of messages and signals, those of the scenario, too."""
+        for source in self._sources:
+            source.harness.end(self._now_ns)
 
     def _all(self) -> Frames:
         """Return all frames, those that come at the end or late, too."""
@@ -245,7 +271,7 @@ class Player:
             frames = frames[~source.harness.starved(frames)]
         frames = _joined([self._late, self._wire.apply(frames, end_ns)])
         late = frames["t_ns"] >= end_ns
-        frames, self._late = frames[~late], frames[late]
+        frames, self._late, self._now_ns = frames[~late], frames[late], end_ns
         self._sent = frames.copy() if self._hears else empty(0)
         return frames
 
