@@ -73,7 +73,7 @@ noise = 0.003
 dtc = "P1A32-64"
 [output.dtc_frame]
 """
-CLASSES = '''
+CLASSES = """
 class Motor:
     def __init__(self, k=10.0):
         self.k, self.i, self.w, self.t = k, 0.0, 0.0, 0.0
@@ -95,7 +95,7 @@ class Controller:
     def step(self, t, inputs):
         wanted = 3.0 if int(t / 1.5) % 2 else 1.0
         return {"u": max(-20.0, min(20.0, self.gain * (wanted - inputs["w"]) + 0.7 * wanted))}
-'''
+"""
 SCENARIO = """
 name = "loop"
 duration_s = 6.0
@@ -214,7 +214,7 @@ def test_the_same_seed_gives_the_same_run_and_the_order_of_ecus_does_not_matter(
 WRONG = {
     'u = "Cmd.U"': ('u = "Cmd.V"', "ecu[1].inputs.u = 'Cmd.V'", "no signal 'V'"),
     '"Meas.W" = "w" }': ('"Meas.X" = "w" }', 'ecu[1].outputs."Meas.X"', "no signal 'X'"),
-    '"Meas.I" = "i"': ('"Meas.I" = "j"', 'ecu[1].outputs."Meas.I" = \'j\'', "the outputs are i, w"),
+    '"Meas.I" = "i"': ('"Meas.I" = "j"', "ecu[1].outputs.\"Meas.I\" = 'j'", "the outputs are i, w"),
     "k = 10.0": ("kk = 10.0", "ecu[1].parameters.kk = 'kk'", "did you mean k?"),
     "gain = 1.5": ('gain = "high"', "ecu[0] = 'Controller': step at 0.0000 s", "loop_classes.py:2"),
     '"loop_classes:Motor"': ('"loop_classes:Moter"', "ecu[1].type = 'loop_classes:Moter'", "has no Moter"),
