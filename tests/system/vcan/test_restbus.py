@@ -1,0 +1,135 @@
+"""The rest bus of a database of others on the kernel's CAN: candump, cantools and python-can are there, too."""
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from collections import Counter
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+from kernel_can import candump, daemon, wait_for
+from opendbc import DBC_PATH
+from processes import GATEWAY
+
+from gateway.bus.candump import parse
+from gateway.bus.frames import payload
+
+pytestmark = pytest.mark.vcan
+
+DATABASE = Path(DBC_PATH) / "vw_mqb.dbc"
+#: Nodes whose messages are all sent; those with a checksum are checked.
+NODES = {"Gateway_MQB", "Motor_Diesel_MQB"}
+
+
+@pytest.fixture(scope="module")
+def database():
+    return cantools.database.load_file(DATABASE, strict=False)
+
+
+def write(folder, database):
+    """Write configuration and scenario; returns both, and the names of messages that are sent, and that are checked."""
+    sent = [m.name for m in database.messages if set(m.senders) & NODES]
+    checked = [m.name for m in database.messages if m.name in sent and any(s.name == "CHECKSUM" for s in m.signals)]
+    # No message is lost here because a machine is busy; a wrong checksum or counter is told all the same.
+    checks = ", ".join(f'{{ message = "{name}", timeout_ms = 600000, protection = "auto" }}' for name in checked)
+    config = folder / "gateway.toml"
+    config.write_text(
+        f'[[bus]]\nname = "can"\nuri = "socketcan:vcan0"\ndatabase = ["{DATABASE}"]\ncodes = "own"\n'
+        f"check = [{checks}]\n[output.dtc_frame]\n"
+    )
+    scenario = folder / "scenario.toml"
+    scenario.write_text(
+        'name = "rest"\nduration_s = 8.0\nseed = 31\nconfig = "gateway.toml"\n'
+        f'[[ecu]]\ntype = "restbus"\nnodes = {sorted(NODES)}\ncycle_ms = 100\n'
+        '[ecu.signals]\n"ESP_21.ESP_v_Signal" = { ramp = { start = 50, end = 100, in_s = 8 } }\n'
+        '[[ecu]]\ntype = "responder"\n[ecu.uds]\nrequest = 0x713\nresponse = 0x77D\n'
+        'answers = { "22 F1 90" = "62 F1 90 41" }\n'
+    )
+    return config, scenario, sent, checked
+
+
+class Monitor:
+    """cantools' monitor, on a terminal of its own."""
+
+    def __init__(self):
+        self._ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 400, 160, 0, 0))
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "cantools", "monitor", "-i", "socketcan", "-c", "vcan0", "--no-strict",
+             str(DATABASE)],
+            stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}, close_fds=True,
+        )  # fmt: skip
+        os.close(theirs)
+        self.said = b""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        try:
+            while data := os.read(self._ours, 65536):
+                self.said += data
+        except OSError:
+            pass  # its end is closed
+
+    @property
+    def screen(self):
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b\([A-Z]", "", self.said.decode(errors="replace"))
+
+    def close(self):
+        self._process.terminate()
+        self._process.wait(60)
+        self._thread.join(60)
+        os.close(self._ours)
+
+
+def test_a_rest_bus_of_others_and_its_readers(tmp_path, database):
+    config, scenario, sent, checked = write(tmp_path, database)
+    assert len(checked) >= 10
+    log = tmp_path / "all.log"
+    monitor = Monitor()
+    try:
+        with candump("-L", "vcan0", log=log), daemon(config, cwd=tmp_path) as running:
+            wait_for(lambda: "Received" in monitor.screen)
+            played = subprocess.Popen(
+                [*GATEWAY, "simulate", str(scenario), "--bus", "socketcan:vcan0"],
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            )  # fmt: skip
+            answer = None
+            with can.Bus("vcan0", interface="socketcan", can_filters=[{"can_id": 0x77D, "can_mask": 0x7FF}]) as peer:
+                while answer is None and played.poll() is None:
+                    peer.send(can.Message(arbitration_id=0x713, data=bytes.fromhex("0322F190"), is_extended_id=False))
+                    answer = peer.recv(1.0)
+            said, _ = played.communicate(timeout=600)
+            wait_for(lambda: "ESP_21" in monitor.screen)
+    finally:
+        monitor.close()
+    assert played.returncode == 0, said
+    assert answer is not None, said
+    assert bytes(answer.data)[:5] == bytes.fromhex("0462F19041")
+    assert running.code == 0
+    failed = {event["fault"] for event in running.events() if event["event"] == "dtc" and event["status"] & 1}
+    assert failed == set(), "every protected message passes its check"
+    frames, wrong = parse(log.read_bytes().splitlines(), 1, log, None, Counter())
+    assert wrong is None
+    seen, speeds = Counter(), []
+    for frame in frames:
+        try:
+            message = database.get_message_by_frame_id(int(frame["can_id"]) & 0x1FFFFFFF)
+        except KeyError:
+            continue  # ours, and the tester's
+        seen[message.name] += 1
+        if message.name == "ESP_21":
+            speeds.append(message.decode(payload(frame), decode_choices=False)["ESP_v_Signal"])
+    assert set(checked) <= seen.keys() <= set(sent)
+    assert min(seen[name] for name in checked) >= 70
+    assert speeds == sorted(speeds)
+    assert (speeds[0], speeds[-1]) == (pytest.approx(50, abs=1), pytest.approx(100, abs=1))
+    assert "ESP_v_Signal" in monitor.screen
