@@ -253,11 +253,7 @@ def simulate(
             raise InputError("the scenario has several buses; set them in its configuration", value=bus)
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         stack.callback(player.close)
-        tester = _Tester(buses, judge, player.hear if player.listens else None)
-        if control is not None:
-            served = Control(control, player, lambda: tester.now_s)
-            stack.callback(served.close)
-            tester.turn = served.turn
+        tester = _tester(stack, buses, judge, player, control)
         if check:
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
@@ -265,6 +261,21 @@ def simulate(
         return _stopped(scenario, stop, junit_file) if check else 0
     junit_file.write(judge)
     return _verdict(judge, json=json, check=check) if check else 0
+
+
+def _tester(stack: ExitStack, buses: list[Bus], judge: Judge, player: Player, control: Path | None) -> _Tester:
+    """Return who listens, with the control socket if one is asked for.
+
+    Raises:
+        InputError: no such socket can be made.
+    """
+    # A fault that is put in later may have a condition, which wants to hear.
+    tester = _Tester(buses, judge, player.hear if player.listens or control is not None else None)
+    if control is not None:
+        served = Control(control, player, lambda: tester.now_s)
+        stack.callback(served.close)
+        tester.turn = served.turn
+    return tester
 
 
 class _JunitFile:
