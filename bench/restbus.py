@@ -3,7 +3,7 @@
 Both send over ``gateway bus`` (or ``--uri socketcan:vcan0``) to a receiver in a process of its own, which notes when
 each frame came: how far is the time between two frames of a message from its cycle?
 
-    python bench/restbus.py [--messages 500] [--seconds 10] [--uri URI] [--without-peer] [--json]
+    python bench/restbus.py [--messages 500] [--seconds 10] [--uri URI] [--priority 10] [--without-peer] [--json]
 """
 
 from __future__ import annotations
@@ -64,8 +64,9 @@ def write(folder: Path, count: int, seconds: float, uri: str) -> Path:
     return path
 
 
-def receive(uri: str, pipe: Connection) -> None:
+def receive(uri: str, pipe: Connection, priority: int | None) -> None:
     """Note identifier and time of each frame until told to end."""
+    import_module("gateway.cli.simulate").prefer(priority)
     batch, ids, times = empty(1024), [], []
     with open_bus(uri) as bus:
         pipe.send("ready")
@@ -90,18 +91,20 @@ def jitter(ids: np.ndarray, times: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate(found)
 
 
-def ours(scenario: Path, uri: str) -> None:
+def ours(scenario: Path, uri: str, priority: int | None) -> None:
     """Play the rest bus, as ``gateway simulate`` does."""
     simulate = import_module("gateway.cli.simulate")
     loaded = load_scenario(scenario)
     player = player_of(loaded, load_config(loaded.config))
+    simulate.prefer(priority)
     with open_bus(uri) as bus:
         tester = simulate._Tester([bus], Judge(loaded))
         simulate._play(player, [bus], tester, None, lambda: False, patient=False)
 
 
-def theirs(count: int, seconds: float, uri: str) -> None:
+def theirs(count: int, seconds: float, uri: str, priority: int | None) -> None:
     """Let python-can send the same messages, each by its cyclic task."""
+    import_module("gateway.cli.simulate").prefer(priority)
     if uri.startswith("loopback:"):
         host, _, port = uri.removeprefix("loopback:").rpartition(":")
         bus = can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
@@ -122,7 +125,7 @@ def theirs(count: int, seconds: float, uri: str) -> None:
 def measured(uri: str, work: object, arguments: tuple, count: int) -> dict[str, float]:
     """Return the jitter of what a process sends."""
     here, there = multiprocessing.Pipe()
-    listener = multiprocessing.Process(target=receive, args=(uri, there))
+    listener = multiprocessing.Process(target=receive, args=(uri, there, arguments[-1]))
     listener.start()
     assert here.recv() == "ready"
     sender = multiprocessing.Process(target=work, args=arguments)
@@ -144,6 +147,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--uri")
     parser.add_argument("--without-peer", action="store_true")
+    parser.add_argument("--priority", type=int, help="SCHED_RR, of all processes of the bench")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     wanted = sum(options.seconds * 1e3 / cycle for cycle in cycles(options.messages))
@@ -152,13 +156,14 @@ def main() -> None:
         uri = options.uri
         if uri is None:
             command = [sys.executable, "-c", "from gateway.cli import main; main()", "bus", "127.0.0.1:0"]
+            import_module("gateway.cli.simulate").prefer(options.priority)  # of the bus, too
             hub = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
             uri = re.search(r"loopback:\S+", hub.stderr.readline())[0]
         with tempfile.TemporaryDirectory() as folder:
             scenario = write(Path(folder), options.messages, options.seconds, uri)
-            found = {"rest bus": measured(uri, ours, (scenario, uri), options.messages)}
+            found = {"rest bus": measured(uri, ours, (scenario, uri, options.priority), options.messages)}
             if not options.without_peer:
-                arguments = options.messages, options.seconds, uri
+                arguments = options.messages, options.seconds, uri, options.priority
                 found["python-can, a thread a message"] = measured(uri, theirs, arguments, options.messages)
     finally:
         if hub is not None:

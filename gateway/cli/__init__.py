@@ -267,6 +267,10 @@ def simulate(
     control: Annotated[
         Path | None, typer.Option(help="Listen at this socket for signals and faults to be set (gateway control).")
     ] = None,
+    priority: Annotated[
+        int | None,
+        typer.Option(min=1, max=99, help="Real-time priority (SCHED_RR): even cycles on a busy machine."),
+    ] = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
@@ -284,6 +288,7 @@ def simulate(
             json=json,
             junit=junit,
             control=control,
+            priority=priority,
         )
     )
 

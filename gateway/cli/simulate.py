@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import time
@@ -205,6 +206,7 @@ def simulate(
     json: bool,
     junit: Path | None = None,
     control: Path | None = None,
+    priority: int | None = None,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
     if control is not None and bus == INSIDE:
@@ -254,6 +256,7 @@ def simulate(
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
         stack.callback(player.close)
         tester = _tester(stack, buses, judge, player, control)
+        prefer(priority)
         if check:
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
@@ -276,6 +279,21 @@ def _tester(stack: ExitStack, buses: list[Bus], judge: Judge, player: Player, co
         stack.callback(served.close)
         tester.turn = served.turn
     return tester
+
+
+def prefer(priority: int | None) -> None:
+    """Let the kernel prefer this process (SCHED_RR), 1 to 99; None: as any other.
+
+    Raises:
+        InputError: this user may not ask for that.
+    """
+    if priority is None:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    except OSError as error:
+        text = f"{error.strerror}: it wants CAP_SYS_NICE, or a limit rtprio (limits.conf)"
+        raise InputError(text, key="--priority", value=priority) from error
 
 
 class _JunitFile:

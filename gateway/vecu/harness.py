@@ -20,10 +20,11 @@ from gateway.monitors.signal.parts import no_value
 from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
-from gateway.signals.database import Database, load_database
+from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
 from gateway.vecu.conditions import Condition
 from gateway.vecu.contract import Truth
+from gateway.vecu.databases import database_of
 from gateway.vecu.message_faults import EcuKind, Effect, MessageFault, SignalKind
 from gateway.vecu.wire_faults import WireKind, disturbed
 
@@ -55,7 +56,7 @@ class Sender:
     @cached_property
     def database(self) -> Database:
         """The messages of its bus."""
-        return load_database(self._files)
+        return database_of(self._files)
 
     @cached_property
     def _protections(self) -> Mapping[str, Protection] | None:

@@ -18,9 +18,10 @@ from gateway.common.tomlfile import key_path
 from gateway.errors import InputError, named
 from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
-from gateway.signals.database import Database, load_database
+from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
 from gateway.vecu.contract import Run, Truth
+from gateway.vecu.databases import database_of
 from gateway.vecu.loop_params import ACTUATOR, LoopFault, LoopParams
 from gateway.vecu.message_faults import Effect
 from gateway.vecu.restbus.params import RestbusParams
@@ -104,7 +105,7 @@ class Loop:
     """
 
     def __init__(self, params: LoopParams, faults: Sequence[LoopFault], run: Run, model: Callable[[], Model]) -> None:
-        database = load_database(run.databases)
+        database = database_of(run.databases)
         self.step_ns = round(params.step_ms * 1e6)
         self._params, self._run = params, run
         self._inputs = {name: self._input(name, database) for name in params.inputs}
@@ -219,7 +220,7 @@ def _check(params: LoopParams, database: Database) -> None:
         raise InputError("this signal is an output, too", key="constants", value=sorted(both)[0])
 
 
-def messages(params: LoopParams, database: Database) -> list[Sent]:
+def messages(params: LoopParams, database: Database, *, tell: bool = True) -> list[Sent]:
     """Return the messages that it sends, chosen and protected as those of a rest bus are.
 
     Raises:
@@ -235,9 +236,10 @@ def messages(params: LoopParams, database: Database) -> list[Sent]:
             protection=params.protection,
         ),
         database,
+        tell=tell,
     )
 
 
 def sends(params: LoopParams, databases: Sequence[Path]) -> dict[str, Protection]:
     """Return the messages that it sends, by name, with their protections."""
-    return {one.message.name: one.protection for one in messages(params, load_database(databases))}
+    return {one.message.name: one.protection for one in messages(params, database_of(databases), tell=False)}

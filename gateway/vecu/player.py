@@ -13,11 +13,12 @@ import numpy as np
 from gateway.bus.frames import Frames, empty
 from gateway.common.tomlfile import validate
 from gateway.errors import InputError, named
-from gateway.signals.database import Database, load_database
+from gateway.signals.database import Database
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway.vecu.contract import EcuParams, Run, Running, Truth
+from gateway.vecu.databases import database_of
 from gateway.vecu.harness import Harness, Sender
 from gateway.vecu.message_faults import MessageFault
 from gateway.vecu.overrides import Overrides
@@ -139,7 +140,7 @@ class Player:
         self.step_ns = min(source.step_ns for source in self._sources)
         self.loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
         by_name = any(fault.message != "*" for fault in scenario.wire)
-        known = {bus: load_database(files) for bus, files in self._files.items() if by_name}
+        known = {bus: database_of(files) for bus, files in self._files.items() if by_name}
         self._wire = Wire(scenario.wire, np.random.default_rng([self.seed, 1 << 20]), known, buses)
         self._now_ns = 0
         self._find_conditions()

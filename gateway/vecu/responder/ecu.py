@@ -16,12 +16,13 @@ from gateway.errors import InputError
 from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
-from gateway.signals.database import Database, load_database
+from gateway.signals.database import Database
 from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
 from gateway.vecu.conditions import Condition
 from gateway.vecu.contract import EcuFault, Run, Running, VirtualEcu
+from gateway.vecu.databases import database_of
 from gateway.vecu.responder.params import Reply, ResponderParams
 from gateway.vecu.responder.uds import UdsResponder
 from gateway.vecu.restbus.signals import start_value
@@ -123,7 +124,7 @@ class _Responder:
     step_ns = STEP_NS
 
     def __init__(self, params: ResponderParams, run: Run) -> None:
-        database = load_database(run.databases)
+        database = database_of(run.databases)
         self._repliers = []
         for k, reply in enumerate(params.reply):
             try:
@@ -213,7 +214,7 @@ def _begin(params: ResponderParams, _faults: Sequence[EcuFault], run: Run) -> Ru
 
 
 def _sends(params: ResponderParams, databases: Sequence[Path]) -> dict[str, Protection]:
-    database = load_database(databases)
+    database = database_of(databases)
     return {reply.send: _protection(reply, database.message(reply.send), database) for reply in params.reply}
 
 

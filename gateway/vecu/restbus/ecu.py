@@ -14,10 +14,10 @@ from gateway.common.tomlfile import key_path
 from gateway.errors import InputError
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits, put_column
-from gateway.signals.database import load_database
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
 from gateway.vecu.contract import EcuFault, Run, Truth, VirtualEcu
+from gateway.vecu.databases import database_of
 from gateway.vecu.restbus.courses import Course
 from gateway.vecu.restbus.params import RestbusParams
 from gateway.vecu.restbus.selection import sent
@@ -42,7 +42,7 @@ class _Senders:
 
     def __init__(self, params: RestbusParams, run: Run) -> None:
         self._params, self._run = params, run
-        database = load_database(run.databases)
+        database = database_of(run.databases)
         self.sent = sent(params, database)
         names = {one.message.name: one for one in self.sent}
         self._courses = Courses(params.signals, database, names)
@@ -181,7 +181,7 @@ def _frames(params: RestbusParams, _faults: Sequence[EcuFault], run: Run) -> tup
 
 
 def _sends(params: RestbusParams, databases: Sequence[Path]) -> dict[str, Protection]:
-    return {one.message.name: one.protection for one in sent(params, load_database(databases))}
+    return {one.message.name: one.protection for one in sent(params, database_of(databases), tell=False)}
 
 
 def _locate(params: RestbusParams, folder: Path, key: str) -> RestbusParams:
