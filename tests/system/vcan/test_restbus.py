@@ -4,6 +4,7 @@ import fcntl
 import os
 import pty
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 import can
 import cantools
 import pytest
+from foreign_project import ROOT, run
 from kernel_can import candump, daemon, wait_for
 from opendbc import DBC_PATH
 from processes import GATEWAY
@@ -133,3 +135,20 @@ def test_a_rest_bus_of_others_and_its_readers(tmp_path, database):
     assert speeds == sorted(speeds)
     assert (speeds[0], speeds[-1]) == (pytest.approx(50, abs=1), pytest.approx(100, abs=1))
     assert "ESP_v_Signal" in monitor.screen
+
+
+def test_the_examples_tests_on_the_kernels_can(tmp_path):
+    """--gateway-bus: what passes in one process passes here, a loop of a plant and its controller too."""
+    folder = tmp_path / "bench"
+    shutil.copytree(ROOT / "examples" / "bench", folder, ignore=shutil.ignore_patterns("__pycache__", "left"))
+    config = (folder / "gateway.toml").read_text()
+    assert "timeout_ms = 200.0" in config
+    (folder / "gateway.toml").write_text(config.replace("timeout_ms = 200.0", "timeout_ms = 5000.0"))
+    log = tmp_path / "all.log"
+    with candump("-L", "vcan0", log=log):
+        test = "test_fan.py::test_a_sensor_without_a_value_is_named"
+        code, said = run(folder, "--gateway-bus", "socketcan:vcan0", "scenarios/blocked.toml", test)
+    assert (code, "2 passed" in said) == (0, True), said
+    seen = Counter(line.split()[2].partition("#")[0] for line in log.read_text().splitlines())
+    assert min(seen["100"], seen["110"], seen["120"]) > 300, "50 a second, for seconds"
+    assert min(seen["7E0"], seen["7E8"]) > 0, "udsoncan and its answers"
