@@ -301,7 +301,7 @@ def control(
         typer.Argument(help="set A.x=5 ..., release A.x, inject kind=lost message=A, heal; none: what is set."),
     ] = None,
 ) -> None:
-    """Set signals of virtual ECUs while they run, let them go, put faults in, and end them."""
+    """Set signals and faults of a running simulation."""
     from gateway.cli.control import ask, request_of
     from gateway.cli.present import print_json
 
