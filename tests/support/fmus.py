@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SCRIPT = '''
+SCRIPT = """
 {imports}
 
 
@@ -20,7 +20,7 @@ class {name}({base}):
     def do_step(self, t, dt):
         {body}
         return True
-'''
+"""
 #: FMI -> program that builds it; its imports, base class, type of a real number; whether it wants a variable time.
 KINDS = {
     "2": ("pythonfmu", "from pythonfmu import Fmi2Causality as C, Fmi2Slave, Fmi2Variability as V, Real", "Fmi2Slave"),
