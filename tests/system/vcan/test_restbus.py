@@ -139,7 +139,7 @@ def test_a_rest_bus_of_others_and_its_readers(car, tmp_path):
         if message.name == name:
             values.append(message.decode(payload(frame), decode_choices=False)[signal])
     assert set(checked) <= seen.keys() <= set(sent)
-    assert min(seen[one] for one in checked or seen) >= 5
+    assert min((seen[one] for one in checked), default=50) >= 50
     assert max(seen.values()) >= 50
     if rising is not None:
         assert values == sorted(values)
