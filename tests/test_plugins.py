@@ -13,7 +13,7 @@ import pytest
 
 from gateway.common.resources import shipped
 
-#: Monitors of one's own, with a scenario beside; examples/bench is a project, tests/pytest_plugin/test_example.py runs it.
+#: Monitors of one's own, with a scenario beside; the project examples/bench: tests/pytest_plugin/test_example.py.
 EXAMPLES = sorted(
     path.parent for path in shipped("examples").glob("*/gateway.toml") if len(list(path.parent.glob("*.toml"))) == 2
 )
