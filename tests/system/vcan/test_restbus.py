@@ -69,7 +69,7 @@ class Monitor:
         self._ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 400, 160, 0, 0))
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "cantools", "monitor", "-i", "socketcan", "-c", "vcan0", "--no-strict",
+            [sys.executable, "-m", "cantools", "monitor", "-i", "socketcan", "-c", "vcan0", "--fd", "--no-strict",
              str(database)],
             stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}, close_fds=True,
         )  # fmt: skip
