@@ -13,7 +13,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the settings, and an option that does nothing without them."""
     parser.addini("gateway_scenarios", "folders whose scenarios (.toml) are tests", type="paths", default=[])
     parser.addini("gateway_config", "configuration of the fixture gateway_bench", type="paths", default=[])
+    parser.addini("gateway_artifacts", "folder of what failed scenarios leave", type="paths", default=[])
     group = parser.getgroup("gateway", "ECU gateway")
+    group.addoption(
+        "--gateway-bus",
+        action="append",
+        default=[],
+        metavar="[NAME=]URI",
+        help="Real buses in real time, as socketcan:vcan0; {worker} in it becomes the worker's name (xdist).",
+    )
     group.addoption("--gateway-seed", type=int, metavar="N", help="Seed of all scenarios and virtual ECUs.")
 
 

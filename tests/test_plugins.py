@@ -13,7 +13,10 @@ import pytest
 
 from gateway.common.resources import shipped
 
-EXAMPLES = sorted(path.parent for path in shipped("examples").glob("*/gateway.toml"))
+#: Monitors of one's own, with a scenario beside; the project examples/bench: tests/pytest_plugin/test_example.py.
+EXAMPLES = sorted(
+    path.parent for path in shipped("examples").glob("*/gateway.toml") if len(list(path.parent.glob("*.toml"))) == 2
+)
 GATEWAY = [str(Path(sys.executable).parent / "gateway")]
 COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0]='gateway'; sys.exit(main())"]
 

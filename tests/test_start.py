@@ -298,7 +298,8 @@ for name in {names!r}:
     } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
-    assert refused == pictures | algebra | pages | {"gateway.monitors.structural.choice"}
+    others = {"gateway.monitors.structural.choice", "gateway.vecu.fmu.model"}
+    assert refused == pictures | algebra | pages | others
 
 
 def test_the_package_offers_the_extras_that_are_named_to_people():

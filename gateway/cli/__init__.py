@@ -264,6 +264,13 @@ def simulate(
         Path | None,
         typer.Option(help="Write a JUnit file, a test case an expectation; as --check."),
     ] = None,
+    control: Annotated[
+        Path | None, typer.Option(help="Listen at this socket for signals and faults to be set (gateway control).")
+    ] = None,
+    priority: Annotated[
+        int | None,
+        typer.Option(min=1, max=99, help="Real-time priority (SCHED_RR): even cycles on a busy machine."),
+    ] = None,
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and injected faults in real time."""
@@ -280,8 +287,25 @@ def simulate(
             html=html,
             json=json,
             junit=junit,
+            control=control,
+            priority=priority,
         )
     )
+
+
+@app.command()
+def control(
+    socket: Annotated[Path, typer.Argument(help="Socket of a running gateway simulate --control.")],
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(help="set A.x=5 ..., release A.x, inject kind=lost message=A, heal; none: what is set."),
+    ] = None,
+) -> None:
+    """Set signals and faults of a running simulation."""
+    from gateway.cli.control import ask, request_of
+    from gateway.cli.present import print_json
+
+    print_json(ask(socket, request_of(words or ())))
 
 
 @app.command()

@@ -56,7 +56,7 @@ class DemoPage:
     def begin(self, gateway: Gateway, player: Player) -> None:
         """Open the page, and wait until it is there."""
         gateway.engine.warm()  # what has to be compiled is, before anybody looks
-        self._truth = list(player.truth)
+        self._player = player
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
         gateway.listen(self._socket.tell)
         self._page = PageProcess(self._folder / "status", self._port, open_page=self._open)
@@ -76,8 +76,7 @@ class DemoPage:
         if self._socket is None or not len(frames):
             return
         self._socket.on_frames(frames)
-        while self._truth and self._truth[0].t_ns <= frames["t_ns"][-1]:
-            fact = self._truth.pop(0)
+        for fact in self._player.told(int(frames["t_ns"][-1])):
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             text = f"{fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
             self._socket.tell({"event": "injected", "t_ns": fact.t_ns, "text": text})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import time
@@ -16,6 +17,7 @@ from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
+from gateway.cli.control import Control
 from gateway.cli.junit import write_junit
 from gateway.cli.junit_scenario import of_findings, stopped
 from gateway.cli.present import (
@@ -34,6 +36,7 @@ from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive, judgeable
+from gateway.runtime.playing import player_of
 from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
 from gateway.vecu.player import Player
@@ -49,14 +52,12 @@ LATE_S = 0.02
 TOLD_S = 0.1
 
 
-def _open(name: Path, seed: int | None) -> tuple[Scenario, Config, Player]:
+def _open(name: Path, seed: int | None, *, stepwise: bool = False) -> tuple[Scenario, Config, Player]:
     file = find_scenario(name)
     scenario = load_scenario(file)
     config = load_config(scenario.config)
-    buses = {bus.name: index for index, bus in enumerate(config.bus)}
-    databases = {index: bus.database for index, bus in enumerate(config.bus)}
     try:
-        return scenario, config, Player(scenario, buses, seed=seed, databases=databases)
+        return scenario, config, player_of(scenario, config, seed=seed, stepwise=stepwise)
     except InputError as error:
         raise error.within(file) from error
 
@@ -78,7 +79,6 @@ class _Narrator:
         self._console = console
         self._player = player
         self._gateway = gateway
-        self._truth = list(player.truth)
         self._shown_s = -1
 
     def begin(self, scenario: Scenario) -> None:
@@ -87,13 +87,12 @@ class _Narrator:
         for ecu in scenario.ecu:
             self._console.print(
                 f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
-                f" {len(self._player.frames)} frames in {scenario.duration_s} s"
+                f" {self._player.count} frames in {scenario.duration_s} s"
             )
 
     def on_frames(self, frames: Frames) -> None:
         """Tell what was injected before the gateway can have seen it."""
-        while self._truth and len(frames) and self._truth[0].t_ns <= frames["t_ns"][-1]:
-            fact = self._truth.pop(0)
+        for fact in self._player.told(int(frames["t_ns"][-1])) if len(frames) else ():
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             self._console.print(
                 f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]: {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
@@ -206,14 +205,18 @@ def simulate(
     html: Path | None = None,
     json: bool,
     junit: Path | None = None,
+    control: Path | None = None,
+    priority: int | None = None,
 ) -> int:
     """Drive a bus with a scenario's ECUs; returns the exit code."""
+    if control is not None and bus == INSIDE:
+        raise InputError("of a scenario in real time, on a bus", key="--control", value=str(control))
     if html is not None:
         need("serve", "reports", key="--html")
         if bus != INSIDE:
             raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
-    scenario, config, player = _open(scenario_name, seed)
+    scenario, config, player = _open(scenario_name, seed, stepwise=control is not None)
     check = check or junit is not None
     if check and bus == INSIDE:
         judgeable(scenario, config, file=find_scenario(scenario_name))
@@ -251,7 +254,9 @@ def simulate(
         if len(uris) != len(config.bus):
             raise InputError("the scenario has several buses; set them in its configuration", value=bus)
         buses = [stack.enter_context(open_bus(uri, index)) for index, uri in enumerate(uris)]
-        tester = _Tester(buses, judge)
+        stack.callback(player.close)
+        tester = _tester(stack, buses, judge, player, control)
+        prefer(priority)
         if check:
             tester.wait_for_gateway(wait, stop)
         _play(player, buses, tester, writer, stop, patient=check)
@@ -259,6 +264,36 @@ def simulate(
         return _stopped(scenario, stop, junit_file) if check else 0
     junit_file.write(judge)
     return _verdict(judge, json=json, check=check) if check else 0
+
+
+def _tester(stack: ExitStack, buses: list[Bus], judge: Judge, player: Player, control: Path | None) -> _Tester:
+    """Return who listens, with the control socket if one is asked for.
+
+    Raises:
+        InputError: no such socket can be made.
+    """
+    # A fault that is put in later may have a condition, which wants to hear.
+    tester = _Tester(buses, judge, player.hear if player.listens or control is not None else None)
+    if control is not None:
+        served = Control(control, player, lambda: tester.now_s)
+        stack.callback(served.close)
+        tester.turn = served.turn
+    return tester
+
+
+def prefer(priority: int | None) -> None:
+    """Let the kernel prefer this process (SCHED_RR), 1 to 99; None: as any other.
+
+    Raises:
+        InputError: this user may not ask for that.
+    """
+    if priority is None:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    except OSError as error:
+        text = f"{error.strerror}: it wants CAP_SYS_NICE, or a limit rtprio (limits.conf)"
+        raise InputError(text, key="--priority", value=priority) from error
 
 
 class _JunitFile:
@@ -298,16 +333,28 @@ def _stopped(scenario: Scenario, stop: Ending, report: _JunitFile) -> int:
 
 
 class _Tester:
-    """Listens to the DTC frames of a gateway elsewhere."""
+    """Listens to the DTC frames of a gateway elsewhere, and to all others for ECUs that hear.
 
-    def __init__(self, buses: list[Bus], judge: Judge) -> None:
-        self._buses = buses
+    Args:
+        buses: of the scenario.
+        judge: takes the reports.
+        hear: takes all frames, stamped by the scenario's clock; None: nobody wants them.
+    """
+
+    def __init__(self, buses: list[Bus], judge: Judge, hear: Callable[[Frames], None] | None = None) -> None:
+        self._buses, self._hear = buses, hear
         self._judge = judge
         self._database = shipped("dbc/gateway.dbc")
         self._batch = empty(256)
-        for bus in buses:
+        for bus in buses if hear is None else ():
             bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
+        self.turn: Callable[[], None] = lambda: None  # what else is to be done between two steps
+
+    @property
+    def now_s(self) -> float:
+        """Time of the scenario [s], 0 before its begin."""
+        return 0.0 if self.begun is None else time.monotonic() - self.begun
 
     @property
     def waits_until_s(self) -> float:
@@ -316,6 +363,7 @@ class _Tester:
 
     def listen(self, timeout_s: float) -> int:
         """Take what comes within so long [s]; returns how many DTC frames."""
+        self.turn()
         ready, _, _ = select.select([bus.fileno() for bus in self._buses], [], [], timeout_s)
         found = 0
         for bus in self._buses:
@@ -324,6 +372,10 @@ class _Tester:
             count = len(self._batch)
             while count == len(self._batch):
                 count = bus.receive(self._batch)
+                if self._hear is not None and self.begun is not None:
+                    heard = self._batch[:count].copy()
+                    heard["t_ns"] = round((time.monotonic() - self.begun) * 1e9)
+                    self._hear(heard)
                 for frame in self._batch[:count]:
                     found += self._take(frame)
         return found

@@ -10,6 +10,7 @@ from gateway.errors import InputError
 #: Extra -> the package that its features import.
 EXTRAS = {
     "auth": "cryptography",
+    "fmu": "fmpy",
     "mf4": "asammdf",
     "mqtt": "paho.mqtt",
     "parquet": "pyarrow",
@@ -21,6 +22,7 @@ EXTRAS = {
 #: Extra -> what people get with it.
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
+    "fmu": 'FMUs as plants (type = "fmu")',
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
     "parquet": "series as Parquet (replay --signals)",

@@ -30,6 +30,7 @@ from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
+from gateway.signals.protection.params import ProtectionParams
 from gateway.signals.tables import SignalRef
 
 if TYPE_CHECKING:
@@ -162,6 +163,16 @@ def _checks(
                 update |= {what: getattr(taken, what) for what in ("e2e", "checksum", "counter")}
                 notes.append(f"{name}: {why}")
             yield CheckInstance(check.model_copy(update=update), index, name, key)
+
+
+def protections(config: Config) -> dict[tuple[int, str], ProtectionParams]:
+    """Return how messages are protected, by their checks: (bus index, message) -> keys of the check.
+
+    Raises:
+        InputError: a check of a message that is not there.
+    """
+    checks = _checks(config, load_databases(config), {}, [])
+    return {(check.bus, check.params.message): check.params for check in checks}
 
 
 def _monitors(

@@ -14,10 +14,8 @@ leaves events lying beyond :data:`MOST_BYTES` is sent away. Without a reader not
 
 from __future__ import annotations
 
-import os
 import selectors
 import socket
-import stat
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,8 +29,8 @@ from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
-from gateway.errors import InputError
 from gateway.live.status_commands import Commands
+from gateway.live.unix_socket import listen_at
 from gateway.runtime.app import Gateway
 
 PROTOCOL = 1
@@ -99,7 +97,7 @@ class StatusSocket:
         self.path, self._most = path, readers
         self._buses = buses
         self._selector = selectors.DefaultSelector()
-        self._socket = _listen(path)
+        self._socket = listen_at(path)
         self._inode = path.stat().st_ino
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._readers: list[_Reader] = []
@@ -370,45 +368,3 @@ def _described(gateway: Gateway) -> dict[str, Any]:
 def _bus_of(gateway: Gateway, fault: int) -> str:
     bus = gateway.engine.faults[fault].bus
     return gateway.config.bus[bus].name if bus < len(gateway.config.bus) else ""
-
-
-def _listen(path: Path) -> socket.socket:
-    """Return a socket that listens at a path, for its owner alone; one that nobody listens at any more gives way.
-
-    Raises:
-        InputError: somebody does, or what is there is no socket.
-    """
-    _tidy(path)
-    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(0o177)
-    try:
-        made.bind(str(path))
-    except OSError as error:
-        made.close()
-        raise InputError(f"no status socket can be made here: {error.strerror or error}", value=str(path)) from error
-    finally:
-        os.umask(before)
-    made.listen(16)
-    made.setblocking(False)
-    return made
-
-
-def _tidy(path: Path) -> None:
-    try:
-        kind = path.lstat().st_mode
-    except OSError:
-        return
-    if not stat.S_ISSOCK(kind):
-        raise InputError("this is no socket; the status socket does not replace it", value=str(path))
-    probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    probe.setblocking(False)
-    try:
-        probe.connect(str(path))
-    except ConnectionRefusedError:
-        path.unlink(missing_ok=True)  # of a process that was killed
-        return
-    except OSError as error:
-        raise InputError(f"the status socket: {error.strerror}", value=str(path)) from error
-    finally:
-        probe.close()
-    raise InputError("another gateway listens at this status socket", value=str(path))

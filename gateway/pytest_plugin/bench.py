@@ -1,4 +1,4 @@
-"""A gateway in this process with a clock that goes when it is told to, and virtual ECUs on its buses."""
+"""A gateway in this process, virtual ECUs, and a clock that a test moves; on no bus, or on real ones in real time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from gateway.common.plugins import importable
 from gateway.common.tomlfile import validate
 from gateway.config.load import load_config
 from gateway.errors import GatewayError, InputError, named
+from gateway.pytest_plugin.wires import Inside, Outside, Wires, uris_of
 from gateway.runtime.app import Gateway
+from gateway.runtime.playing import player_of
 from gateway.vecu.contract import Truth
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, located
@@ -28,12 +30,12 @@ _FINE_NS = 1_000_000
 
 @dataclass
 class _Sender:
-    """A virtual ECU: its frames from now on, stamped by the bench's clock, and until when it has some."""
+    """A virtual ECU: when it was switched on, and until when it has frames, by the bench's clock [ns]."""
 
     name: str
-    frames: Frames
+    player: Player
+    begun_ns: int
     until_ns: int
-    sent: int = 0
 
 
 class Bench:
@@ -42,28 +44,31 @@ class Bench:
     Args:
         config: file of the configuration; its fault memory is not touched, one in this process stands for it.
         seed: of the virtual ECUs.
+        buses: URI, or NAME=URI of each bus: real ones; none: frames stay in this process, and time costs nothing.
 
     Attributes:
         gateway: the gateway.
         events: events of the JSON contract so far.
-        truth: what virtual ECUs were told to inject, of all times.
 
     Raises:
         InputError, InputErrors: a configuration that is wrong.
     """
 
-    def __init__(self, config: Path, seed: int = 1) -> None:
+    def __init__(self, config: Path, seed: int = 1, buses: Sequence[str] = ()) -> None:
         self._folder = config.parent
         importable(self._folder)
         self.config = load_config(config)
         self.gateway = Gateway(self.config, file=config)
         self.events: list[dict[str, Any]] = []
-        self.truth: list[Truth] = []
-        self._seed, self._now_ns = seed, 0
+        self._seed, self._now_ns, self._count = seed, 0, 0
         self._senders: list[_Sender] = []
+        self._off: list[Truth] = []
         self._listeners: list[Callable[[Frames], None]] = []
         self._buses = {bus.name: index for index, bus in enumerate(self.config.bus)}
         self.gateway.listen(self.events.append)
+        if buses:
+            self.gateway.engine.warm()  # what has to be compiled is, before time passes
+        self._wires: Wires = Outside(uris_of(buses, self._buses)) if buses else Inside()
         self.gateway.start(0)
 
     @property
@@ -107,14 +112,85 @@ class Bench:
             "wire": [dict(fault) for fault in wire],
         }
         scenario = located(validate(data, Scenario, None), self._folder)
-        databases = {index: bus.database for index, bus in enumerate(self.config.bus)}
-        player = Player(scenario, self._buses, seed=self._seed + len(self._senders), databases=databases)
-        frames = player.frames.copy()
-        frames["t_ns"] += self._now_ns
-        self.truth += [Truth(f.t_ns + self._now_ns, f.kind, f.count, f.tooth) for f in player.truth]
+        return self.play(scenario, self._seed + self._count)
+
+    def play(self, scenario: Scenario, seed: int | None = None) -> str:
+        """Switch on the virtual ECUs of a scenario; its time 0 is now.
+
+        Args:
+            scenario: what they do.
+            seed: instead of the scenario's.
+
+        Returns:
+            name of its first ECU, by which all of them are switched off.
+
+        Raises:
+            InputError: keys that are wrong.
+        """
+        self._count += 1
+        player = player_of(scenario, self.config, seed=seed, stepwise=True)
         name = scenario.ecu[0].name
-        self._senders.append(_Sender(name, frames, self._now_ns + round(duration_s * 1e9)))
+        self._senders.append(_Sender(name, player, self._now_ns, self._now_ns + round(scenario.duration_s * 1e9)))
         return name
+
+    @property
+    def truth(self) -> list[Truth]:
+        """What virtual ECUs have injected so far."""
+        return self._off + [fact for sender in self._senders for fact in _truth(sender)]
+
+    def set(self, signal: str, value: float | str) -> None:
+        """Give a signal of a virtual ECU a value from its next frame on, whatever its course says.
+
+        Args:
+            signal: "Message.Signal", or "bus.Message.Signal".
+            value: in the signal's unit, or its text in the database.
+
+        Raises:
+            InputError: no virtual ECU sends it, or it cannot carry this.
+        """
+        wrong: InputError | None = None
+        done = False
+        for sender in self._senders:
+            try:
+                sender.player.overrides.set(signal, value)
+                done = True
+            except InputError as error:
+                wrong = wrong or error
+        if not done:
+            raise wrong or InputError("no virtual ECU is switched on", key="signal", value=signal)
+
+    def release(self, signal: str | None = None) -> None:
+        """Let a signal go its course again; None: all that are set.
+
+        Raises:
+            InputError: it is not set.
+        """
+        having = [s for s in self._senders if signal is None or signal in s.player.overrides.values]
+        if signal is not None and not having:
+            known = [name for sender in self._senders for name in sender.player.overrides.values]
+            raise InputError(named("set are", signal, known), key="signal", value=signal)
+        for sender in having:
+            sender.player.overrides.release(signal)
+
+    def inject(self, ecu: str, **fault: Any) -> None:
+        """Put a fault into what a virtual ECU sends, from now on.
+
+        Args:
+            ecu: its name.
+            fault: keys of ``[[fault]]`` of every ECU: kind, signal or message, ...; times are by the ECU's own clock.
+
+        Raises:
+            InputError, InputErrors: no such ECU, keys that are wrong.
+        """
+        names = [sender.name for sender in self._senders]
+        if ecu not in names:
+            raise InputError(named("the virtual ECUs are", ecu, names), key="virtual ECU", value=ecu)
+        self._senders[names.index(ecu)].player.inject({"ecu": ecu, **fault})
+
+    def heal(self) -> None:
+        """End all faults of messages and signals now."""
+        for sender in self._senders:
+            sender.player.heal()
 
     def switch_off(self, name: str) -> None:
         """Switch a virtual ECU off: it sends no more.
@@ -125,6 +201,10 @@ class Bench:
         names = [sender.name for sender in self._senders]
         if name not in names:
             raise InputError(named("the virtual ECUs are", name, names), key="virtual ECU", value=name)
+        for sender in self._senders:
+            if sender.name == name:
+                self._off += _truth(sender)
+                sender.player.close()
         self._senders = [sender for sender in self._senders if sender.name != name]
 
     def send(self, message: str, /, bus: str | None = None, **signals: Any) -> None:
@@ -162,7 +242,7 @@ class Bench:
         """
         frames = empty(1)
         put(frames, 0, max(self._now_ns, 1), can_id, payload, bus=bus, flags=FD if fd else 0)
-        return self._feed(frames)
+        return self._feed(self._wires.carry(frames, self._now_ns))
 
     def run(self, seconds: float) -> None:
         """Let time pass [s]."""
@@ -176,7 +256,14 @@ class Bench:
         """
         end = round(t_s * 1e9)
         while self._now_ns < end:
-            self.step(min(STEP_NS, end - self._now_ns))
+            self.step(min(self._step_ns, end - self._now_ns))
+
+    @property
+    def _step_ns(self) -> int:
+        """How long a step of the clock may be [ns]: as often as an ECU is to hear, or to send in real time."""
+        real = isinstance(self._wires, Outside)
+        steps = (s.player.step_ns if real else s.player.loop_ns for s in self._senders)
+        return min(STEP_NS, *steps, STEP_NS)
 
     def step(self, step_ns: int = _FINE_NS) -> Frames:
         """Let a short time pass [ns]; returns the frames that the gateway sends meanwhile.
@@ -190,19 +277,35 @@ class Bench:
             if until > sender.until_ns:
                 text = f"virtual ECU {sender.name!r} sends until {sender.until_ns / 1e9:g} s only: give it a duration_s"
                 raise GatewayError(text)
-            last = int(np.searchsorted(sender.frames["t_ns"], until))
-            parts.append(sender.frames[sender.sent : last])
-            sender.sent = last
+            frames = sender.player.take(until - sender.begun_ns)
+            frames["t_ns"] += sender.begun_ns
+            parts.append(frames)
         frames = np.concatenate(parts)
-        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
-        sent = [self._feed(frames)] if len(frames) else []
+        arrived = self._wires.carry(frames[np.argsort(frames["t_ns"], kind="stable")], until)
+        sent = [self._feed(arrived)] if len(arrived) else []
         self._now_ns = until
-        sent += [self._told(self.gateway.advance(until)), self._told(self.gateway.poll(until))]
+        sent += [self._sent(self.gateway.advance(until)), self._sent(self.gateway.poll(until))]
         return np.concatenate(sent)
 
     def _feed(self, frames: Frames) -> Frames:
+        self._heard(frames)
         self._told(frames)
-        return self._told(self.gateway.feed(frames))
+        return self._sent(self.gateway.feed(frames))
+
+    def _sent(self, frames: Frames) -> Frames:
+        """Send what the gateway sends, and tell it."""
+        if len(frames):
+            self._wires.send(frames)
+            self._heard(frames)
+        return self._told(frames)
+
+    def _heard(self, frames: Frames) -> None:
+        """Have virtual ECUs hear frames of others: each has heard its own already."""
+        for sender in self._senders:
+            if sender.player.listens and len(frames):
+                heard = frames.copy()
+                heard["t_ns"] -= sender.begun_ns
+                sender.player.hear(heard)
 
     def _told(self, frames: Frames) -> Frames:
         if len(frames):
@@ -215,4 +318,11 @@ class Bench:
         try:
             self.gateway.stop(self._now_ns)
         finally:
+            for sender in self._senders:
+                sender.player.close()
+            self._wires.close()
             self.gateway.close()
+
+
+def _truth(sender: _Sender) -> list[Truth]:
+    return [Truth(f.t_ns + sender.begun_ns, f.kind, f.count, f.tooth) for f in sender.player.truth]

@@ -35,7 +35,7 @@ class CanLog:
         return frames[np.argsort(frames["t_ns"], kind="stable")]
 
     def of(self, message: str) -> list[tuple[float, dict[str, Any]]]:
-        """Return a message's frames as cantools decodes them: time [s], signals.
+        """Return a message's frames as cantools decodes them: time [s], signals; of those cut short what is there.
 
         Raises:
             InputError: no bus has such a message.
@@ -57,4 +57,4 @@ class CanLog:
 
 
 def _values(message: Message, data: bytes) -> dict[str, Any]:
-    return dict(cast("dict[str, Any]", message.decode(data, decode_choices=False)))
+    return dict(cast("dict[str, Any]", message.decode(data, decode_choices=False, allow_truncated=True)))

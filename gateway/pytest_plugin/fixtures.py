@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,12 +30,27 @@ def _config_of(request: pytest.FixtureRequest) -> Path:
     return files[0]
 
 
+def buses_of(config: pytest.Config) -> list[str]:
+    """Return the buses that the command line asks for; none: tests stay in this process.
+
+    Raises:
+        UsageError: several workers on one bus.
+    """
+    given: list[str] = config.getoption("--gateway-bus")
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    several = bool(worker) or bool(config.getoption("numprocesses", None))
+    if given and several and not all("{worker}" in uri for uri in given):
+        text = "--gateway-bus: workers of xdist cannot share a bus: put {worker} into it, or leave out -n"
+        raise pytest.UsageError(text)
+    return [uri.replace("{worker}", worker or "main") for uri in given]
+
+
 @pytest.fixture
 def gateway_bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    """A gateway in this process, with a clock that the test moves: ``run``, ``run_until``, ``send``, ``events``."""
+    """A gateway with a clock that the test moves: ``run``, ``run_until``, ``send``, ``set``, ``events``."""
     seed = request.config.getoption("--gateway-seed")
     try:
-        bench = Bench(_config_of(request), 1 if seed is None else seed)
+        bench = Bench(_config_of(request), 1 if seed is None else seed, buses_of(request.config))
     except GatewayError as error:
         pytest.fail(str(error), pytrace=False)
     request.node.user_properties.append(("seed", 1 if seed is None else seed))

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.errors import GatewayError
 from gateway.pytest_plugin.can_log import CanLog
-from gateway.pytest_plugin.fixtures import can_log, dtcs, gateway_bench, uds, virtual_ecu
+from gateway.pytest_plugin.fixtures import buses_of, can_log, dtcs, gateway_bench, uds, virtual_ecu
 from gateway.pytest_plugin.scenarios import ScenarioFile, is_scenario
 
 __all__ = ["can_log", "dtcs", "gateway_bench", "uds", "virtual_ecu"]
@@ -23,10 +23,11 @@ def pytest_configure(config: pytest.Config) -> None:
     """Name the markers; without files on the command line the folders of scenarios are looked through, too.
 
     Raises:
-        UsageError: a folder that is not there.
+        UsageError: a folder that is not there; several workers on one bus.
     """
     config.addinivalue_line("markers", "requirement(id, ...): requirements that a test is for; JUnit properties")
     config.addinivalue_line("markers", "gateway(config=...): configuration of its bench, relative to the test's file")
+    buses_of(config)
     for folder in _folders(config):
         if not folder.is_dir():
             raise pytest.UsageError(f"gateway_scenarios: no such folder: {folder}")

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
-from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive, judgeable
-from gateway.vecu.expectations import Finding, Judge
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway.config.model import Config
+from gateway.errors import GatewayError, InputError
+from gateway.pytest_plugin.fixtures import buses_of
+from gateway.pytest_plugin.played import Played, inside, leave, on_buses
+from gateway.runtime.drive import judgeable
+from gateway.vecu.expectations import Finding
+from gateway.vecu.scenario import Scenario, load_scenario
 
 #: Keys of which a scenario has one; a configuration beside it has none.
 _KEYS = frozenset({"ecu", "expect", "duration_s"})
@@ -27,10 +29,11 @@ class ScenarioError(Exception):
     Args:
         findings: the whole verdict.
         seed: that was used.
+        left: what is told of files.
     """
 
-    def __init__(self, findings: list[Finding], seed: int) -> None:
-        self.findings, self.seed = findings, seed
+    def __init__(self, findings: list[Finding], seed: int, left: Sequence[str] = ()) -> None:
+        self.findings, self.seed, self._left = findings, seed, left
         super().__init__(self.text)
 
     @property
@@ -38,7 +41,7 @@ class ScenarioError(Exception):
         """Each line of the verdict, what is wrong first."""
         lines = sorted(self.findings, key=lambda finding: finding.good)
         shown = [("as expected: " if line.good else "NOT as expected: ") + line.text for line in lines]
-        return "\n".join([*shown, f"seed {self.seed}"])
+        return "\n".join([*shown, f"seed {self.seed}", *self._left])
 
 
 def is_scenario(path: Path) -> bool:
@@ -59,7 +62,7 @@ class ScenarioFile(pytest.File):
 
 
 class ScenarioItem(pytest.Item):
-    """A scenario, played to a gateway in this process as fast as it goes."""
+    """A scenario, played to a gateway in this process: as fast as it goes, or on real buses in real time."""
 
     def runtest(self) -> None:
         """Play it and judge it.
@@ -71,28 +74,34 @@ class ScenarioItem(pytest.Item):
         scenario = load_scenario(self.path)
         config = load_config(scenario.config)
         judgeable(scenario, config, file=self.path)
-        buses = {bus.name: index for index, bus in enumerate(config.bus)}
-        databases = {index: bus.database for index, bus in enumerate(config.bus)}
-        try:
-            player = Player(scenario, buses, seed=self.config.getoption("--gateway-seed"), databases=databases)
-        except GatewayError as error:
-            raise GatewayError(f"{self.path}: {error}") from error
-        self.user_properties.append(("seed", player.seed))
+        seed, buses = self.config.getoption("--gateway-seed"), buses_of(self.config)
+        self.user_properties.append(("seed", scenario.seed if seed is None else seed))
         self.user_properties += [("requirement", name) for name in scenario.requirement]
-        judge = Judge(scenario)
-        gateway = Gateway(config, file=scenario.config)
         try:
-            drive(gateway, player, judge=judge)
-        finally:
-            gateway.close()
-        findings = judge.findings()
+            run = on_buses(scenario, config, seed, buses) if buses else inside(scenario, config, seed)
+        except InputError as error:
+            raise error.within(self.path) from error
         self.user_properties += [
             ("injected", f"{fact.kind.replace('_', ' ')} at {fact.t_ns / 1e9:.3f} s, {fact.count}")
-            for fact in player.truth
+            for fact in run.truth
         ]
-        self.user_properties += [("verdict", finding.text) for finding in findings]
-        if not all(finding.good for finding in findings):
-            raise ScenarioError(findings, player.seed)
+        self.user_properties += [("verdict", finding.text) for finding in run.findings]
+        if not all(finding.good for finding in run.findings):
+            left = self._left(scenario, config, seed, run)
+            raise ScenarioError(run.findings, scenario.seed if seed is None else seed, left)
+
+    def _left(self, scenario: Scenario, config: Config, seed: int | None, run: Played) -> list[str]:
+        """Leave what happened as files; returns what is told of them."""
+        folders: list[Path] = self.config.getini("gateway_artifacts")
+        folder = folders[0] / self.name if folders else Path(tempfile.mkdtemp(prefix=f"gateway-{self.name}-"))
+        told = []
+        try:
+            for what, path in leave(folder, scenario, config, seed, run):
+                self.user_properties.append((what, str(path)))
+                told.append(f"{what}: {path}")
+        except (GatewayError, OSError) as error:
+            told.append(f"what happened could not be left in {folder}: {error}")
+        return told
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Return what is told of a failure: the verdict, or the one line of a mistake."""

@@ -161,6 +161,7 @@ def drive(
             if on_frames is not None:
                 on_frames(batch)
             for sent in (driven.feed(batch), driven.advance(until)):
+                player.hear(sent)
                 for report in wires.reports(sent):
                     if judge is not None and report.dtc is not None:
                         judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
@@ -170,4 +171,5 @@ def drive(
                 on_step(until)
         driven.stop(until)
     finally:
+        player.close()
         wires.close()

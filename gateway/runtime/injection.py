@@ -12,18 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.engine.checks.communication import CheckInstance
 from gateway.errors import InputError, nearest
-from gateway.signals.bits import mask_of, write_bits
+from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.database import Database
-from gateway.signals.decode import FLOAT16, FLOAT32, FLOAT64, OK, decode, lookup
-from gateway.signals.encode import insert
 from gateway.signals.protection.params import protection_for
-from gateway.signals.protection.protection import ProtectionConst, Tables, counter_of, fill, protect
-from gateway.signals.tables import SignalRef, compile_plan
+from gateway.signals.protection.protection import Protection
 
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
 FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
@@ -150,22 +146,15 @@ class Injector:
     ) -> None:
         self._asked, self._rng, self._start_ns = asked, rng, start_ns
         self.count = 0
-        refs = [] if asked.signal is None else [SignalRef(asked.bus, asked.message, asked.signal)]
-        named = [(asked.bus, asked.message)]
-        self._plan = compile_plan([(asked.bus, databases[asked.bus])], refs, messages=named, pgn=pgn)
+        mine = [check for check in checks if (check.bus, check.params.message) == (asked.bus, asked.message)]
+        database = databases[asked.bus]
+        protection = protection_for(database.message(asked.message), mine[0].params) if mine else Protection()
+        self._message = ChangedMessage(asked.bus, database, asked.message, protection, pgn)
+        self._signal = None
+        if asked.signal is not None:
+            self._signal = ChangedSignal(asked.bus, database, asked.message, asked.signal)
         self._change = _OF_FRAME[asked.kind](rng) if asked.kind in _OF_FRAME else self._change_signal
-        if refs:
-            self._place = self._plan.position(*refs[0])
-            row = self._plan.signals[int(self._plan.messages[0]["first"]) + self._place]
-            self._row = row if hasattr(row, "word") else row.view(np.recarray)
-            self._mask = np.frombuffer(mask_of(self._row).to_bytes(64, "little"), "<u8")
-            self._held, self._turn = np.nan, 1.0
-        mine = [check for check in checks if (check.bus, check.params.message) == named[0]]
-        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-        if mine:
-            message = databases[asked.bus].message(asked.message)
-            fill(rows[0], protection_for(message, mine[0].params), tables)
-        self._protection, self._crcs = rows.view(np.recarray)[0], tables.array()
+        self._held, self._turn = np.nan, 1.0
 
     def apply(self, frames: Frames) -> Frames:
         """Return the frames with the fault in them."""
@@ -173,7 +162,7 @@ class Injector:
             return frames
         if self._start_ns is None:
             self._start_ns = int(frames["t_ns"][0])
-        mine = self._of_message(frames)
+        mine = self._message.among(frames)
         hit = mine & (frames["t_ns"] >= self._start_ns + round(self._asked.from_s * 1e9))
         if self._asked.to_s is not None:
             hit &= frames["t_ns"] < self._start_ns + round(self._asked.to_s * 1e9)
@@ -187,36 +176,19 @@ class Injector:
             self._change(frames[k : k + 1], bool(hit[k]))
         return frames
 
-    def _of_message(self, frames: Frames) -> NDArray[np.bool_]:
-        """Return which frames are of the message."""
-        keys = self._plan.keys, self._plan.rows
-        ids = [can_id for can_id in np.unique(frames["can_id"]) if lookup(*keys, self._asked.bus, int(can_id)) == 0]
-        return np.asarray((frames["bus"] == self._asked.bus) & np.isin(frames["can_id"], ids), np.bool_)
-
     def _change_signal(self, frame: Frames, hit: bool) -> None:
         """Give the signal of one frame, shape (1,), the value that the fault gives it."""
-        words = np.ascontiguousarray(frame["data"][0]).view("<u8").copy()
-        length = int(frame["length"][0])
-        now = self._value(words, length)
+        assert self._signal is not None
+        words, length = words_of(frame[0]), int(frame["length"][0])
+        now = self._signal.value(words, length)
         if np.isnan(now):
             return  # it does not carry the signal
         if not hit:
             self._held = now
             return
-        words &= ~self._mask
-        self._put(words, self._faulty(now))
-        if self._protection.has_checksum:
-            sent = int(counter_of(words, self._protection)) - int(self._protection.first)
-            protect(words, length, sent, self._protection, self._crcs)
+        self._signal.put(words, self._faulty(now))
+        self._message.renew(words, length)
         frame["data"][0] = words.view(np.uint8)
-
-    def _value(self, words: NDArray[np.uint64], length: int) -> float:
-        """Return what the signal has, NaN where the frame does not carry it."""
-        plan = self._plan
-        count = int(plan.messages[0]["count"])
-        values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
-        status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
-        return float(values[self._place]) if status == OK and present[self._place] else float("nan")
 
     def _faulty(self, now: float) -> float:
         """Return what the fault makes of a value."""
@@ -229,21 +201,6 @@ class Injector:
             return now + self._asked.value
         self._turn = -self._turn
         return now + self._turn * self._asked.value
-
-    def _put(self, words: NDArray[np.uint64], value: float) -> None:
-        """Write a value into bits that are zero; an integer signal takes the nearest that it can."""
-        kind = _IEEE.get(int(self._row.kind))
-        if kind is None:
-            insert(words, self._row, value)
-            return
-        number, bits = kind
-        with np.errstate(over="ignore"):
-            raw = np.array([(value - self._row.offset) / self._row.scale], number).view(bits)[0]
-        write_bits(words, self._row, np.uint64(raw))
-
-
-#: Floating-point kinds of signals -> what NumPy calls their numbers, and their bits.
-_IEEE = {FLOAT16: ("<f2", "<u2"), FLOAT32: ("<f4", "<u4"), FLOAT64: ("<f8", "<u8")}
 
 
 class _Repeat:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +13,7 @@ from pydantic import Field
 from gateway.bus.frames import Frames
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import InputError
+from gateway.signals.protection.protection import Protection
 
 #: Version of this contract. A virtual ECU says for which it was written.
 API = 2
@@ -64,12 +65,38 @@ class Run:
         bus: index of the ECU's bus.
         rng: source of all randomness.
         databases: database files of the bus.
+        note: takes what a running ECU injects, when it does.
     """
 
     duration_s: float
     bus: int
     rng: np.random.Generator
     databases: Sequence[Path] = ()
+    note: Callable[[Truth], None] = lambda fact: None
+
+
+class Running(Protocol):
+    """A virtual ECU that hears what is on its bus, and answers.
+
+    Attributes:
+        step_ns: how often it is to hear [ns].
+    """
+
+    step_ns: int
+
+    def step(self, end_ns: int, heard: Frames) -> Frames:
+        """Go on.
+
+        Args:
+            end_ns: until when [ns]; from where the last step ended, the first one from 0.
+            heard: frames of all others on its bus since the last step, in order of time.
+
+        Returns:
+            frames that it sends in this time, in order of time, stamped from 0.
+        """
+
+    def close(self) -> None:
+        """End it; more than once does no harm."""
 
 
 P = TypeVar("P", bound=EcuParams)
@@ -97,7 +124,10 @@ class VirtualEcu(Generic[P, F]):
         api: version of the contract that it was written for: :data:`API`, as a number.
         params: pydantic model of its parameters.
         fault: pydantic model of its faults; None: it has none.
-        frames: parameters, faults, run -> frames stamped from time 0, and what was injected.
+        frames: parameters, faults, run -> frames stamped from time 0, and what was injected; of one that hears nobody.
+        begin: parameters, faults, run -> the ECU running; of one that hears what is on its bus. One of the two.
+        sends: parameters, database files -> messages that it sends, by name, with their protections, for faults that
+            every ECU can have; None: any message of its bus.
         fits: parameters, fault -> raises ValueError where this ECU cannot have this fault.
         locate: parameters, folder of the scenario, key -> parameters with the paths of their files.
         step_ns: steps in which its frames are to be sent in real time [ns].
@@ -107,7 +137,9 @@ class VirtualEcu(Generic[P, F]):
     api: int
     params: Class[P]
     fault: Class[F] | None
-    frames: Callable[[P, Sequence[F], Run], tuple[Frames, list[Truth]]]
+    frames: Callable[[P, Sequence[F], Run], tuple[Frames, list[Truth]]] | None = None
+    begin: Callable[[P, Sequence[F], Run], Running] | None = None
+    sends: Callable[[P, Sequence[Path]], Mapping[str, Protection]] | None = None
     fits: Callable[[P, F], None] = _fits
     locate: Callable[[P, Path, str], P] = _as_it_is
     step_ns: int = 10_000_000
@@ -120,7 +152,8 @@ def accepted(found: object, name: str) -> VirtualEcu[Any, Any]:
         InputError: it is none, or one of another version.
     """
     if not isinstance(found, VirtualEcu):
-        raise InputError(f"this is no VirtualEcu, but {type(found).__name__}", value=name)
+        text = "this is no VirtualEcu, and no class with step(t, inputs)"
+        raise InputError(f"{text}, but {type(found).__name__}", value=name)
     key = f'virtual ECU "{found.type}"'
     if found.api != API:
         raise InputError(
@@ -134,4 +167,6 @@ def accepted(found: object, name: str) -> VirtualEcu[Any, Any]:
             continue
         if not (isinstance(model, type) and issubclass(model, base)):
             raise InputError(f"a class that derives from {base.__name__}", key=f"{key}.{field}")
+    if (found.frames is None) == (found.begin is None):
+        raise InputError("it has frames, or it has begin: one of the two", key=f"{key}.frames")
     return found

@@ -1,7 +1,7 @@
 """The types of virtual ECU that a scenario can name; one that no scenario names is not imported.
 
 Ours are the folders here: ``gateway/vecu/NAME`` with an ``ECU`` is type NAME. Those of other packages are entry points
-of the group ``gateway.vecu``, or ``"package.module:NAME"``.
+of the group ``gateway.vecu``, or ``"package.module:NAME"``; a NAME may be a class with ``step(t, inputs)``, too.
 """
 
 from __future__ import annotations
@@ -11,13 +11,27 @@ from typing import Any
 
 from gateway.common.plugins import Registry
 from gateway.vecu.contract import VirtualEcu, accepted
+from gateway.vecu.python_model import ecu_of, is_model
 
 #: Types that were called otherwise before version 0.2.
 RENAMED = {"engine": "crank", "hybrid_truck": "truck"}
 
+
+def _accepted(found: object, name: str) -> VirtualEcu[Any, Any]:
+    """Return what a name stands for: a virtual ECU, or the one that a class with ``step`` is.
+
+    Raises:
+        InputError: it is neither, or of another version.
+    """
+    if is_model(found):
+        assert isinstance(found, type)
+        return ecu_of(found)
+    return accepted(found, name)
+
+
 VIRTUAL_ECUS: Registry[VirtualEcu[Any, Any]] = Registry(
     "gateway.vecu",
-    accepted,
+    _accepted,
     own={
         file.parent.name: f"gateway.vecu.{file.parent.name}:ECU"
         for file in sorted(Path(__file__).parent.glob("*/__init__.py"))

@@ -14,6 +14,7 @@ from gateway.common.tomlfile import StrictModel, load, validate
 from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import DtcText
 from gateway.vecu.contract import EcuFault, EcuParams, VirtualEcu
+from gateway.vecu.message_faults import KINDS, MessageFault
 from gateway.vecu.registry import RENAMED, VIRTUAL_ECUS
 
 T = TypeVar("T")
@@ -22,6 +23,8 @@ _log = get_logger(__name__)
 
 #: Type of an ECU that names none.
 _DEFAULT = "crank"
+#: Name of the ECU that a fault of any ECU is of, where it names none and there are several.
+_REST = "restbus"
 
 
 def _of_type(type_: str, key: str) -> VirtualEcu[Any, Any]:
@@ -77,8 +80,15 @@ def _fault(entry: Any, ecus: Sequence[EcuParams], key: str) -> EcuFault:
     named = [ecu for ecu in ecus if ecu.name == name]
     ecu = (named or having or list(ecus))[0]
     model, kinds = _of_type(ecu.type, key).fault, _kinds(ecu)
+    if kind in KINDS and kind not in kinds:  # one that every ECU can have
+        names = [each.name for each in ecus]
+        if name is None and len(ecus) > 1 and _REST not in names:
+            raise InputError(f"of which ECU? There are {', '.join(names)}", key=f"{key}.ecu")
+        whose = _REST if name is None and _REST in names else ecu.name
+        return validate({"ecu": whose, **entry}, MessageFault, None, key)
     if model is None or kind not in kinds:
-        text = f"there are {', '.join(kinds)}{nearest(str(kind), kinds)}"
+        known = list(dict.fromkeys([*kinds, *KINDS]))
+        text = f"there are {', '.join(known)}{nearest(str(kind), known)}"
         text += f"; ECU {ecu.name!r} is of type {ecu.type}: it has no {kind}"
         raise InputError(text, key=f"{key}.kind", value=kind)
     found: EcuFault = validate(entry, model, None, key)
@@ -88,7 +98,8 @@ def _fault(entry: Any, ecus: Sequence[EcuParams], key: str) -> EcuFault:
 class WireFault(StrictModel):
     """A fault between an ECU and the gateway."""
 
-    kind: Literal["lost", "corrupted", "late", "duplicated", "short", "silent"]
+    kind: Literal["lost", "corrupted", "late", "duplicated", "short", "silent", "bus_off"]
+    bus: str | None = Field(None, description="name of the bus; bus_off: whose controller is off; default: any")
     message: str = Field(
         "*",
         description="name of a message of the configuration, identifier in hex (0x700), or * for all",
@@ -161,6 +172,8 @@ class Scenario(StrictModel):
                 raise ValueError(f"no ECU {fault.ecu!r}; there are {', '.join(names)}")
             ecu = self.ecu[names.index(fault.ecu)]
             found = _of_type(ecu.type, "ecu")
+            if isinstance(fault, MessageFault):
+                continue
             if found.fault is None or not isinstance(fault, found.fault):
                 raise ValueError(f"ECU {ecu.name!r} is of type {ecu.type}: it has no {fault.kind}")
             found.fits(ecu, fault)

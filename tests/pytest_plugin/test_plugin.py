@@ -1,16 +1,12 @@
 """The plugin in a project of others: pytest runs it in a process of its own, in its own folder."""
 
-import importlib.metadata
-import os
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from foreign_project import ROOT, properties, run
 from junitparser import JUnitXml
 
-ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "battery_voltage"
 DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
 for _old, _new in (
@@ -109,23 +105,6 @@ def project(tmp_path):
     for name in ("battery_voltage.py", "battery_ecu.py"):  # those that a scenario's folder has beside it
         (tmp_path / "scenarios" / name).write_text((EXAMPLE / name).read_text())
     return tmp_path
-
-
-def run(folder, *arguments):
-    """Run pytest in a folder; returns exit code and what it printed."""
-    installed = any(e.value == "gateway_pytest" for e in importlib.metadata.entry_points(group="pytest11"))
-    door = [] if installed else ["-p", "gateway_pytest"]
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTEST_", "GATEWAY_M", "GATEWAY_TESTS"))}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "pytest", *door, "-p", "no:cacheprovider", "-rA", *arguments]
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600, check=False
-    )
-    return done.returncode, done.stdout + done.stderr
-
-
-def properties(case):
-    return [(p.get("name"), p.get("value")) for p in case._elem.iter("property")]
 
 
 @pytest.mark.long

@@ -222,6 +222,7 @@ def column(found, message, signal):
     return np.array([t for t, _ in pairs]), np.array([v for _, v in pairs])
 
 
+SPEED = '[ecu.signals]\n"Motion.Speed" = '
 FORMS = {
     "12.34": lambda t: np.full(len(t), 12.34),
     "[[0, 0], [2, 100]]": lambda t: np.interp(t, [0, 2], [0, 100]),
@@ -270,6 +271,33 @@ def test_expression_text_turns_floats_and_start_values(tmp_path):
     assert set(held) == {2}
 
 
+def test_a_course_by_a_recorded_log(tmp_path):
+    """What a rest bus sent, recorded by python-can, is the course of another one, with another cycle."""
+    import can
+
+    recorded, _ = decoded(tmp_path, SPEED + "{ points = [[0, 5], [2, 105]] }")
+    times, values = column(recorded, "Motion", "Speed")
+    known = cantools.database.load_string(DBC, strict=False).get_message_by_name("Motion")
+    with can.ASCWriter(tmp_path / "drive.asc") as writer:
+        for t, value in zip(times, values, strict=True):
+            data = known.encode({"Counter": 0, "Speed": value, "Gear": 0})
+            writer(can.Message(timestamp=1e9 + t, arbitration_id=256, is_extended_id=False, data=data, channel=0))
+    t0 = times[0]
+    for keys, wanted in (
+        ("", lambda t: 5 + 50 * (t + t0)),
+        (", from_s = 1.0, hold = false", lambda t: 5 + 50 * (t + t0 + 1)),
+        (", repeat = true", lambda t: 5 + 50 * (t % (times[-1] - t0) + t0)),
+    ):
+        course = f'{{ log = {{ file = "drive.asc", signal = "Motion.Speed"{keys} }} }}'
+        found, _ = decoded(tmp_path, f'cycle_ms = 7\n[ecu.signals]\n"Half.Speed" = {course}')
+        t, v = column(found, "Half", "Speed")
+        assert np.abs(v - np.minimum(wanted(t), 105)).max() < 0.52, keys  # what lies between two frames of the log
+    with pytest.raises(GatewayError, match="log.signal = 'Pages.One': no frame of the log"):
+        decoded(tmp_path, SPEED + '{ log = { file = "drive.asc", signal = "Pages.One" } }')
+    with pytest.raises(GatewayError, match=r"Motion\.Speed.*log\.file = 'no\.asc': there is no such file"):
+        decoded(tmp_path, SPEED + '{ log = { file = "no.asc" } }')
+
+
 def test_noise_is_of_the_seed(tmp_path):
     ecu = '[ecu.signals]\n"Motion.Speed" = { value = 50, noise = 2 }'
     one, two = (column(decoded(tmp_path, ecu)[0], "Motion", "Speed")[1] for _ in range(2))
@@ -277,7 +305,6 @@ def test_noise_is_of_the_seed(tmp_path):
     assert 1.7 < one.std() < 2.3
 
 
-SPEED = '[ecu.signals]\n"Motion.Speed" = '
 WRONG = {
     'nodes = ["a"]': ("ecu[0].nodes[0] = 'a'", "did you mean A?"),
     'messages = ["Motoin"]': ("ecu[0].messages[0] = 'Motoin'", "did you mean Motion?"),
@@ -297,10 +324,10 @@ WRONG = {
     SPEED + '{ csv = { file = "no.csv", value = "v" } }': ("csv.file = 'no.csv'", "no such file"),
     SPEED + '{ csv = { file = "bad.csv", value = "V" } }': ("csv.value = 'V'", "did you mean v?"),
     SPEED + '{ csv = { file = "bad.csv", value = "v" } }': ("bad.csv:3", "two numbers"),
-    '[[fault]]\nkind = "stuck"\nsignal = "Motion.Sped"\nfrom_s = 1': ("fault.signal = 'Motion.Sped'", "mean Speed?"),
+    '[[fault]]\nkind = "stuck"\nsignal = "Motion.Sped"\nfrom_s = 1': ("fault[0].signal = 'Motion.Sped'", "mean Speed?"),
     '[[fault]]\nkind = "offset"\nsignal = "Motion.Speed"\nfrom_s = 1': ("fault[0]", "offset wants a size"),
     '[[fault]]\nkind = "lost"\nsignal = "Motion.Speed"\nfrom_s = 1': ("fault[0]", "lost is a fault of a message"),
-    '[[fault]]\nkind = "checksum"\nmessage = "Motion"\nfrom_s = 1': ("fault.message = 'Motion'", "has no checksum"),
+    '[[fault]]\nkind = "checksum"\nmessage = "Motion"\nfrom_s = 1': ("fault[0].message = 'Motion'", "has no checksum"),
     '[[fault]]\nkind = "out_of_range"\nsignal = "Half.Speed"\nfrom_s = 1': ("'Half.Speed'", "give a size"),
 }  # fmt: skip
 

@@ -5,8 +5,8 @@ import pytest
 from gateway.config.load import load_config
 from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
+from gateway.vecu.message_faults import KINDS
 from gateway.vecu.player import Player
-from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import load_scenario
 
 SEED = 7
@@ -22,9 +22,11 @@ BO_ 256 Drive: 8 A
 BO_ 257 Other: 8 B
  SG_ Counter : 0|4@1+ (1,0) [0|15] "" A
  SG_ Two : 8|16@1- (0.1,0) [-3000|3000] "" A
+ SG_ Mode : 24|8@1+ (1,0) [0|10] "" A
  SG_ Crc : 56|8@1+ (1,0) [0|255] "" A
 BA_DEF_ BO_ "GenMsgCycleTime" INT 0 10000;
 BA_DEF_DEF_ "GenMsgCycleTime" 10;
+VAL_ 257 Mode 0 "Off" 1 "On" 255 "SNA";
 """
 PROTECTION = 'counter = { signal = "Counter" }\ncrc = { signal = "Crc", data_id = 0x1234 }\n'
 CONFIG = f"""
@@ -54,6 +56,7 @@ signal = [
     {{ signal = "Drive.Swing", stuck = {{ seconds = 0.5 }}, code = "C1000" }},
     {{ signal = "Drive.Calm", noise = {{ deviation = 2.0 }}, code = "C1001" }},
     {{ signal = "Drive.Level", plausible = [10, 200], code = "C1002" }},
+    {{ signal = "Other.Mode", code = "C1004" }},
 ]
 [[monitor]]
 name = "relations"
@@ -108,13 +111,16 @@ TABLE = [
     ("late", DRIVE | {"delay_ms": 150}, "U0110-87", None, 0.15),
     ("doubled", DRIVE, "U0410-82", 3.0, 0.2),
     ("short", OTHER, "U0411-81", 3.0, 0.2),
+    ("sna", {"signal": "Other.Mode"}, "C1004-86", 3.0, 0.7),
+    ("babbling", DRIVE, "U0111-87", 3.0, 0.35),  # it takes the bus from what has a lower priority; itself it is whole
+    ("bus_off", {}, "U0110-87 U0111-87", 3.0, 0.35),  # all of its messages
 ]
 
 
-def run(folder, fault=""):
+def run(folder, fault="", config=CONFIG):
     """Return the events of DTCs that a gateway tells of the scenario, and what was injected."""
     (folder / "car.dbc").write_text(DBC)
-    (folder / "gateway.toml").write_text(CONFIG)
+    (folder / "gateway.toml").write_text(config)
     file = folder / "scenario.toml"
     file.write_text(SCENARIO + fault)
     scenario = load_scenario(file)
@@ -131,7 +137,8 @@ def run(folder, fault=""):
 
 
 def toml(kind, keys, from_s, to_s):
-    values = {"kind": kind, "from_s": from_s} | ({} if to_s is None else {"to_s": to_s}) | keys
+    times = {name: t for name, t in (("from_s", from_s), ("to_s", to_s)) if t is not None}
+    values = {"kind": kind} | times | keys
     shown = (f'{name} = "{v}"' if isinstance(v, str) else f"{name} = {v}" for name, v in values.items())
     return "\n[[fault]]\n" + "\n".join(shown) + "\n"
 
@@ -144,7 +151,7 @@ def test_healthy_nothing_is_said(tmp_path):
 def test_each_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path):
     events, truth = run(tmp_path, toml(kind, keys, 2.0, to_s))
     failed = [event for event in events if event["status"] & 1]
-    assert {event["dtc"] for event in failed} == {dtc}
+    assert {event["dtc"] for event in failed} == set(dtc.split())
     assert 2.0 <= failed[0]["t_ns"] / 1e9 <= 2.0 + within_s
     assert [fact.kind for fact in truth] == [kind]
     assert truth[0].t_ns == pytest.approx(2e9, abs=200e6 if "probability" in keys else 25e6)
@@ -153,8 +160,40 @@ def test_each_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path
 
 
 def test_the_table_has_every_kind():
-    kinds = VIRTUAL_ECUS["restbus"].fault.model_fields["kind"].annotation.__args__
+    kinds = KINDS
     assert {row[0] for row in TABLE} == set(kinds)
+
+
+def test_the_gateways_own_controller_is_bus_off(tmp_path):
+    """Told by the bus itself: the messages that do not come then have a cause, and are nobody's fault."""
+    watched = CONFIG.replace("health = { watched = false }", "").partition("[fault.")[0]  # counters debounced as ever
+    events, truth = run(tmp_path, toml("bus_off", {}, 2.0, 3.0).replace("[[fault]]", "[[wire]]"), watched)
+    assert {event["dtc"] for event in events if event["status"] & 1} == {"U0001-88"}
+    assert [fact.kind for fact in truth] == ["bus_off"]
+    assert not events[-1]["status"] & 1
+
+
+CONDITIONS = [  # when, from_s -> when it begins [s]
+    ("Drive.Swing > 50", None, 0.25),  # 100 sin(2 pi t / 3)
+    ("Drive.Swing > 50 and Other.Two > 140", None, 0.7378),  # 100 + 50 sin(2 pi t / 5)
+    ("Drive.Swing < -50", 2.0, 2.0),  # from 1.75 s to 2.75 s
+]
+
+
+@pytest.mark.parametrize(("when", "from_s", "begins_s"), CONDITIONS)
+def test_by_a_condition_on_signals(when, from_s, begins_s, tmp_path):
+    keys = DRIVE | {"when": when} | ({} if from_s is None else {"from_s": from_s})
+    events, truth = run(tmp_path, toml("checksum", keys, None, 4.0))
+    assert {event["dtc"] for event in events if event["status"] & 1} == {"U0410-83"}
+    assert truth[0].t_ns / 1e9 == pytest.approx(begins_s, abs=0.02)
+    assert not events[-1]["status"] & 1, "it is over"
+
+
+def test_a_condition_of_what_is_not_there_is_refused(tmp_path):
+    with pytest.raises(GatewayError, match=r"fault\[0\]\.when.*did you mean Swing"):
+        run(tmp_path, toml("checksum", DRIVE | {"when": "Drive.Swin > 3"}, 1.0, None))
+    with pytest.raises(GatewayError, match=r"fault\[0\]\.when.*compares"):
+        run(tmp_path, toml("checksum", DRIVE | {"when": "Drive.Swing + 3"}, 1.0, None))
 
 
 def test_several_at_once_are_each_seen(tmp_path):

@@ -62,6 +62,17 @@ class Csv(StrictModel):
     repeat: bool = Field(False, description="begin anew at the end; else the last value stays")
 
 
+class Log(StrictModel):
+    """A signal of a recorded log, from its first frame on."""
+
+    file: Path = Field(description="relative to the scenario; any log that gateway replay reads")
+    signal: str | None = Field(None, description='"Message.Signal" in the log; default: the signal itself')
+    channel: str | None = Field(None, description="interface or channel in the log; default: any")
+    from_s: Number = Field(0.0, ge=0, description="where in the log it begins [s]")
+    hold: bool = Field(True, description="a value stays until the next frame; else: straight lines in between")
+    repeat: bool = Field(False, description="begin anew at the end; else the last value stays")
+
+
 class Course(StrictModel):
     """One of the keys but noise, and noise beside it."""
 
@@ -73,6 +84,7 @@ class Course(StrictModel):
     ramp: Ramp | None = None
     sine: Sine | None = None
     csv: Csv | None = None
+    log: Log | None = None
     expression: str | None = Field(None, min_length=1, description="of other signals: their values without faults")
     noise: Number = Field(0.0, ge=0, description="standard deviation, signal's unit")
 
@@ -141,11 +153,22 @@ def _held(points: Values, times: Values) -> Values:
 
 
 def _of_csv(course: Csv, times: Values) -> Values:
-    points = read_csv(course)
-    if course.repeat and len(points) > 1:
+    return resampled(read_csv(course), times, hold=course.hold, repeat=course.repeat)
+
+
+def resampled(points: Values, times: Values, *, hold: bool, repeat: bool) -> Values:
+    """Return values at other times.
+
+    Args:
+        points: time [s], value, shape (n, 2), n > 0; times rise.
+        times: at which the values are asked for [s].
+        hold: a value stays until the next one; else: straight lines in between.
+        repeat: begin anew at the end; else the last value stays.
+    """
+    if repeat and len(points) > 1:
         first, last = points[0, 0], points[-1, 0]
         times = first + (times - first) % (last - first)
-    if course.hold:
+    if hold:
         return _held(points, times)
     return np.asarray(np.interp(times, points[:, 0], points[:, 1]), np.float64)
 

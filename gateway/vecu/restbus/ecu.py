@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, Frames, empty
 from gateway.common.tomlfile import key_path
-from gateway.errors import InputError, named
+from gateway.errors import InputError
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits, put_column
-from gateway.signals.database import load_database
-from gateway.signals.protection.protection import ProtectionConst, Tables, fill, protect_all
+from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
-from gateway.vecu.contract import Run, Truth, VirtualEcu
+from gateway.vecu.contract import EcuFault, Run, Truth, VirtualEcu
+from gateway.vecu.databases import database_of
 from gateway.vecu.restbus.courses import Course
-from gateway.vecu.restbus.faults import RestbusFault, faulty, on_wire, unprotect, window
 from gateway.vecu.restbus.params import RestbusParams
-from gateway.vecu.restbus.selection import Sent, sent
+from gateway.vecu.restbus.selection import sent
 from gateway.vecu.restbus.signals import Courses
 
 if TYPE_CHECKING:
@@ -38,19 +37,15 @@ class _Senders:
 
     Args:
         params: of the ECU.
-        faults: of its signals and messages.
         run: what is asked for.
     """
 
-    def __init__(self, params: RestbusParams, faults: Sequence[RestbusFault], run: Run) -> None:
+    def __init__(self, params: RestbusParams, run: Run) -> None:
         self._params, self._run = params, run
-        database = load_database(run.databases)
+        database = database_of(run.databases)
         self.sent = sent(params, database)
         names = {one.message.name: one for one in self.sent}
         self._courses = Courses(params.signals, database, names)
-        self._faults = faults
-        for fault in faults:
-            _check(fault, names)
         refs = [
             SignalRef(run.bus, one.message.name, signal.name)
             for one in self.sent
@@ -58,7 +53,6 @@ class _Senders:
             if signal.length <= 64
         ]
         self._plan: DecodePlan = compile_plan([(run.bus, database)], refs, messages=[(run.bus, name) for name in names])
-        self.truth: list[Truth] = []
 
     def frames(self, place: int) -> Frames:
         """Return the frames of one message.
@@ -69,26 +63,17 @@ class _Senders:
         one = self.sent[place]
         message, run = one.message, self._run
         times = self._times(one.period_s, place * _SPREAD % 1.0)
-        mine = [fault for fault in self._faults if fault.target == message.name]
         tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
         fill(rows[0], one.protection, tables)
         row, crcs = rows.view(np.recarray)[0], tables.array()
-        words = self._payloads(message, times, mine, row)
+        words = self._payloads(message, times, row)
         protect_all(words, np.full(len(times), message.length), row, crcs, 0)
-        for fault in mine:
-            if fault.kind in ("counter", "checksum"):
-                unprotect(fault, words, times, message.length, row, crcs)
-                self._note(fault, times)
         frames = empty(len(times))
         frames["t_ns"] = np.rint(times * 1e9)
         frames["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         frames["bus"], frames["length"] = run.bus, message.length
         frames["flags"] = FD if message.is_fd else 0
         frames["data"] = words.view(np.uint8)
-        for fault in mine:
-            if fault.kind in ("lost", "late", "doubled", "short"):
-                frames, done = on_wire(fault, frames, run.rng)
-                self.truth += done
         return frames
 
     def _times(self, period_s: float, phase: float) -> Values:
@@ -100,48 +85,37 @@ class _Senders:
             times = times + self._run.rng.normal(0.0, self._params.jitter_ms * 1e-3, len(times))
         return np.sort(np.maximum(times, 0.0))
 
-    def _note(self, fault: RestbusFault, times: Values) -> None:
-        begin, end = window(fault, times)
-        if begin < end:
-            self.truth.append(Truth(round(times[begin] * 1e9), fault.kind, end - begin))
-
     def _row(self, message: Message, signal: Signal) -> Any:
         ref = SignalRef(self._run.bus, message.name, signal.name)
         row = self._plan.message(self._run.bus, message.name)
         return self._plan.signals[int(self._plan.messages["first"][row]) + self._plan.position(*ref)]
 
-    def _payloads(
-        self, message: Message, times: Values, faults: Sequence[RestbusFault], row: Any
-    ) -> NDArray[np.uint64]:
+    def _payloads(self, message: Message, times: Values, row: Any) -> NDArray[np.uint64]:
         """Return payloads before their protection, shape (frames, 8), zero beyond the message's length.
 
-        Signals with a course or a fault are written last: in databases whose signals overlap they are what is sent.
+        Signals with a course are written last: in databases whose signals overlap they are what is sent.
         """
         owned = int.from_bytes(np.ascontiguousarray(row.owned).tobytes(), "little")
         there: dict[str, NDArray[np.bool_]] = {}
         columns: dict[str, Values] = {}
         for signal in _parents_first(message):
-            columns[signal.name] = self._values(message, signal, times, faults, owned)
+            columns[signal.name] = self._values(message, signal, times, owned)
             there[signal.name] = _carried(signal, message, columns, there, len(times))
         words = np.zeros((len(times), 8), np.uint64)
         asked = {name for name in columns if self._courses.given(f"{message.name}.{name}")}
-        asked |= {str(fault.signal).rpartition(".")[2] for fault in faults if fault.of_signal}
         for signal in sorted(message.signals, key=lambda signal: (signal.name in asked, signal.is_multiplexer)):
             if signal.name in columns:
                 put_column(words, self._row(message, signal), columns[signal.name], there[signal.name])
         return words
 
-    def _values(
-        self, message: Message, signal: Signal, times: Values, faults: Sequence[RestbusFault], owned: int
-    ) -> Values:
-        """Return the values of a signal, faults in them.
+    def _values(self, message: Message, signal: Signal, times: Values, owned: int) -> Values:
+        """Return the values of a signal.
 
         Raises:
             InputError: it cannot carry them, or its protection makes it.
         """
         name, row = f"{message.name}.{signal.name}", self._row(message, signal)
-        mine = [fault for fault in faults if fault.signal == name]
-        if not self._courses.given(name) and signal.is_multiplexer and not mine:
+        if not self._courses.given(name) and signal.is_multiplexer:
             return self._turns(message, signal, len(times))
         values = self._courses.at(name, times)
         low, high = limits(row)
@@ -156,9 +130,6 @@ class _Senders:
             noise = self._courses.noise(name)
             if noise:
                 values = values + self._run.rng.normal(0.0, noise, len(values))
-        for fault in mine:
-            values = faulty(fault, values, times, _beyond(signal, low, high), self._run.rng)
-            self._note(fault, times)
         return values
 
     def _turns(self, message: Message, multiplexer: Signal, count: int) -> Values:
@@ -203,51 +174,35 @@ def _carried(
     return there[outer.name] & np.isin(raw, signal.multiplexer_ids or [])
 
 
-def _beyond(signal: Signal, low: float, high: float) -> float | None:
-    """Return a value that a signal's bits carry and its range does not, None: there is none."""
-    if signal.maximum is not None and np.isfinite(high) and high > float(signal.maximum):
-        return high
-    return low if signal.minimum is not None and np.isfinite(low) and low < float(signal.minimum) else None
-
-
-def _check(fault: RestbusFault, sent: dict[str, Sent]) -> None:
-    """Refuse a fault of what is not sent.
-
-    Raises:
-        InputError: it names close ones.
-    """
-    key = "fault.signal" if fault.of_signal else "fault.message"
-    value = fault.signal if fault.of_signal else fault.message
-    one = sent.get(fault.target)
-    if one is None:
-        raise InputError(named("the messages sent are", fault.target, sent), key=key, value=value)
-    names = [signal.name for signal in one.message.signals]
-    name = str(fault.signal).rpartition(".")[2]
-    if fault.of_signal and name not in names:
-        raise InputError(named(f"the signals of {fault.target} are", name, names), key=key, value=value)
-
-
-def _frames(params: RestbusParams, faults: Sequence[RestbusFault], run: Run) -> tuple[Frames, list[Truth]]:
-    senders = _Senders(params, faults, run)
+def _frames(params: RestbusParams, _faults: Sequence[EcuFault], run: Run) -> tuple[Frames, list[Truth]]:
+    senders = _Senders(params, run)
     frames = np.concatenate([senders.frames(place) for place in range(len(senders.sent))])
-    senders.truth.sort(key=lambda fact: fact.t_ns)
-    return frames[np.argsort(frames["t_ns"], kind="stable")], senders.truth
+    return frames[np.argsort(frames["t_ns"], kind="stable")], []
+
+
+def _sends(params: RestbusParams, databases: Sequence[Path]) -> dict[str, Protection]:
+    return {one.message.name: one.protection for one in sent(params, database_of(databases), tell=False)}
 
 
 def _locate(params: RestbusParams, folder: Path, key: str) -> RestbusParams:
-    """Return parameters whose CSV files are those of the scenario's folder.
+    """Return parameters whose CSV files and logs are those of the scenario's folder.
 
     Raises:
         InputError: there is no such file.
     """
     signals = dict(params.signals)
     for name, course in signals.items():
-        if isinstance(course, Course) and course.csv is not None:
-            file = folder / course.csv.file
+        if not isinstance(course, Course):
+            continue
+        for kind in ("csv", "log"):
+            asked = getattr(course, kind)
+            if asked is None:
+                continue
+            file = folder / asked.file
             if not file.is_file():
-                where = f"{key}.{key_path(('signals', name))}.csv.file"
-                raise InputError("there is no such file", key=where, value=str(course.csv.file))
-            signals[name] = course.model_copy(update={"csv": course.csv.model_copy(update={"file": file})})
+                where = f"{key}.{key_path(('signals', name))}.{kind}.file"
+                raise InputError("there is no such file", key=where, value=str(asked.file))
+            signals[name] = course.model_copy(update={kind: asked.model_copy(update={"file": file})})
     return params.model_copy(update={"signals": signals})
 
 
@@ -255,8 +210,9 @@ ECU = VirtualEcu(
     type="restbus",
     api=2,
     params=RestbusParams,
-    fault=RestbusFault,
+    fault=None,
     frames=_frames,
+    sends=_sends,
     locate=_locate,
     step_ns=1_000_000,
 )

@@ -38,8 +38,13 @@ class Sent:
     protection: Protection
 
 
-def sent(params: RestbusParams, database: Database) -> list[Sent]:
+def sent(params: RestbusParams, database: Database, *, tell: bool = True) -> list[Sent]:
     """Return what a rest bus sends.
+
+    Args:
+        params: of the ECU.
+        database: of its bus.
+        tell: say in the log what is not sent, or sent without its protection; once is enough.
 
     Raises:
         InputError: nodes or messages that are not there, a message that cannot be sent, none at all.
@@ -64,10 +69,14 @@ def sent(params: RestbusParams, database: Database) -> list[Sent]:
                 raise InputError("the database gives no cycle time: give period_ms, or cycle_ms", key=key, value=name)
             without_cycle.append(name)
             continue
-        found.append(Sent(message, float(period_ms) * 1e-3, _protection(params, own, place, message, database)))
+        found.append(
+            Sent(message, float(period_ms) * 1e-3, _protection(params, own, place, message, database, tell=tell))
+        )
     if not found:
         text = f"none of {len(chosen)} messages has a cycle time in the database: give cycle_ms"
         raise InputError(text, key="cycle_ms")
+    if not tell:
+        return found
     _tell(params, without_cycle, "no cycle time in the database, and no cycle_ms")
     _tell(params, broken, "signals beyond its end")
     return found
@@ -105,7 +114,7 @@ def _chosen(params: RestbusParams, database: Database) -> dict[str, Message]:
 
 
 def _protection(
-    params: RestbusParams, table: RestbusMessage | None, k: int, message: Message, database: Database
+    params: RestbusParams, table: RestbusMessage | None, k: int, message: Message, database: Database, *, tell: bool
 ) -> Protection:
     """Return how a message is protected.
 
@@ -124,5 +133,6 @@ def _protection(
         if own:
             key = f"message[{k}].{error.key}" if error.key else f"message[{k}]"
             raise InputError(error.message, key=key, value=error.value) from error
-        _log.warning("sent without a protection", ecu=params.name, message=message.name, why=error.message)
+        if tell:
+            _log.warning("sent without a protection", ecu=params.name, message=message.name, why=error.message)
         return Protection()

@@ -13,8 +13,9 @@ from gateway.errors import InputError, named
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database
-from gateway.vecu.restbus.courses import Course, Short, course_of, values_of
+from gateway.vecu.restbus.courses import Course, Short, course_of, resampled, values_of
 from gateway.vecu.restbus.expression import evaluated
+from gateway.vecu.restbus.recorded import points_of
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
@@ -55,6 +56,8 @@ class Courses:
                 if message not in sent:
                     raise InputError(named("this message is not sent; sent are", message, sent), value=message)
                 course = self._courses[name] = self._numbered(course_of(short), signal)
+                if course.log is not None and course.log.signal is not None:
+                    self.signal(course.log.signal)
                 if course.expression is not None:
                     self._programs[name] = compile_text(course.expression, self._unit)
             except InputError as error:
@@ -115,8 +118,14 @@ class Courses:
             values = evaluated(program, times, [self.at(other, times) for other in program.signals])
             return np.where(np.isnan(values), start, values)
         try:
-            found = None if course is None else values_of(course, times)
+            found = None if course is None else self._found(name, course, times)
         except InputError as error:
             key = key_path(("signals", name)) + (f".{error.key}" if error.key else "")
             raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
         return np.full(len(times), start) if found is None else found
+
+    def _found(self, name: str, course: Course, times: Values) -> Values | None:
+        if course.log is None:
+            return values_of(course, times)
+        log = course.log
+        return resampled(points_of(log, name, self._database), times, hold=log.hold, repeat=log.repeat)

@@ -24,7 +24,7 @@ KERNELS = {
         ("test_pedal_scenarios.py",),
         ("test_steering_scenarios.py", "test_linear_scenarios.py", "test_truck_scenarios.py"),
     ),
-    "interfaces": (("test_peers.py",), ("test_supervision.py", "test_socketcan.py")),
+    "interfaces": (("test_peers.py",), ("test_supervision.py", "test_socketcan.py"), ("test_restbus.py",)),
     "clock": (("test_clock.py",),),
 }
 

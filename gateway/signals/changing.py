@@ -1,0 +1,113 @@
+"""One signal of one message in payloads that are there: read, written, the protection renewed over it.
+
+For faults that are put into frames, recorded or on their way, and for values that somebody sets by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import EXTENDED, Frames
+from gateway.signals.columns import put_column
+from gateway.signals.database import Database
+from gateway.signals.decode import OK, decode, lookup
+from gateway.signals.protection.protection import (
+    Protection,
+    ProtectionConst,
+    Tables,
+    counter_of,
+    fill,
+    protect,
+)
+from gateway.signals.tables import SignalRef, compile_plan
+
+Words = NDArray[np.uint64]
+
+
+class ChangedMessage:
+    """A message whose frames are changed.
+
+    Args:
+        bus: index of its bus.
+        database: of the bus.
+        message: its name.
+        protection: kept right over what is changed.
+        pgn: buses whose extended identifiers match by PGN.
+
+    Raises:
+        InputError: the bus has no such message.
+    """
+
+    def __init__(
+        self, bus: int, database: Database, message: str, protection: Protection, pgn: Collection[int] = ()
+    ) -> None:
+        self.bus = bus
+        found = database.message(message)
+        self.can_id = found.frame_id | (EXTENDED if found.is_extended_frame else 0)
+        self._plan = compile_plan([(bus, database)], [], messages=[(bus, message)], pgn=pgn)
+        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+        fill(rows[0], protection, tables)
+        self.protection, self.tables = rows.view(np.recarray)[0], tables.array()
+
+    def among(self, frames: Frames) -> NDArray[np.bool_]:
+        """Return which frames are of the message, shape (n,)."""
+        keys = self._plan.keys, self._plan.rows
+        ids = [can_id for can_id in np.unique(frames["can_id"]) if lookup(*keys, self.bus, int(can_id)) == 0]
+        return np.asarray((frames["bus"] == self.bus) & np.isin(frames["can_id"], ids), np.bool_)
+
+    def sent_before(self, words: Words) -> int:
+        """Return how many frames its counter says were sent before, modulo its range; 0 without a counter."""
+        return int(counter_of(words, self.protection)) - int(self.protection.first)
+
+    def renew(self, words: Words, length: int, sent: int | None = None) -> None:
+        """Put the checksum right over a payload that was changed; ``sent``: with another counter."""
+        if self.protection.has_checksum or sent is not None:
+            sent = self.sent_before(words) if sent is None else sent
+            protect(words, length, sent, self.protection, self.tables)
+
+
+class ChangedSignal:
+    """A signal of 1 to 64 bits.
+
+    Args:
+        bus: index of its bus.
+        database: of the bus.
+        message: name.
+        signal: name.
+
+    Raises:
+        InputError: the message has no such signal.
+    """
+
+    def __init__(self, bus: int, database: Database, message: str, signal: str) -> None:
+        ref = SignalRef(bus, message, signal)
+        self._plan = compile_plan([(bus, database)], [ref], messages=[(bus, message)])
+        self._place = self._plan.position(*ref)
+        row = self._plan.signals[int(self._plan.messages[0]["first"]) + self._place]
+        self.row: Any = row if hasattr(row, "word") else row.view(np.recarray)
+
+    def value(self, words: Words, length: int) -> float:
+        """Return what the signal has, NaN where the frame does not carry it.
+
+        Args:
+            words: payload, shape (8,).
+            length: of the payload [byte].
+        """
+        plan = self._plan
+        count = int(plan.messages[0]["count"])
+        values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
+        status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
+        return float(values[self._place]) if status == OK and present[self._place] else float("nan")
+
+    def put(self, words: Words, value: float) -> None:
+        """Write a value, whatever the bits are before; an integer signal takes the nearest that it can carry."""
+        put_column(words.reshape(1, 8), self.row, np.array([value]), np.ones(1, np.bool_))
+
+
+def words_of(frame: np.void) -> Words:
+    """Return a frame's payload as 8 words: a copy."""
+    return np.ascontiguousarray(frame["data"]).view("<u8").copy()

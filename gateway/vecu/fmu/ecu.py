@@ -1,0 +1,60 @@
+"""An FMU in a loop on the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from gateway.common.extras import need
+from gateway.errors import InputError
+from gateway.vecu.contract import Run, Running, VirtualEcu
+from gateway.vecu.loop import Loop, sends
+from gateway.vecu.loop_params import LoopFault, LoopParams, fits
+
+
+class FmuParams(LoopParams):
+    """An FMU; its inputs, outputs and parameters have the names of its variables."""
+
+    type: Literal["fmu"]
+    name: str = "fmu"
+    file: Path = Field(description="relative to the scenario")
+
+    @property
+    def summary(self) -> str:
+        """What it is, for people."""
+        return f"FMU {self.file.name}"
+
+
+def _begin(params: FmuParams, faults: Sequence[LoopFault], run: Run) -> Running:
+    need("fmu", "FMUs", key="type")
+    from gateway.vecu.fmu.model import FmuModel  # noqa: PLC0415 - an extra
+
+    return Loop(params, faults, run, lambda: FmuModel(params, run.duration_s))
+
+
+def _locate(params: FmuParams, folder: Path, key: str) -> FmuParams:
+    """Return parameters whose FMU is that of the scenario's folder.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    file = folder / params.file
+    if not file.is_file():
+        raise InputError("there is no such file", key=f"{key}.file", value=str(params.file))
+    return params.model_copy(update={"file": file})
+
+
+ECU = VirtualEcu(
+    type="fmu",
+    api=2,
+    params=FmuParams,
+    fault=LoopFault,
+    begin=_begin,
+    sends=sends,
+    fits=fits,
+    locate=_locate,
+    step_ns=1_000_000,
+)
