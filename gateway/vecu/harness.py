@@ -6,6 +6,7 @@ chunk to chunk, so that a run all at once and one step by step are the same.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -94,7 +95,7 @@ class Sender:
         return ChangedSignal(self.bus, self.database, message, own)
 
 
-class _Fault:
+class _Fault(ABC):
     """A fault that is active between two times, while its condition holds."""
 
     def __init__(self, fault: MessageFault, condition: Condition | None) -> None:
@@ -128,9 +129,9 @@ class _Fault:
         """What it did so far."""
         return [Truth(self._first_ns, self.fault.kind, self._count)] if self._count else []
 
+    @abstractmethod
     def apply(self, frames: Frames, end_ns: int) -> Frames:
         """Return frames with the fault in them; ``end_ns``: of the chunk."""
-        raise NotImplementedError
 
 
 class _OfSignal(_Fault):
