@@ -11,6 +11,9 @@ from gateway.jit import Record, f8s, i8s, kernel
 
 #: Same readings in a row that are suspicious while another channel moves.
 FEW = 4
+#: Samples over which what is no line is averaged, and the share that is nothing: a single jump is one for two seconds
+#: at 1 ms.
+ROUGH_OVER, SMOOTH = 128.0, 1e-9
 
 
 class State(Record):
@@ -19,7 +22,8 @@ class State(Record):
     ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
     often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
-    on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
+    on one line; ``begin``: where that began; ``bend``: second difference; ``rough``: share of the samples that jumped or
+    were none; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
     repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
@@ -31,6 +35,8 @@ class State(Record):
     longest: Annotated[i8s, MOST_CHANNELS]
     line: Annotated[i8s, MOST_CHANNELS]
     begin: Annotated[f8s, MOST_CHANNELS]
+    bend: Annotated[f8s, MOST_CHANNELS]
+    rough: Annotated[f8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
@@ -46,6 +52,8 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.same[i] = 0
         h.line[i] = 0
         h.begin[i] = y[i]
+        h.bend[i] = 0.0
+        h.rough[i] = 0.0
         for j in range(n):
             h.anchor[i * MOST_CHANNELS + j] = y[j]
             h.strayed[i * MOST_CHANNELS + j] = 0.0
@@ -78,8 +86,12 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
-        bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
-        if bend <= straight and abs(y[i] - h.last[i]) <= slew:
+        bend = y[i] - 2.0 * h.last[i] + h.older[i]
+        # Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
+        jump = abs(bend) > straight and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
+        h.rough[i] += ((1.0 if jump or np.isnan(y[i]) else 0.0) - h.rough[i]) / ROUGH_OVER
+        h.bend[i] = bend
+        if abs(bend) <= straight and abs(y[i] - h.last[i]) <= slew:
             h.line[i] += 1
         else:
             h.line[i] = 0  # so do NaNs
@@ -88,6 +100,12 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         h.older[i] = h.last[i]
         h.last[i] = y[i]
         h.raw[i] = raw[i]
+
+
+@kernel
+def jumped(h: State, i: int, j: int) -> bool:
+    """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less."""
+    return bool(h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
 
 
 @kernel
