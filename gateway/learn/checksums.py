@@ -10,7 +10,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from gateway.learn.claims import Claim, fitting, proven
-from gateway.learn.columns import bits_of
+from gateway.signals.decoded import bits_of
 from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ERROR, ID_MASK, REMOTE, Frames
 from gateway.calibration.logs import read_even
 from gateway.config.model import Config
-from gateway.learn.columns import columns, words_of
+from gateway.signals.decoded import columns, words_of
 from gateway.learn.course import Courses
 from gateway.learn.gaps import Gaps
 from gateway.learn.samples import Samples

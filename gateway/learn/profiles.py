@@ -14,7 +14,7 @@ from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.learn.claims import Claim, proven
-from gateway.learn.columns import bits_of
+from gateway.signals.decoded import bits_of
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import solved
 from gateway.signals.bits import field_at

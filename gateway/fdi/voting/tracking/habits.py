@@ -22,8 +22,8 @@ class State(Record):
     ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
     often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
-    on one line; ``begin``: where that began; ``bend``: second difference; ``rough``: share of the samples that jumped or
-    were none; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
+    on one line; ``begin``: where that began; ``before``, ``bend``: reading before ``raw``, and its second difference;
+    ``rough``: share of the samples that jumped or were none; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
     repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
@@ -35,6 +35,7 @@ class State(Record):
     longest: Annotated[i8s, MOST_CHANNELS]
     line: Annotated[i8s, MOST_CHANNELS]
     begin: Annotated[f8s, MOST_CHANNELS]
+    before: Annotated[f8s, MOST_CHANNELS]
     bend: Annotated[f8s, MOST_CHANNELS]
     rough: Annotated[f8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
@@ -52,6 +53,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.same[i] = 0
         h.line[i] = 0
         h.begin[i] = y[i]
+        h.before[i] = raw[i]
         h.bend[i] = 0.0
         h.rough[i] = 0.0
         for j in range(n):
@@ -86,12 +88,13 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
-        bend = y[i] - 2.0 * h.last[i] + h.older[i]
         # Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
+        bend = raw[i] - 2.0 * h.raw[i] + h.before[i]
         jump = abs(bend) > straight and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
-        h.rough[i] += ((1.0 if jump or np.isnan(y[i]) else 0.0) - h.rough[i]) / ROUGH_OVER
+        h.rough[i] += ((1.0 if jump or np.isnan(raw[i]) else 0.0) - h.rough[i]) / ROUGH_OVER
         h.bend[i] = bend
-        if abs(bend) <= straight and abs(y[i] - h.last[i]) <= slew:
+        bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
+        if bend <= straight and abs(y[i] - h.last[i]) <= slew:
             h.line[i] += 1
         else:
             h.line[i] = 0  # so do NaNs
@@ -99,7 +102,7 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         h.oldest[i] = h.older[i]
         h.older[i] = h.last[i]
         h.last[i] = y[i]
-        h.raw[i] = raw[i]
+        h.before[i], h.raw[i] = h.raw[i], raw[i]
 
 
 @kernel
