@@ -14,6 +14,10 @@ FEW = 4
 #: Samples over which what is no line is averaged, and the share that is nothing: a single jump is one for two seconds
 #: at 1 ms.
 ROUGH_OVER, SMOOTH = 128.0, 1e-9
+#: Samples without a bend that end a jump, and those after which one has to have ended.
+CALM, LEAPS = 2, 30
+#: Share of what it has jumped by that a channel keeps from one agreement to the next.
+FORGETS = 0.95
 
 
 class State(Record):
@@ -23,7 +27,9 @@ class State(Record):
     often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
     on one line; ``begin``: where that began; ``before``, ``bend``: reading before ``raw``, and its second difference;
-    ``rough``: share of the samples that jumped or were none; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
+    ``rough``: share of the samples that jumped or were none; ``moved``: by how much it has jumped since it agreed with
+    the others; of what it does at present: ``from_``, where it left its way ``since`` samples, at what ``pace``, ``calm``
+    samples without a bend, ``leapt`` 1: it bent to and fro; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
     repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
@@ -38,6 +44,12 @@ class State(Record):
     before: Annotated[f8s, MOST_CHANNELS]
     bend: Annotated[f8s, MOST_CHANNELS]
     rough: Annotated[f8s, MOST_CHANNELS]
+    moved: Annotated[f8s, MOST_CHANNELS]
+    from_: Annotated[f8s, MOST_CHANNELS]
+    pace: Annotated[f8s, MOST_CHANNELS]
+    since: Annotated[i8s, MOST_CHANNELS]
+    calm: Annotated[i8s, MOST_CHANNELS]
+    leapt: Annotated[i8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
@@ -56,13 +68,44 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.before[i] = raw[i]
         h.bend[i] = 0.0
         h.rough[i] = 0.0
+        h.moved[i] = 0.0
+        h.since[i] = 0
         for j in range(n):
             h.anchor[i * MOST_CHANNELS + j] = y[j]
             h.strayed[i * MOST_CHANNELS + j] = 0.0
 
 
 @kernel
-def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float) -> None:
+def _leap(h: State, i: int, raw: float, straight: float, speed: float) -> None:
+    """Note whether channel ``i`` jumps, and where to.
+
+    Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
+    """
+    bend = raw - 2.0 * h.raw[i] + h.before[i]
+    large = abs(bend) > straight
+    jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
+    h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
+    h.bend[i] = bend
+    if large and h.since[i] == 0:
+        h.from_[i], h.pace[i], h.leapt[i] = h.raw[i], speed, 0
+    if not large and h.since[i] == 0:
+        return
+    h.since[i] += 1
+    h.calm[i] = 0 if large else h.calm[i] + 1
+    if jump:
+        h.leapt[i] = 1
+    if h.calm[i] < CALM and h.since[i] < LEAPS:
+        return
+    moved = raw - h.from_[i] - h.pace[i] * h.since[i]
+    if h.leapt[i] == 1 and not np.isnan(moved):
+        h.moved[i] += moved
+    h.since[i] = 0
+
+
+@kernel
+def watch(
+    h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float, speed: float
+) -> None:
     """Take the readings of one sample.
 
     Args:
@@ -73,6 +116,7 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         trusted: bits of the channels that are not held for failed.
         straight: largest second difference on a line.
         slew: largest difference of neighbours on a line.
+        speed: of the quantity, in a sample.
     """
     for i in range(n):
         if raw[i] == h.raw[i] and y[i] == y[i]:  # not NaN
@@ -88,11 +132,7 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
-        # Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
-        bend = raw[i] - 2.0 * h.raw[i] + h.before[i]
-        jump = abs(bend) > straight and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
-        h.rough[i] += ((1.0 if jump or np.isnan(raw[i]) else 0.0) - h.rough[i]) / ROUGH_OVER
-        h.bend[i] = bend
+        _leap(h, i, raw[i], straight, speed)
         bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
         if bend <= straight and abs(y[i] - h.last[i]) <= slew:
             h.line[i] += 1
@@ -106,9 +146,28 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
 
 
 @kernel
-def jumped(h: State, i: int, j: int) -> bool:
-    """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less."""
-    return bool(h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
+def agreed(h: State, i: int) -> None:
+    """Take note that channel ``i`` is where it should be: what it jumped by once is forgotten."""
+    h.moved[i] *= FORGETS
+
+
+@kernel
+def jumped(h: State, i: int, j: int, least: float) -> bool:
+    """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
+
+    Who has jumped and stayed there counts before who jumps to and fro.
+
+    Args:
+        h: record of State.
+        i: a channel.
+        j: another one.
+        least: way that is one.
+    """
+    one = abs(h.moved[i]) if abs(h.moved[i]) > least else 0.0
+    other = abs(h.moved[j]) if abs(h.moved[j]) > least else 0.0
+    if one > 2.0 * other:
+        return True
+    return bool(other <= 2.0 * one and h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
 
 
 @kernel

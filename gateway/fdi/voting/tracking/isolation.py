@@ -110,7 +110,7 @@ def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
     for j in range(n):
         if j == i or trusted & s.used & (1 << j) == 0 or s.habits.same[j] >= ISOLATE:
             continue  # a frozen channel is none
-        if count > 2 or habits.jumped(s.habits, i, j):
+        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree):
             return True
     return False
 
