@@ -155,7 +155,8 @@ def agreed(h: State, i: int) -> None:
 def jumped(h: State, i: int, j: int, least: float) -> bool:
     """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
 
-    Who has jumped and stayed there counts before who jumps to and fro.
+    Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a supply
+    moves all, one more than the other.
 
     Args:
         h: record of State.
@@ -163,11 +164,11 @@ def jumped(h: State, i: int, j: int, least: float) -> bool:
         j: another one.
         least: way that is one.
     """
-    one = abs(h.moved[i]) if abs(h.moved[i]) > least else 0.0
-    other = abs(h.moved[j]) if abs(h.moved[j]) > least else 0.0
-    if one > 2.0 * other:
+    if abs(h.moved[j]) > least:
+        return False
+    if abs(h.moved[i]) > least:
         return True
-    return bool(other <= 2.0 * one and h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
+    return bool(h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
 
 
 @kernel
