@@ -22,6 +22,8 @@ from gateway.monitors.pedal.params import BEND, Params
 BLOCKS, MOVED = 3, 3
 #: Share of the travel over which it must have rested, or moved slowly [%].
 TRAVEL = 30.0
+#: Largest difference of the channels, and of their slopes, that is one of healthy sensors [%].
+APART = 25.0
 #: Share of the readings beyond their range that is not healthy.
 OUTSIDE = 1e-3
 #: Margin of what is usual over what was found, in times and in standard deviations; least values [%], [ms], [%].
@@ -72,6 +74,13 @@ def _refuse(p: Params, s: Survey) -> None:
             f"{s.high:.0f} % of its travel; over {TRAVEL:.0f} % at least is needed",
             key="tolerance",
         )
+    apart = max(g.value for g in s.gain) - min(g.value for g in s.gain)
+    if max(s.mismatch, 100.0 * apart) > APART:
+        raise InputError(
+            f"the channels differ by {s.mismatch:.0f} % of the travel, their slopes by {100.0 * apart:.0f} %: at_rest and "
+            "at_full are not those of these sensors, or one of them is not healthy",
+            key="channel",
+        )
     if p.finds_lag and s.moved < MOVED:
         raise InputError(
             f"the logs do not tell the lag: in {s.moved} of {s.blocks} stretches the pedal moves up and down fast "
@@ -119,6 +128,11 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
             rows.append((f"{name} lag [ms]", nan, s.lag_ms[i].value, s.lag_ms[i].sd))
         channels.append({"noise": noise, "resolution": resolution or channel.resolution})
     keys: dict[str, object] = {"channel": channels}
+    apart = max(g.value for g in s.gain) - min(g.value for g in s.gain)
+    noisy = max(each.value for each in s.noise)
+    keys["tolerance"] = max(TIMES * s.mismatch + OF_NOISE * noisy, LEAST_TOLERANCE)
+    keys["gain_error"] = max(100.0 * _at_least(Estimate(apart, max(g.sd for g in s.gain))), LEAST_GAIN)
+    rows += [(key, getattr(p, key), float(keys[key]), nan) for key in ("tolerance", "gain_error")]
     if p.finds_lag:
         slowest = max(range(len(channels)), key=lambda i: s.lag_ms[i].value)
         if s.lag_ms[slowest].value > MOST_LAG_MS:
@@ -130,18 +144,5 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
             )
         keys["lag_ms"] = float(np.clip(_at_least(s.lag_ms[slowest]), LEAST_LAG, MOST_LAG_MS))
         rows.append(("lag_ms", p.lag_ms, float(keys["lag_ms"]), nan))
-    apart = max(g.value for g in s.gain) - min(g.value for g in s.gain)
-    noisy = max(each.value for each in s.noise)
-    keys["tolerance"] = max(TIMES * s.mismatch + OF_NOISE * noisy, LEAST_TOLERANCE)
-    keys["gain_error"] = max(100.0 * _at_least(Estimate(apart, max(g.sd for g in s.gain))), LEAST_GAIN)
-    for key in ("tolerance", "gain_error"):
-        value = float(keys[key])
-        if value > 50.0:
-            raise InputError(
-                f"the channels differ by {s.mismatch:.0f} % of the travel, their slopes by {100 * apart:.0f} %: at_rest "
-                "and at_full are not those of these sensors, or one of them is not healthy",
-                key="channel",
-            )
-        rows.append((key, getattr(p, key), value, nan))
     return Measured(keys, tuple(rows))
 
