@@ -93,7 +93,12 @@ class _Reader:
 
 
 def _of_log(
-    config: Config, chosen: Chosen[SensorCalibration], log: Path, file: Path | None, maps: Sequence[str], progress: Progress
+    config: Config,
+    chosen: Chosen[SensorCalibration],
+    log: Path,
+    file: Path | None,
+    maps: Sequence[str],
+    progress: Progress,
 ) -> tuple[float, list[Array], set[str]]:
     """Replay a log; returns its seconds, the readings of the monitor, the DTCs that it set."""
     alone = config.model_copy(update={"monitor": (config.monitor[chosen.place],), "fault": {}})

@@ -145,4 +145,3 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
         keys["lag_ms"] = float(np.clip(_at_least(s.lag_ms[slowest]), LEAST_LAG, MOST_LAG_MS))
         rows.append(("lag_ms", p.lag_ms, float(keys["lag_ms"]), nan))
     return Measured(keys, tuple(rows))
-

@@ -103,9 +103,7 @@ def _leap(h: State, i: int, raw: float, straight: float, speed: float) -> None:
 
 
 @kernel
-def watch(
-    h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float, speed: float
-) -> None:
+def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float, speed: float) -> None:
     """Take the readings of one sample.
 
     Args:
