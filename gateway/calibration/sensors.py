@@ -79,7 +79,7 @@ class _Reader:
                     self._values[k].append((mine["t_ns"].astype(np.int64), values[:, position]))
 
     def records(self, period_ns: float) -> Iterator[Array]:
-        """Yield samples in a row, shape (samples, signals): one a frame of the last signal, of the others the newest."""
+        """Yield samples, shape (samples, signals): one a frame of the last signal; of the others the newest."""
         if not all(self._values):
             return
         told = [(np.concatenate([t for t, _ in v]), np.concatenate([y for _, y in v])) for v in self._values]

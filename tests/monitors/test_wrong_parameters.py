@@ -1,4 +1,4 @@
-"""Each key of each monitor with values that no plant has: taken, or refused by one line that names the key; no traceback.
+"""Each key of each monitor with absurd values: taken, or refused by one line that names the key; no traceback.
 
 A number of absurd size may be taken; one that is none, or has no end, is not.
 """
@@ -26,8 +26,8 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is stepped")
 SEED = 28
 #: A configuration of each type of monitor.
 CONFIGS = {
-    "crank_sync": "crank_30_2", "hybrid_powertrain": "truck", "linear_observer": "linear_belt", "pi_bank": "linear_belt",
-    "redundant_pair": "pedal", "redundant_triple": "pedal_three", "rule": "signals", "signal": "signals",
+    "crank_sync": "crank_30_2", "hybrid_powertrain": "truck", "linear_observer": "linear_belt",
+    "pi_bank": "linear_belt", "redundant_pair": "pedal", "redundant_triple": "pedal_three", "rule": "signals", "signal": "signals",
     "steering_angle": "steering", "structural": "motor",
 }  # fmt: skip
 #: What is put in the place of each key.

@@ -63,8 +63,8 @@ def _refuse(p: Params, s: Survey) -> None:
     if s.blocks < BLOCKS:
         least = BLOCKS * max(20.0, LEAST_SAMPLES * p.period_ms * 1e-3)
         raise InputError(
-            f"the logs hold {s.blocks} stretches without a gap that are long enough; {BLOCKS} are needed, {least:.0f} s "
-            f"of readings each {p.period_ms:g} ms",
+            f"the logs hold {s.blocks} stretches without a gap that are long enough; {BLOCKS} are needed, {least:.0f} "
+            f"s of readings each {p.period_ms:g} ms",
             key="period_ms",
             value=p.period_ms,
         )
@@ -77,8 +77,8 @@ def _refuse(p: Params, s: Survey) -> None:
     apart = max(g.value for g in s.gain) - min(g.value for g in s.gain)
     if max(s.mismatch, 100.0 * apart) > APART:
         raise InputError(
-            f"the channels differ by {s.mismatch:.0f} % of the travel, their slopes by {100.0 * apart:.0f} %: at_rest and "
-            "at_full are not those of these sensors, or one of them is not healthy",
+            f"the channels differ by {s.mismatch:.0f} % of the travel, their slopes by {100.0 * apart:.0f} %: at_rest "
+            "and at_full are not those of these sensors, or one of them is not healthy",
             key="channel",
         )
     if p.finds_lag and s.moved < MOVED:

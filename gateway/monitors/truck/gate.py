@@ -47,8 +47,9 @@ NOISE = 0.1
 class State(Record):
     """State.
 
-    ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]; ``closed``: since
-    it closed last [s], ``creeps``: until when it was seen to creep then [s], ``usual``: behind the gears before [s].
+    ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]; ``closed``:
+    since it closed last [s], ``creeps``: until when it was seen to creep then [s], ``usual``: behind the gears before
+    [s].
     """
 
     slip: f8

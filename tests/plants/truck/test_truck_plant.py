@@ -76,7 +76,7 @@ def test_a_clutch_that_creeps_is_not_one_that_holds(tmp_path, cycle, creep_s):
 
 
 def test_a_clutch_that_creeps_is_told_as_not_tested(tmp_path):
-    """The readout has a bit while T7 waits for it, and the test is at work for the greater part of the drive all the same."""
+    """The readout has a bit while T7 waits for it; the test is at work for a good part of the drive all the same."""
     rng = np.random.default_rng(SEEDS + 210)
     rows, given = drive("town", 300.0, rng, Truck(creep_s=1.5))
     path = frames.configuration(tmp_path)

@@ -28,9 +28,9 @@ class State(Record):
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
     on one line; ``begin``: where that began; ``before``, ``bend``: reading before ``raw``, and its second difference;
     ``rough``: share of the samples that jumped or were none; ``moved``: by how much it has jumped since it agreed with
-    the others; of what it does at present: ``from_``, where it left its way ``since`` samples, at what ``pace``, ``calm``
-    samples without a bend, ``leapt`` 1: it bent to and fro; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
-    repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
+    the others; of what it does at present: ``from_``, where it left its way ``since`` samples ago, at what ``pace``,
+    ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro; ``anchor[i * 3 + j]``: reading of channel j when
+    channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -153,8 +153,8 @@ def agreed(h: State, i: int) -> None:
 def jumped(h: State, i: int, j: int, least: float) -> bool:
     """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
 
-    Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a supply
-    moves all, one more than the other.
+    Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a
+    supply moves all, one more than the other.
 
     Args:
         h: record of State.
