@@ -26,10 +26,17 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is stepped")
 SEED = 28
 #: A configuration of each type of monitor.
 CONFIGS = {
-    "crank_sync": "crank_30_2", "hybrid_powertrain": "truck", "linear_observer": "linear_belt",
-    "pi_bank": "linear_belt", "redundant_pair": "pedal", "redundant_triple": "pedal_three", "rule": "signals", "signal": "signals",
-    "steering_angle": "steering", "structural": "motor",
-}  # fmt: skip
+    "crank_sync": "crank_30_2",
+    "hybrid_powertrain": "truck",
+    "linear_observer": "linear_belt",
+    "pi_bank": "linear_belt",
+    "redundant_pair": "pedal",
+    "redundant_triple": "pedal_three",
+    "rule": "signals",
+    "signal": "signals",
+    "steering_angle": "steering",
+    "structural": "motor",
+}
 #: What is put in the place of each key.
 VALUES = {
     "text": "x", "nan": math.nan, "inf": math.inf, "minus inf": -math.inf, "negative": -1.0, "huge": 1e300,
