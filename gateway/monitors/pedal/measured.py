@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, nan
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,12 +128,12 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
         if p.finds_lag:
             rows.append((f"{name} lag [ms]", nan, s.lag_ms[i].value, s.lag_ms[i].sd))
         channels.append({"noise": noise, "resolution": resolution or channel.resolution})
-    keys: dict[str, object] = {"channel": channels}
+    keys: dict[str, Any] = {"channel": channels}
     apart = max(g.value for g in s.gain) - min(g.value for g in s.gain)
     noisy = max(each.value for each in s.noise)
     keys["tolerance"] = max(TIMES * s.mismatch + OF_NOISE * noisy, LEAST_TOLERANCE)
     keys["gain_error"] = max(100.0 * _at_least(Estimate(apart, max(g.sd for g in s.gain))), LEAST_GAIN)
-    rows += [(key, getattr(p, key), float(keys[key]), nan) for key in ("tolerance", "gain_error")]
+    rows += [(key, getattr(p, key), keys[key], nan) for key in ("tolerance", "gain_error")]
     if p.finds_lag:
         slowest = max(range(len(channels)), key=lambda i: s.lag_ms[i].value)
         if s.lag_ms[slowest].value > MOST_LAG_MS:
@@ -143,5 +144,5 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
                 value=p.channels[slowest].signal,
             )
         keys["lag_ms"] = float(np.clip(_at_least(s.lag_ms[slowest]), LEAST_LAG, MOST_LAG_MS))
-        rows.append(("lag_ms", p.lag_ms, float(keys["lag_ms"]), nan))
+        rows.append(("lag_ms", p.lag_ms, keys["lag_ms"], nan))
     return Measured(keys, tuple(rows))
