@@ -18,11 +18,11 @@ from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
-from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement
+from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement, SensorCalibration
 from gateway.runtime.app import Gateway
 
 Progress = Callable[[int], None]
-Kind = TypeVar("Kind", Calibration, CusumCalibration, Refinement)
+Kind = TypeVar("Kind", Calibration, CusumCalibration, Refinement, SensorCalibration)
 
 
 @dataclass(frozen=True)

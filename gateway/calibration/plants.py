@@ -10,6 +10,7 @@ from typing import Any
 import tomlkit
 from pydantic import BaseModel
 
+from gateway.calibration.file import put, rounded
 from gateway.calibration.logs import Progress, batches, of_kind
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
@@ -116,30 +117,6 @@ def write(path: Path, plants: Sequence[Plant], source: str) -> None:
                 for table, part in zip(entry["output"], value, strict=True):
                     table["noise"] = float(f"{part.noise:.4g}")
                 continue
-            _put(entry, key, _rounded(_plain(value)))
-        _put(entry, "calibrated", source)
+            put(entry, key, rounded(_plain(value)))
+        put(entry, "calibrated", source)
     path.write_text(tomlkit.dumps(document))
-
-
-def _put(entry: Any, key: str, value: Any) -> None:
-    """Set a key of a table, a new one before the tables in it: behind them it would be theirs."""
-    if key in entry:
-        entry[key] = value
-        return
-    below = {name: entry.pop(name) for name in list(entry) if name in ("input", "output")}
-    if isinstance(value, dict):
-        table = tomlkit.inline_table()
-        table.update(value)
-        value = table
-    entry[key] = value
-    for name, tables in below.items():
-        entry[name] = tables
-
-
-def _rounded(value: Any) -> Any:
-    """Return a value with six digits a number."""
-    if isinstance(value, dict):
-        return {key: _rounded(v) for key, v in value.items()}
-    if isinstance(value, list):
-        return [_rounded(v) for v in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value

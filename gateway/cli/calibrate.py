@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from math import isnan
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.calibration import cusum, plants, stopping
+from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
 from gateway.cli.present import print_json, wide_console
 from gateway.config.load import load_config
 from gateway.fdi.stopping import assured
-from gateway.monitors.contract import Calibration, CusumCalibration, Refinement
+from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 
 
 def _alarmed(failed: tuple[str, ...]) -> list[str]:
@@ -110,6 +112,16 @@ def _plant_table(plant: plants.Plant) -> Table:
     return table
 
 
+def _sensor_table(measured: sensors.Sensors) -> Table:
+    """Return what logs say of a monitor's sensors."""
+    table = Table(title=f"sensors of {measured.monitor}")
+    for name in ("key", "told", "found", "standard deviation"):
+        table.add_column(name, justify="left" if name == "key" else "right")
+    for name, *numbers in measured.rows:
+        table.add_row(escape(name), *("" if isnan(number) else f"{number:.4g}" for number in numbers))
+    return table
+
+
 def _plant_claim(plant: plants.Plant) -> str:
     """Say how well the model explains the logs."""
     fits = ", ".join(f"{fit:.2f}" for fit in plant.fit)
@@ -149,22 +161,24 @@ class _Learned:
         proposals: thresholds for them.
         tests: of CUSUM tests, with thresholds.
         plants: of linear plants, with matrices.
+        sensors: of redundant sensors, with what they are like.
     """
 
     levels: stopping.Levels | None
     proposals: list[stopping.Proposal]
     tests: cusum.Found | None
     plants: list[plants.Plant]
+    sensors: list[sensors.Sensors]
 
     @property
     def seconds(self) -> float:
         """Length of the logs [s]."""
-        return max(part.seconds for part in (self.levels, self.tests, *self.plants) if part is not None)
+        return max(part.seconds for part in (self.levels, self.tests, *self.plants, *self.sensors) if part is not None)
 
     @property
     def failed(self) -> tuple[str, ...]:
         """DTCs that the logs set."""
-        parts = (part for part in (self.levels, self.tests) if part is not None)
+        parts = (part for part in (self.levels, self.tests, *self.sensors) if part is not None)
         return tuple(sorted({dtc for part in parts for dtc in part.failed}))
 
 
@@ -177,7 +191,8 @@ def _learn(asked: _Asked) -> _Learned:
     config = load_config(asked.config)
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     models = of_kind(config, Refinement)
-    if not rules and not tests and not models:
+    redundant = of_kind(config, SensorCalibration)
+    if not rules and not tests and not models and not redundant:
         raise refuse("thresholds", asked.config)
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
     levels, found = None, None
@@ -202,8 +217,11 @@ def _learn(asked: _Asked) -> _Learned:
         refined = []
         if models:
             refined = plants.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
+        measured = []
+        if redundant:
+            measured = sensors.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
     proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
-    return _Learned(levels, proposals, found, refined)
+    return _Learned(levels, proposals, found, refined, measured)
 
 
 def _write(asked: _Asked, learned: _Learned) -> None:
@@ -217,6 +235,8 @@ def _write(asked: _Asked, learned: _Learned) -> None:
         write(asked.config, learned.tests.tables, f"{source}, {criteria}")
     if learned.plants:
         plants.write(asked.config, learned.plants, source)
+    if learned.sensors:
+        sensors.write(asked.config, learned.sensors, source)
 
 
 def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
@@ -236,6 +256,15 @@ def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
             {"monitor": p.monitor, "seconds": p.seconds, "fit": list(p.fit), "rows": [list(row) for row in p.rows]}
             for p in learned.plants
         ]
+    if learned.sensors:
+        said["sensors"] = [
+            {
+                "monitor": one.monitor,
+                "seconds": one.seconds,
+                "rows": [[None if isinstance(v, float) and isnan(v) else v for v in row] for row in one.rows],
+            }
+            for one in learned.sensors
+        ]
     return said | {"assured_s": assured(learned.seconds, 0)}
 
 
@@ -253,6 +282,8 @@ def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
     for plant in learned.plants:
         console.print(_plant_table(plant))
         lines.append(_plant_claim(plant))
+    for one in learned.sensors:
+        console.print(_sensor_table(one))
     for line in lines:
         console.print(line, soft_wrap=True)
 

@@ -19,9 +19,12 @@ MOST_KEYS = 16
 
 
 class StrictModel(BaseModel):
-    """Base of what is read from TOML: unknown keys are errors, and nothing changes later."""
+    """Base of what is read from TOML: unknown keys are errors, numbers are finite, and nothing changes later.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    TOML has nan and inf. A threshold that is one makes comparisons that are always false: a monitor that sees nothing.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 _PLACE = re.compile(r"\(at line (\d+), column \d+\)")

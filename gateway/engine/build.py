@@ -160,6 +160,10 @@ def _prepare(m: MonitorInstance, state: Any, const: Any) -> None:
         place = m.key or f'monitor "{m.name}"'
         key = f"{place}.{error.key}" if error.key else place
         raise InputError(error.message, key=key, value=error.value) from error
+    except (ArithmeticError, ValueError) as error:
+        # What a design of gains or a number of nanoseconds makes of numbers that no plant has.
+        key = m.key or f'monitor "{m.name}"'
+        raise InputError(f"nothing can be made of these parameters: {error}", key=key, value=m.monitor.type) from error
 
 
 def _handlers(

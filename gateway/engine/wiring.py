@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from pydantic import BaseModel
+
+from gateway.common.tomlfile import key_path
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError, nearest
 from gateway.monitors.conformance import connections
@@ -61,7 +64,8 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
         try:
             databases[bus].message(name)
         except InputError as error:
-            raise InputError(error.message, key=key, value=name) from error
+            own = written(m.params, name)
+            raise InputError(error.message, key=f"{key}.{own}" if own else key, value=name) from error
     return Wired(triggers, inputs, optional)
 
 
@@ -71,7 +75,7 @@ def _found(
     """Return the signal that an input stands for.
 
     Raises:
-        InputError: it is not there, or has another unit; the key is where the configuration can put another.
+        InputError: it is not there, or has another unit; the key is where the configuration says it, or can.
     """
     asked = m.signals.get(signal.name, signal.name)
     try:
@@ -80,8 +84,27 @@ def _found(
         if signal.unit is not None and signal.unit != told:
             raise InputError(f'its unit is "{told}" in the database, the plant wants "{signal.unit}"')
     except InputError as error:
-        raise InputError(error.message, key=f'{key}.signals."{signal.name}"', value=asked) from error
+        own = None if signal.name in m.signals else written(m.params, signal.name)
+        mapping = f'signals."{signal.name}"'
+        raise InputError(error.message, key=f"{key}.{own or mapping}", value=asked) from error
     return place
+
+
+def written(params: BaseModel, text: str) -> str | None:
+    """Return the key of the parameters, ``input[0].signal``, that has a text; None: it is of none of them."""
+
+    def look(value: object, place: tuple[int | str, ...]) -> tuple[int | str, ...] | None:
+        if value == text:
+            return place
+        inside: Iterable[tuple[int | str, object]] = ()
+        if isinstance(value, BaseModel):
+            inside = ((name, getattr(value, name)) for name in value.model_fields_set)
+        elif isinstance(value, tuple):
+            inside = enumerate(value)
+        return next((found for name, one in inside if (found := look(one, (*place, name)))), None)
+
+    found = look(params, ())
+    return key_path(found) if found else None
 
 
 def _split(reference: str, bus: int, buses: Mapping[str, int]) -> SignalRef:

@@ -324,6 +324,33 @@ class Refinement:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """What healthy logs say of sensors.
+
+    Attributes:
+        keys: of the monitor's table in the configuration, with their new values.
+        rows: for people: what, as told, as found, standard deviation; NaN: none.
+    """
+
+    keys: Mapping[str, Any]
+    rows: tuple[tuple[str, float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class SensorCalibration:
+    """Redundant sensors of a monitor that healthy logs can measure; they are all its inputs.
+
+    Attributes:
+        period_ms: parameters -> time between two samples.
+        found: parameters, readings in a row of shape (samples, inputs) -> what they say; an
+            :class:`~gateway.errors.InputError` with the key of its table where they do not tell.
+    """
+
+    period_ms: Callable[[Any], float]
+    found: Callable[[Any, Sequence[Any]], Measured]
+
+
+@dataclass(frozen=True)
 class Readout:
     """Numbers of the state that people are shown (summary, live values, plots).
 
@@ -409,8 +436,31 @@ class Arrivals:
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
-Capability = Arrivals | Calibration | CusumCalibration | Notes | Parts | Quantities | Readout | Refinement | Warnings
-C = TypeVar("C", Arrivals, Calibration, CusumCalibration, Notes, Parts, Quantities, Readout, Refinement, Warnings)
+Capability = (
+    Arrivals
+    | Calibration
+    | CusumCalibration
+    | Notes
+    | Parts
+    | Quantities
+    | Readout
+    | Refinement
+    | SensorCalibration
+    | Warnings
+)
+C = TypeVar(
+    "C",
+    Arrivals,
+    Calibration,
+    CusumCalibration,
+    Notes,
+    Parts,
+    Quantities,
+    Readout,
+    Refinement,
+    SensorCalibration,
+    Warnings,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

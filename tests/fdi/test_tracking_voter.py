@@ -98,7 +98,7 @@ def test_a_line_that_moves_while_another_channel_repeats_itself():
     found = []
     for row in rows[1:]:
         y = np.array(row)
-        habits.watch(h, 2, y, y, 3, 0.01, 0.1)
+        habits.watch(h, 2, y, y, 3, 0.01, 0.1, 0.0)
         found.append((habits.outrun(h, 2, 1, y, 2, 0.03, 0.003), habits.outrun(h, 2, 0, y, 2, 0.03, 0.003)))
     assert found[-1] == (0, -1)
     assert found[1] == (-1, -1), "two samples are not enough"
@@ -432,3 +432,32 @@ def test_a_lost_frame_does_not_disturb():
         worst = max(worst, abs(float(s["value"]) - truth[k]))
     assert worst < 5 * NOISE
     assert int(s["isolated"]) == 0
+
+
+def test_of_two_that_part_smoothly_the_one_that_moves_is_not_named():
+    """One stands still, with noise, the other moves as a foot does: the track may be either's."""
+    for seed in range(amount(40, 6)):
+        print("seed", seed)
+        rng = np.random.default_rng(seed)
+        truth, y = wave(3000, rng, hertz=rng.uniform(0.3, 3.0))
+        begin = rng.integers(300, 1200)
+        y[begin:, 0] = truth[begin] + rng.normal(0, NOISE, 3000 - begin)
+        isolated = run(*voter(), digitised(y))["isolated"]
+        assert set(isolated) <= {0.0, 1.0}
+
+
+def test_of_two_the_one_that_jumped_is_named_though_the_other_has_met_its_stop():
+    """A stop bends the healthy way once: that is no jump."""
+    rng = np.random.default_rng(4)
+    truth = np.clip(0.5 + 0.02 * np.arange(400), 0.5, 2.5)
+    y = truth[:, None] + rng.normal(0, NOISE, (400, 2))
+    y[101:, 0] += 0.15
+    assert run(*voter(), digitised(y))["isolated"][-1] == 0b01
+
+
+def test_two_that_jump_together_name_nobody():
+    """A supply moves both, one more than the other."""
+    rng = np.random.default_rng(5)
+    y = np.full((400, 2), 2.0) + rng.normal(0, NOISE, (400, 2))
+    y[200:] += [0.1, -0.4]
+    assert run(*voter(), digitised(y))["isolated"][-1] == 0

@@ -12,29 +12,16 @@ import can
 import numpy as np
 import pytest
 from cantools.database import load_file
+from learning import asked, drive, quiet
 
-from gateway.bus.frames import empty, put
-from gateway.bus.logs import open_writer
 from gateway.config.load import load_config
 from gateway.errors import InputError, InputErrors
-from gateway.learn.document import BusAsked
-from gateway.learn.learn import Asked, learn
+from gateway.learn.learn import learn
 from gateway.learn.lines import CHECK, RULE, SIGNAL
 from gateway.runtime.app import Gateway
 
 ROOT = Path(__file__).parents[2]
-CAR = ROOT / "examples/car"
-DATABASE, DRIVE = CAR / "toyota_rav4.dbc", CAR / "drive.log.xz"
-
-
-def quiet(*_):
-    """Show nothing."""
-
-
-def asked(out, *logs, databases=(DATABASE,), **more):
-    files = tuple(str(file) for file in databases)
-    bus = BusAsked("can0", "socketcan:can0", files, files=files)
-    return Asked("car", (bus,), tuple(logs), out, **more)
+DRIVE = ROOT / "examples/car/drive.log.xz"
 
 
 @pytest.fixture(scope="module")
@@ -96,22 +83,6 @@ def test_a_healthy_stranger_of_the_same_car_is_not_accused(found):
         assert least <= low, name
         assert high <= most, name
     assert signals["SPEED.SPEED"]["gradient"] > 60, "km/h/s: more than any brake"
-
-
-def drive(path, seconds, messages, rng=None):
-    """Write a log: messages are (identifier, period in s, payload of the k-th frame, offset in s)."""
-    stamps = []
-    for can_id, period, payload, offset in messages:
-        for k in range(int(seconds / period)):
-            jitter = 0.0 if rng is None else rng.uniform(-0.05, 0.05) * period
-            stamps.append((offset + k * period + jitter, can_id, payload(k)))
-    stamps.sort(key=lambda each: each[0])
-    frames = empty(len(stamps))
-    for at, (t, can_id, data) in enumerate(stamps):
-        put(frames, at, 1_000_000_000_000 + round(t * 1e9), can_id, data)
-    with open_writer(path) as writer:
-        writer.write(frames)
-    return path
 
 
 DBC = (

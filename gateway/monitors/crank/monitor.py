@@ -58,6 +58,7 @@ class Params(MonitorParams):
     stall_ms: float = Field(
         500.0,
         gt=0,
+        le=3.6e6,
         description="no tooth for so long: the engine stands, synchronisation ends [ms]",
     )
     tooth_0_deg: float = Field(

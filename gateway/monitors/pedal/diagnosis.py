@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.supply import RIGHT
+from gateway.fdi.voting.tracking import isolation
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
     COMMON_MODE,
@@ -123,6 +124,12 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     if v.used == 0:
         return
     wrong = judged and v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate + v.slack
+    if wrong:
+        trusted = 0
+        for j in range(c.channels):
+            if s.place[j] == FINE and v.isolated & (1 << j) == 0:
+                trusted |= 1 << j
+        wrong = isolation.witnessed(v, c.channels, trusted, i)
     # A channel that goes wrong and stays so is not erratic: what counts is how often it begins.
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0

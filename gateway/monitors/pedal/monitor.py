@@ -18,11 +18,11 @@ from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import kernel
-from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, Signal
-from gateway.monitors.pedal import acquaintance, diagnosis
+from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, SensorCalibration, Signal
+from gateway.monitors.pedal import acquaintance, diagnosis, measured
 from gateway.monitors.pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
 from gateway.monitors.pedal.faults import Evidence, faults
-from gateway.monitors.pedal.params import PRESETS, VOTERS, PairParams, Params, TripleParams
+from gateway.monitors.pedal.params import BEND, PRESETS, VOTERS, PairParams, Params, TripleParams
 from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
 
 #: Quality of the value, as GW_BrakePedal carries it.
@@ -37,8 +37,6 @@ SILENCE = 20
 #: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
 #: of the noise, and the smoothing constant of the predictive one.
 BETA, REPAIRED_BETA, FLOOR, ALPHA = 0.3, 0.5, 4.0, 0.3
-#: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.
-BEND = 1.6e-4
 #: A drift is slower [travels/s].
 CREEP = 0.6
 
@@ -213,7 +211,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(Readout(_SHOWN),),
+        capabilities=(Readout(_SHOWN), SensorCalibration(lambda p: p.period_ms, measured.found)),
     )
 
 

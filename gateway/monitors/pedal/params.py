@@ -9,8 +9,11 @@ from pydantic import Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.fdi.voting import supply
+from gateway.fdi.voting.acquaintance.lag import COARSE_MS
 from gateway.monitors.contract import MonitorParams
 
+#: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.
+BEND = 1.6e-4
 #: Voters by their number in the constants.
 VOTERS = ("tracking", "average", "median", "predictive", "kalman", "kalman_repaired")
 
@@ -163,6 +166,8 @@ class Params(MonitorParams):
         description="readings are in proportion to one supply: it is told from a channel's fault where slopes differ",
     )
 
+    calibrated: str = Field("", description="where noise, lag and mismatch come from; by gateway calibrate")
+
     @model_validator(mode="before")
     @classmethod
     def _as_the_preset(cls, data: Any) -> Any:
@@ -181,6 +186,11 @@ class Params(MonitorParams):
             if own and getattr(self, key) is not None:
                 raise ValueError(f"{key} is of the preset's channels; those of {own[0]} stand in its own table")
         return self
+
+    @property
+    def finds_lag(self) -> bool:
+        """Whether a lag between channels is looked for."""
+        return self.lag_ms > 0.0 and self.period_ms <= COARSE_MS
 
     @property
     def tells_supply(self) -> bool:

@@ -174,8 +174,9 @@ def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> boo
     motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
-    # What a frame that was late on the bus makes of a turning wheel.
-    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + 0.5 * coarse / c.motor_ratio
+    # What a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and as much for what
+    # lies between two of its frames.
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
     if s.turns < KNOWN:
         due = s.due
         _learn(s, c)

@@ -16,13 +16,13 @@ class MotorParams(StrictModel):
     """The motor; the defaults are assumed, nobody has published an active front steering's."""
 
     pole_pairs: int = Field(4, ge=1, le=64, description="z_p")
-    flux: float = Field(7.5e-3, gt=0, description="of the magnets, psi [Wb]")
-    resistance: float = Field(0.06, gt=0, description="of a phase at 20 degC [Ohm]")
-    inductance: float = Field(1e-4, gt=0, description="of a phase, along d and q [H]")
-    inductance_d: float | None = Field(None, gt=0, description="along d, where it is another [H]")
-    inductance_q: float | None = Field(None, gt=0, description="along q, where it is another [H]")
-    inertia: float = Field(1.2e-4, gt=0, description="rotor with what it drives [kg m^2]")
-    friction: float = Field(5e-4, ge=0, description="viscous [N m s/rad]")
+    flux: float = Field(7.5e-3, ge=1e-5, le=10.0, description="of the magnets, psi [Wb]")
+    resistance: float = Field(0.06, ge=1e-5, le=1e3, description="of a phase at 20 degC [Ohm]")
+    inductance: float = Field(1e-4, ge=1e-7, le=1.0, description="of a phase, along d and q [H]")
+    inductance_d: float | None = Field(None, ge=1e-7, le=1.0, description="along d, where it is another [H]")
+    inductance_q: float | None = Field(None, ge=1e-7, le=1.0, description="along q, where it is another [H]")
+    inertia: float = Field(1.2e-4, ge=1e-7, le=10.0, description="rotor with what it drives [kg m^2]")
+    friction: float = Field(5e-4, ge=0, le=10.0, description="viscous [N m s/rad]")
 
     @property
     def motor(self) -> Motor:
@@ -99,12 +99,12 @@ class Params(MonitorParams):
     motor: MotorParams = MotorParams()
     period_ms: float = Field(
         1.0,
-        gt=0,
+        ge=0.05,
         le=5.0,
         description="of the motor's frames; from 5 ms on the electrical time constant is missed: degraded [ms]",
     )
-    motor_ratio: float = Field(20.0, gt=0, description="i_M, motor over pinion")
-    wheel_ratio: float = Field(1.0, gt=0, description="i_D, steering wheel over pinion")
+    motor_ratio: float = Field(20.0, gt=0, le=1e4, description="i_M, motor over pinion")
+    wheel_ratio: float = Field(1.0, gt=0, le=1e4, description="i_D, steering wheel over pinion")
     wheel_delay_ms: float = Field(
         5.0, ge=0, le=30, description="age of the steering wheel's angle when its frame comes [ms]"
     )

@@ -116,6 +116,6 @@ def untested(s: State, c: Const, used: bool) -> int:
         bits |= BATTERY
     if not used:
         bits |= IDLE
-    if s.valid == 0:
+    if s.watched == 0:
         bits |= CLUTCH
     return bits

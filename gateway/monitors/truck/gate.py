@@ -5,6 +5,10 @@ slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutc
 it has it for long: a second, slow filter tells it from noise, and whether it still changes. T7 waits for that; T3 and
 T4 are the paper's.
 
+In a low gear noise hides the end of the creeping: the gearbox's speed counts by the ratio. But a slip that dies away
+takes about as long below what can be seen as it took above, and the same clutch takes as long the next time. T7 waits
+for that, too, behind each gear change; the clutch is that of the bus then, and not the model's.
+
 The speed that states begin with, (37) and (38), is low-pass filtered too. A first-order low-pass lags behind a ramp by
 its time constant, and the state keeps that: LP + (LP - LP(LP)) does not.
 """
@@ -29,6 +33,9 @@ LETS_GO, STALLS = 9.0, 64.0
 #: these.
 SLOW, SLOWER = 0.25, 0.5
 CREEPS, KNOWN, CHANGES, AGAIN = 1.0, 0.3, 1.0, 1.5
+#: Times as long as its slip could be seen, for which a clutch is thought to creep; no longer than that [s]; a pause in
+#: which it is not seen that does not end it [s]; what is kept of it from one gear to the next.
+GOES_ON, LONGEST, PAUSE, KEEPS = 2.0, 8.0, 0.7, 0.9
 #: Time in which a clutch has held, before its slip is that of a clutch that holds; and time of it until that is known
 #: [s].
 STEADY, LEARNED = 3.0, 5.0
@@ -38,13 +45,21 @@ NOISE = 0.1
 
 
 class State(Record):
-    """State: ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]."""
+    """State.
+
+    ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]; ``closed``:
+    since it closed last [s], ``creeps``: until when it was seen to creep then [s], ``usual``: behind the gears before
+    [s].
+    """
 
     slip: f8
     slow: f8
     slower: f8
     zero: f8
     learned: f8
+    closed: f8
+    creeps: f8
+    usual: f8
     speed: f8
     since: f8
     gear: i8
@@ -58,6 +73,19 @@ def restart(s: State) -> None:
     """Forget what came before a gap."""
     s.begun = 0
     s.since = 0.0
+
+
+@kernel
+def _watch(s: State, closed: bool, far: float, dt: float) -> None:
+    """Note for how long a clutch that has closed is seen to creep; ``far``: slip that is some."""
+    if not closed:
+        if s.closed > 0.0:
+            s.usual = max(min(s.creeps, LONGEST), KEEPS * s.usual)
+        s.closed = s.creeps = 0.0
+        return
+    s.closed += dt
+    if abs(s.slow - s.zero) > far and s.closed <= s.creeps + PAUSE:
+        s.creeps = s.closed
 
 
 @kernel
@@ -80,6 +108,7 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
         s.slip, s.speed, s.low, s.lower, s.gear = slip, engine, gearbox, gearbox, gear
     if gear != s.gear:
         s.gear = gear
+        _watch(s, False, 0.0, dt)
         s.slip = s.slow = s.slower = slip
     share = 1.0 - exp(-dt / SLIP)
     s.slip += share * (slip - s.slip)
@@ -96,6 +125,7 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
     fast = s.speed > (STALLS if held else LEAST_SPEED)
     holds = clutch >= ENGAGED and gear > 0 and fast and not slips
     s.since = s.since + dt if holds else 0.0
+    _watch(s, clutch >= ENGAGED and gear > 0, (CREEPS if s.learned < LEARNED else KNOWN) + NOISE * ratio, dt)
     if s.since > STEADY:
         s.learned += dt
         s.zero += dt / min(max(s.learned, 1.0), 20.0) * (slip - s.zero)
@@ -114,7 +144,8 @@ def grips(s: State, ratio: float, goes_on: bool) -> bool:
     noise = NOISE * ratio
     far = CREEPS if s.learned < LEARNED else KNOWN
     changes = abs(s.slow - s.slower) > most * (CHANGES * SLOWER + noise)
-    return not (changes or abs(s.slow - s.zero) > most * (far + noise))
+    waits = s.closed < GOES_ON * min(max(s.creeps, s.usual), LONGEST)
+    return not (changes or waits or abs(s.slow - s.zero) > most * (far + noise))
 
 
 @kernel

@@ -41,6 +41,8 @@ HEALTHY = {
     "angle 10 bit": (M.changed(steps=1024), {}, {}, ()),
     "angle 10 bit, quiet": (M.changed(steps=1024, noise=5e-5), {}, {}, ()),
     "angle 9 bit": (M.changed(steps=512), {}, {}, ()),
+    "angle 8 bit": (M.changed(steps=256), {}, {}, ()),
+    "angle 8 bit, quiet": (M.changed(steps=256, noise=5e-5), {}, {}, ()),
     "wheel delay 0 ms": (M, {}, {"wheel_delay_ms": 0.0}, ()),
     "wheel delay 12 ms": (M, {}, {"wheel_delay_ms": 12.0}, ()),
     "wheel delay 18 ms": (M, {}, {"wheel_delay_ms": 18.0}, ()),
@@ -48,7 +50,7 @@ HEALTHY = {
 }
 
 
-@pytest.mark.parametrize("name", HEALTHY if FULL else [*list(HEALTHY)[::3], "wheel delay 12 ms", "angle 10 bit"])
+@pytest.mark.parametrize("name", HEALTHY if FULL else [*list(HEALTHY)[::4], "angle 8 bit, quiet"])
 def test_a_steering_that_is_not_as_told_is_not_accused(name):
     machine, of_drive, of_bus, allowed = HEALTHY[name]
     for k in range(amount(8, 1)):

@@ -46,7 +46,9 @@ FAULTS = {
     "short to battery": Row(_one(sensors.level, 5.0), ("channel_1_high",)),
     "open, floating": Row(_one(sensors.floating), (*_MAYBE, "channel_1_range")),
     "stuck": Row(_one(sensors.stuck), ("channel_1_stuck",)),
-    "stuck with noise": Row(_one(sensors.stuck, 0.002), ("channel_1_implausible", "channel_1_stuck", "drift")),
+    "stuck with noise": Row(
+        _one(sensors.stuck, 0.002), ("channel_1_implausible", "channel_1_stuck", "drift", "correlation")
+    ),
     "breaks of 1 to 25 ms": Row(_one(sensors.breaks), ("channel_1_low", "channel_1_erratic", "channel_1_implausible")),
     "chatter in 20 %": Row(_one(sensors.chatter), ("channel_1_erratic", "channel_1_implausible")),
     "noise 50 mV": Row(_one(sensors.noise), ("channel_1_erratic", "channel_1_implausible", "correlation", "drift")),

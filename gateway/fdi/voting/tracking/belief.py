@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.fdi.voting.simple import MOST_CHANNELS, middle
-from gateway.fdi.voting.tracking import mismatch, motion, track
+from gateway.fdi.voting.tracking import habits, mismatch, motion, track
 from gateway.fdi.voting.tracking.scale import GATE
 from gateway.fdi.voting.tracking.shape import (
     AGREED,
@@ -47,6 +47,7 @@ def _together(s: State, c: Const, bits: int, count: int, near: bool, dt: float) 
         lagging = s.slack >= s.scale.agree
         for i in range(c.channels):
             if bits & (1 << i) and near:
+                habits.agreed(s.habits, i)
                 mismatch.learn(s.mismatch, i, s.z[i] - z, dt, lagging)
         return
     reach = c.slew * (m.coasted - s.common + dt)

@@ -11,6 +11,13 @@ from gateway.jit import Record, f8s, i8s, kernel
 
 #: Same readings in a row that are suspicious while another channel moves.
 FEW = 4
+#: Samples over which what is no line is averaged, and the share that is nothing: a single jump is one for two seconds
+#: at 1 ms.
+ROUGH_OVER, SMOOTH = 128.0, 1e-9
+#: Samples without a bend that end a jump, and those after which one has to have ended.
+CALM, LEAPS = 2, 30
+#: Share of what it has jumped by that a channel keeps from one agreement to the next.
+FORGETS = 0.95
 
 
 class State(Record):
@@ -19,8 +26,11 @@ class State(Record):
     ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
     often the last was repeated;
     ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
-    on one line; ``begin``: where that began; ``anchor[i * 3 + j]``: reading of channel j when channel i began to
-    repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
+    on one line; ``begin``: where that began; ``before``, ``bend``: reading before ``raw``, and its second difference;
+    ``rough``: share of the samples that jumped or were none; ``moved``: by how much it has jumped since it agreed with
+    the others; of what it does at present: ``from_``, where it left its way ``since`` samples ago, at what ``pace``,
+    ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro; ``anchor[i * 3 + j]``: reading of channel j when
+    channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -31,6 +41,15 @@ class State(Record):
     longest: Annotated[i8s, MOST_CHANNELS]
     line: Annotated[i8s, MOST_CHANNELS]
     begin: Annotated[f8s, MOST_CHANNELS]
+    before: Annotated[f8s, MOST_CHANNELS]
+    bend: Annotated[f8s, MOST_CHANNELS]
+    rough: Annotated[f8s, MOST_CHANNELS]
+    moved: Annotated[f8s, MOST_CHANNELS]
+    from_: Annotated[f8s, MOST_CHANNELS]
+    pace: Annotated[f8s, MOST_CHANNELS]
+    since: Annotated[i8s, MOST_CHANNELS]
+    calm: Annotated[i8s, MOST_CHANNELS]
+    leapt: Annotated[i8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
@@ -46,13 +65,45 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.same[i] = 0
         h.line[i] = 0
         h.begin[i] = y[i]
+        h.before[i] = raw[i]
+        h.bend[i] = 0.0
+        h.rough[i] = 0.0
+        h.moved[i] = 0.0
+        h.since[i] = 0
         for j in range(n):
             h.anchor[i * MOST_CHANNELS + j] = y[j]
             h.strayed[i * MOST_CHANNELS + j] = 0.0
 
 
 @kernel
-def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float) -> None:
+def _leap(h: State, i: int, raw: float, straight: float, speed: float) -> None:
+    """Note whether channel ``i`` jumps, and where to.
+
+    Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
+    """
+    bend = raw - 2.0 * h.raw[i] + h.before[i]
+    large = abs(bend) > straight
+    jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
+    h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
+    h.bend[i] = bend
+    if large and h.since[i] == 0:
+        h.from_[i], h.pace[i], h.leapt[i] = h.raw[i], speed, 0
+    if not large and h.since[i] == 0:
+        return
+    h.since[i] += 1
+    h.calm[i] = 0 if large else h.calm[i] + 1
+    if jump:
+        h.leapt[i] = 1
+    if h.calm[i] < CALM and h.since[i] < LEAPS:
+        return
+    moved = raw - h.from_[i] - h.pace[i] * h.since[i]
+    if h.leapt[i] == 1 and not np.isnan(moved):
+        h.moved[i] += moved
+    h.since[i] = 0
+
+
+@kernel
+def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float, speed: float) -> None:
     """Take the readings of one sample.
 
     Args:
@@ -63,6 +114,7 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         trusted: bits of the channels that are not held for failed.
         straight: largest second difference on a line.
         slew: largest difference of neighbours on a line.
+        speed: of the quantity, in a sample.
     """
     for i in range(n):
         if raw[i] == h.raw[i] and y[i] == y[i]:  # not NaN
@@ -78,6 +130,7 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
+        _leap(h, i, raw[i], straight, speed)
         bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
         if bend <= straight and abs(y[i] - h.last[i]) <= slew:
             h.line[i] += 1
@@ -87,7 +140,33 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         h.oldest[i] = h.older[i]
         h.older[i] = h.last[i]
         h.last[i] = y[i]
-        h.raw[i] = raw[i]
+        h.before[i], h.raw[i] = h.raw[i], raw[i]
+
+
+@kernel
+def agreed(h: State, i: int) -> None:
+    """Take note that channel ``i`` is where it should be: what it jumped by once is forgotten."""
+    h.moved[i] *= FORGETS
+
+
+@kernel
+def jumped(h: State, i: int, j: int, least: float) -> bool:
+    """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
+
+    Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a
+    supply moves all, one more than the other.
+
+    Args:
+        h: record of State.
+        i: a channel.
+        j: another one.
+        least: way that is one.
+    """
+    if abs(h.moved[j]) > least:
+        return False
+    if abs(h.moved[i]) > least:
+        return True
+    return bool(h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
 
 
 @kernel

@@ -90,23 +90,48 @@ def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
 
 
 @kernel
+def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
+    """Tell whether another channel that goes on bears witness that it is ``i`` that is wrong.
+
+    Of three the track is what two say. Of two that part smoothly, as a foot could move, either may be the one that
+    does not: a track that stands still with a stuck channel rejects the one that moves. The one that has jumped is
+    wrong; if there is none, nobody can tell.
+
+    Args:
+        s: record of State.
+        n: channels.
+        trusted: bits of the channels that are not held for failed.
+        i: the channel.
+    """
+    count = 0
+    for j in range(n):
+        if trusted & (1 << j):
+            count += 1
+    for j in range(n):
+        if j == i or trusted & s.used & (1 << j) == 0 or s.habits.same[j] >= ISOLATE:
+            continue  # a frozen channel is none
+        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree):
+            return True
+    return False
+
+
+@kernel
 def judge(s: State, c: Const, trusted: int) -> None:
     """Isolate what was rejected too often or drifts; restore what follows the track again."""
     n, m, h = c.channels, s.motion, s.habits
     for i in range(n):
         bit = 1 << i
         if s.isolated & bit == 0:
-            witness = False
-            for j in range(n):
-                if trusted & s.used & ~bit & (1 << j) and h.same[j] < ISOLATE:
-                    witness = True  # a frozen channel is none
-            if s.rejected[i] >= ISOLATE and witness:
+            if s.rejected[i] >= ISOLATE and witnessed(s, n, trusted, i):
                 isolate(s, i, IMPLAUSIBLE)
             continue
         if s.used == 0:
             continue
         off = s.z[i] - m.x
-        inside = abs(off) <= GATE * np.sqrt(m.p00 + 2.0 * s.scale.variance) + s.slack
+        gate = GATE * np.sqrt(m.p00 + 2.0 * s.scale.variance)
+        inside = abs(off) <= gate
+        if not inside and abs(off) <= gate + s.slack:
+            continue  # it may be a lag, or what it was isolated for
         if s.why[i] == DRIFTED:
             if inside:
                 mismatch.learn(s.mismatch, i, off, 1.0, False)

@@ -87,7 +87,7 @@ def _take(s: State, c: Const, y: f8s, dt: float) -> None:
     for i in range(n):
         if y[i] == y[i] and s.isolated & (1 << i) == 0:
             trusted |= 1 << i
-    habits.watch(s.habits, n, y, s.raw, trusted, s.scale.straight, c.slew * dt)
+    habits.watch(s.habits, n, y, s.raw, trusted, s.scale.straight, c.slew * dt, m.v)
     for i in range(n):
         if s.habits.same[i] == 0:
             mismatch.mark(s.mismatch, n, i)

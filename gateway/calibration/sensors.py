@@ -1,0 +1,173 @@
+"""What healthy logs say of redundant sensors (:class:`gateway.monitors.contract.SensorCalibration`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from gateway.bus.frames import ERROR, REMOTE, Frames
+from gateway.calibration.file import put, rounded
+from gateway.calibration.logs import Chosen, Progress, batches, of_kind, watch
+from gateway.config.model import Config
+from gateway.config.resolve import resolve
+from gateway.engine.wiring import wire
+from gateway.errors import InputError
+from gateway.monitors.contract import SensorCalibration
+from gateway.runtime.app import Gateway
+from gateway.signals.decode import lookup
+from gateway.signals.decoded import columns
+from gateway.signals.tables import SignalRef, compile_plan
+
+#: Samples further from each other than so many periods are no neighbours.
+_GAP = 1.5
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What logs say of a monitor's sensors.
+
+    Attributes:
+        monitor: its name.
+        seconds: of the logs.
+        rows: what, told, found, standard deviation; NaN: not told, not known.
+        keys: of its table, with new values.
+        failed: DTCs that the logs set with the configuration as it is.
+    """
+
+    monitor: str
+    seconds: float
+    rows: tuple[tuple[str, float, float, float], ...]
+    keys: Mapping[str, Any]
+    failed: tuple[str, ...]
+
+
+class _Reader:
+    """Reads the signals of one monitor off the frames."""
+
+    def __init__(self, config: Config, places: Sequence[SignalRef], databases: Mapping[int, Any]) -> None:
+        self._plan = compile_plan(list(databases.items()), set(places))
+        self._columns = [
+            (self._plan.message(place.bus, place.message), self._plan.position(*place)) for place in places
+        ]
+        self._rows: dict[int, int] = {}
+        self._values: list[list[tuple[NDArray[np.int64], Array]]] = [[] for _ in places]
+
+    def take(self, frames: Frames) -> None:
+        """Take a batch."""
+        frames = frames[frames["can_id"] & (ERROR | REMOTE) == 0]
+        keys = frames["bus"].astype(np.int64) << 32 | frames["can_id"]
+        for key in np.unique(keys):
+            if int(key) not in self._rows:
+                self._rows[int(key)] = int(
+                    lookup(self._plan.keys, self._plan.rows, int(key) >> 32, int(key) & 0xFFFFFFFF)
+                )
+            row = self._rows[int(key)]
+            if row < 0:
+                continue
+            mine = frames[keys == key]
+            values, _ = columns(mine, self._plan, row)
+            for k, (message, position) in enumerate(self._columns):
+                if message == row:
+                    self._values[k].append((mine["t_ns"].astype(np.int64), values[:, position]))
+
+    def records(self, period_ns: float) -> Iterator[Array]:
+        """Yield samples, shape (samples, signals): one a frame of the last signal; of the others the newest."""
+        if not all(self._values):
+            return
+        told = [(np.concatenate([t for t, _ in v]), np.concatenate([y for _, y in v])) for v in self._values]
+        t_ns = told[-1][0]
+        table = np.full((len(t_ns), len(told)), np.nan)
+        for k, (times, values) in enumerate(told):
+            at = np.searchsorted(times, t_ns, side="right") - 1
+            table[at >= 0, k] = values[at[at >= 0]]
+        cuts = np.flatnonzero(np.diff(t_ns) > _GAP * period_ns) + 1
+        yield from np.split(table, cuts)
+
+
+def _of_log(
+    config: Config,
+    chosen: Chosen[SensorCalibration],
+    log: Path,
+    file: Path | None,
+    maps: Sequence[str],
+    progress: Progress,
+) -> tuple[float, list[Array], set[str]]:
+    """Replay a log; returns its seconds, the readings of the monitor, the DTCs that it set."""
+    alone = config.model_copy(update={"monitor": (config.monitor[chosen.place],), "fault": {}})
+    found = resolve(alone)
+    databases = dict(enumerate(found.databases))
+    wired = wire(found.monitors[0], databases, {bus.name: k for k, bus in enumerate(config.bus)})
+    reader = _Reader(alone, [place for place in wired.inputs if place is not None], databases)
+    failed: set[str] = set()
+    gateway = Gateway(alone, None, file=file)
+    watch(gateway, failed)
+    begun = last = 0
+    try:
+        for frames in batches(alone, log, progress, maps):
+            if not begun:
+                begun = int(frames[0]["t_ns"])
+                gateway.start(begun)
+            own = gateway.without_own(frames)
+            reader.take(own)
+            gateway.feed(own)
+            last = int(frames[-1]["t_ns"])
+    finally:
+        gateway.close()
+    period_ns = chosen.calibration.period_ms(chosen.params) * 1e6
+    return (last - begun) * 1e-9, list(reader.records(period_ns)), failed
+
+
+def learn(
+    config: Config, logs: Sequence[Path], *, file: Path | None, maps: Sequence[str], progress: Progress
+) -> list[Sensors]:
+    """Measure the sensors of all monitors that have redundant ones.
+
+    Raises:
+        InputError: logs that do not tell, because the sensors are not moved enough or are not healthy.
+    """
+    measured = []
+    for chosen in of_kind(config, SensorCalibration):
+        seconds, records, failed = 0.0, [], set()
+        for log in logs:
+            took, found, set_ = _of_log(config, chosen, log, file, maps, progress)
+            seconds += took
+            records += found
+            failed |= set_
+        try:
+            said = chosen.calibration.found(chosen.params, records)
+        except InputError as error:
+            key = f"monitor[{chosen.place}]" + (f".{error.key}" if error.key else "")
+            raise InputError(f'of "{chosen.name}": {error.message}', file=file, key=key, value=error.value) from error
+        measured.append(Sensors(chosen.name, seconds, said.rows, said.keys, tuple(sorted(failed))))
+    return measured
+
+
+def write(path: Path, measured: Sequence[Sensors], source: str) -> None:
+    """Put what was found into the tables of a configuration's monitors; all else stays as it is.
+
+    What is said of all channels in one number gives way to what is said of each.
+    """
+    document = tomlkit.parse(path.read_text())
+    by_name = {one.monitor: one for one in measured}
+    for entry in document.get("monitor", []):
+        one = by_name.get(str(entry.get("name")))
+        if one is None:
+            continue
+        for key, value in rounded(dict(one.keys), 4).items():
+            if isinstance(value, list) and key in entry:
+                for table, numbers in zip(entry[key], value, strict=True):
+                    table.update(numbers)
+            else:
+                put(entry, key, value)
+        for key in ("noise_mV", "resolution_mV"):
+            entry.pop(key, None)
+        put(entry, "calibrated", source)
+    path.write_text(tomlkit.dumps(document))

@@ -1,0 +1,76 @@
+"""Logs of ten minutes and more teach how long a signal may rest; a shorter one does not."""
+
+import random
+
+import pytest
+from learning import asked, drive, quiet
+from wire.replayed import through
+
+from gateway.bus.ring import read_recording
+from gateway.config.channels import channels_of
+from gateway.config.load import load_config
+from gateway.learn.learn import learn
+from gateway.learn.lines import SIGNAL
+
+DBC = (
+    'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Pedal: 8 A\n SG_ Travel : 0|16@1+ (0.1,0) [0|6553.5] "mm" A\n'
+    ' SG_ Fixed : 16|8@1+ (1,0) [0|255] "" A\n'
+)
+#: Longest rest [s], each some seconds; between two rests it wanders.
+REST, PERIOD = 2.0, 0.1
+
+
+def wandering(seconds, seed, frozen=(1e9, 1e9)):
+    """One message: a travel that wanders and rests, held from and to [s], and a value that never moves."""
+    rng = random.Random(seed)
+    values, resting = [1000], 0
+    for k in range(round(seconds / PERIOD)):
+        if resting == 0 and rng.random() < 0.02:
+            resting = round(rng.uniform(0.5, REST) / PERIOD)
+        resting = max(resting - 1, 0)
+        still = resting > 0 or frozen[0] <= k * PERIOD < frozen[1]
+        step = 0 if still else rng.choice((-3, -2, -1, 1, 2, 3))
+        values.append(min(max(values[-1] + step, 10), 6000))
+    return [(256, PERIOD, lambda k: bytes([values[k] & 0xFF, values[k] >> 8, 7, 0, 0, 0, 0, 0]), 0.0)]
+
+
+def learned(folder, seconds, seed):
+    """Learn of one log; returns the file and the lines of its signals."""
+    (folder / "car.dbc").write_text(DBC)
+    log = drive(folder / "drive.log", seconds, wandering(seconds, seed))
+    result = learn(asked(folder / "car.toml", log, databases=(folder / "car.dbc",)), quiet)
+    assert result.alarms == ()
+    (folder / "car.toml").write_text(result.text)
+    lines = {place[2]: line for place, line in result.learned.lines.items() if place[1] == SIGNAL}
+    return folder / "car.toml", lines
+
+
+def alarms(config, log):
+    """Return (seconds, fault) of each fault that a log sets."""
+    config = load_config(config)
+    said = through(config, list(read_recording(log, channels_of(config, ()))))
+    return [(t - 1000.0, fault) for t, fault, failed in said.dtcs if failed]
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_signal_that_rests_for_seconds_is_stuck_when_it_rests_for_much_longer(tmp_path, seed):
+    print("seed", seed)
+    config, lines = learned(tmp_path, 900.0, seed)
+    keys = lines["Pedal.Travel"].keys
+    limit = keys["stuck"]["seconds"]
+    assert 10.0 * 0.5 * REST <= limit <= 12.0 * (REST + PERIOD), "ten times the longest rest that it has seen"
+    assert "at rest for" in lines["Pedal.Travel"].why
+    assert "Pedal.Fixed" not in lines or "stuck" not in lines["Pedal.Fixed"].keys, "it never moves"
+    fresh = drive(tmp_path / "fresh.log", 120.0, wandering(120.0, seed + 100))
+    assert alarms(config, fresh) == [], "another drive of the same kind"
+    held = drive(tmp_path / "held.log", 120.0, wandering(120.0, seed + 100, (40.0, 40.0 + limit + 15.0)))
+    (alarm,) = alarms(config, held)
+    assert alarm[1].endswith("Travel.stuck")
+    assert 40.0 + limit - 1.0 - REST < alarm[0] < 40.0 + limit + 2.0
+    short = drive(tmp_path / "short.log", 120.0, wandering(120.0, seed + 100, (40.0, 40.0 + 0.5 * limit)))
+    assert alarms(config, short) == [], "half of it is none"
+
+
+def test_less_than_ten_minutes_teach_no_rest(tmp_path):
+    _, lines = learned(tmp_path, 590.0, 13)
+    assert "stuck" not in lines["Pedal.Travel"].keys
