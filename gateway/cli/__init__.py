@@ -61,7 +61,7 @@ HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report 
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst; or a folder of segments."
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder of segments."
     ),
 ]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
