@@ -61,7 +61,7 @@ HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report 
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder of segments."
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder."
     ),
 ]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
@@ -506,6 +506,48 @@ def replay(
             json=json,
             fail_on_dtc=fail_on_dtc,
             junit=junit,
+        )
+    )
+
+
+@app.command()
+def decode(
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**/*.mf4'.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the tables.")],
+    database: Annotated[
+        list[Path] | None,
+        typer.Option("--database", "-d", help="Database of all frames (.dbc, .kcd, .sym, .arxml); may be repeated."),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration whose buses and databases are taken, instead."),
+    ] = None,
+    maps: Maps = None,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Whose the logs are.  [default: folder of the log]")
+    ] = None,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Numbers instead of the names of values.")] = False,
+    json: JsonEvents = False,
+) -> None:
+    """Decode logs into Parquet: a table a message.
+
+    device/message/YYYY/MM/DD/log.parquet, with t in UTC and a column a signal. Exit code 2 if a log is damaged; what it
+    holds is written.
+    """
+    from gateway.cli.decode import decode as work
+
+    raise typer.Exit(
+        work(
+            logs,
+            out,
+            databases=database or (),
+            config=config,
+            maps=maps or (),
+            device=device,
+            numbers=numbers,
+            json=json,
         )
     )
 

@@ -10,11 +10,11 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from gateway.learn.claims import Claim, fitting, proven
-from gateway.learn.columns import bits_of
 from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import field_of, mask_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.params import CHECKSUMS
 from gateway.signals.protection.rules import RULES

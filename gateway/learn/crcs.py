@@ -15,11 +15,11 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.learn.claims import fitting
-from gateway.learn.columns import bits_of
 from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import polynomial_of, solved
 from gateway.signals.bits import field_of, mask_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.checksum import LIST
 
 Keys = dict[str, Any]

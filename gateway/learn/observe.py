@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ERROR, ID_MASK, REMOTE, Frames
 from gateway.calibration.logs import read_even
 from gateway.config.model import Config
-from gateway.learn.columns import columns, words_of
 from gateway.learn.course import Courses
 from gateway.learn.gaps import Gaps
 from gateway.learn.samples import Samples
@@ -23,6 +22,7 @@ from gateway.learn.snapshots import Snapshots
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup
+from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 
 #: A message that is away for so long when the log ends had ended before [ns], unless its own gaps are as long.

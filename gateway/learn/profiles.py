@@ -14,10 +14,10 @@ from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.learn.claims import Claim, proven
-from gateway.learn.columns import bits_of
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import solved
 from gateway.signals.bits import field_at
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.checksum import LIST
 from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.params import ProtectionParams, protection_for

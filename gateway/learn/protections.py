@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from gateway.errors import InputError
 from gateway.learn.checksums import any_claim, called_checksum, rule_claim
 from gateway.learn.claims import Claim, proven
-from gateway.learn.columns import bits_of
 from gateway.learn.counters import CounterFound, candidates, of_raw
 from gateway.learn.judged import Payloads
 from gateway.learn.profiles import e2e_claim
 from gateway.signals.bits import field_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.auto import automatic
 
 #: Different frames that a rule is looked for in, and that it is proven on, at most.
