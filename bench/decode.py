@@ -2,8 +2,9 @@
 
     python bench/decode.py [--frames 500000] [--json]
 
-The log: messages of the database of examples/car with random payloads. Ours reads, decodes and writes Parquet; asammdf's
-extract_bus_logging reads and decodes, and writes nothing; cantools decodes a part of the frames into dictionaries. CPU time.
+The log: messages of the database of examples/car with random payloads. Ours reads, decodes and writes Parquet;
+asammdf's extract_bus_logging reads and decodes, and writes nothing; cantools decodes a part into dictionaries.
+CPU time.
 """
 
 from __future__ import annotations

@@ -34,9 +34,11 @@ app = typer.Typer(
     add_completion=False,
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
+fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
 convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
+app.add_typer(fleet_app, name="fleet")
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")]
 JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")]
@@ -617,6 +619,75 @@ def doctor(
     from gateway.cli.doctor import doctor as work
 
     raise typer.Exit(work(config, memory=memory, running=running, json=json))
+
+
+@fleet_app.command("run")
+def fleet_run(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**'.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the verdicts.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask's scheduler, tcp://host:port; default: a cluster of this machine."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Workers of that cluster; 0: no cluster.  [default: one a core]"),
+    ] = None,
+    memory: Annotated[
+        str,
+        typer.Option(help="Fault memory: fresh for each log, or carried along each device's logs, in their order."),
+    ] = "fresh",
+    maps: Maps = None,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Whose the logs are.  [default: first folder below the pattern]")
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Once more what failed or killed its worker.")] = False,
+    dashboard: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of Dask's dashboard on 127.0.0.1.")
+    ] = None,
+    json: JsonEvents = False,
+) -> None:
+    """Run many logs through the monitors, each once.
+
+    Tables of logs, DTCs, tests, events and errors as Parquet. Called again it does what is new. Exit code 2 if a log
+    could not be judged; others are.
+    """
+    from gateway.cli.fleet import fleet_run as work
+
+    raise typer.Exit(
+        work(
+            logs,
+            config,
+            out,
+            scheduler=scheduler,
+            workers=workers,
+            memory=memory,
+            maps=maps or (),
+            device=device,
+            retry=retry,
+            dashboard=dashboard,
+            json=json,
+        )
+    )
+
+
+@fleet_app.command("diff")
+def fleet_diff(
+    first: Annotated[Path, typer.Argument(help="Verdicts of one configuration or version.")],
+    second: Annotated[Path, typer.Argument(help="Verdicts of another one.")],
+    json: Json = False,
+) -> None:
+    """Say which logs changed their verdict, and the first event that differs.
+
+    Exit code 1 if one did.
+    """
+    from gateway.cli.fleet import fleet_diff as work
+
+    raise typer.Exit(work(first, second, json=json))
 
 
 @faults_app.command("list")
