@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from gateway import __version__
@@ -189,6 +190,7 @@ def _client(order: Order, stack: ExitStack) -> Any:
                 host="127.0.0.1",
                 dashboard_address=None if order.dashboard is None else f"127.0.0.1:{order.dashboard}",
                 silence_logs=logging.CRITICAL,
+                local_directory=stack.enter_context(TemporaryDirectory(prefix="gateway-fleet-")),
             )
         )
     try:

@@ -157,8 +157,9 @@ def _one(setup: Setup, config: Config, recording: Recording, before: str) -> Out
         return Outcome(recording, log, row["state"], row["frames"], row["dtcs"], time.monotonic() - begun, fresh=False)
     try:
         verdict = _judged(setup, config, recording, log, before)
-    except (GatewayError, OSError, ArithmeticError, LookupError, TypeError, ValueError) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
+    except Exception as error:  # whatever it is, it is this log's, and must not wait for somebody who can unpickle it
+        told = " ".join(str(error).split())
+        text = told if isinstance(error, GatewayError) else f"{type(error).__name__}: {told}"
         return refuse(verdicts, recording, log, "failed", text)
     verdicts.write(log, verdict)
     (row,) = verdict.logs

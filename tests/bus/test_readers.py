@@ -101,7 +101,7 @@ def test_random_logs_are_read_as_python_can_reads_them(suffix, tmp_path_factory)
     folder = tmp_path_factory.mktemp("logs")
 
     @settings(
-        suppress_health_check=list(HealthCheck), deadline=None, max_examples=examples(8 if suffix == ".mf4" else 40)
+        suppress_health_check=list(HealthCheck), deadline=None, max_examples=examples(6 if suffix == ".mf4" else 25)
     )
     @given(
         st.lists(st.tuples(st.integers(0, 10**6), message(**CARRIES[suffix])), min_size=1, max_size=40),

@@ -33,7 +33,7 @@ def bits(value):
     return struct.pack("<d", value) if isinstance(value, float) else value
 
 
-@settings(max_examples=examples(60), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(40), deadline=None, suppress_health_check=list(HealthCheck))
 @given(messages(), st.data())
 def test_tables_equal_cantools_bit_for_bit(tmp_path_factory, message, data):
     folder = tmp_path_factory.mktemp("lake")
