@@ -2,8 +2,8 @@
 
     python bench/fleet.py [--logs 200] [--frames 20000] [--json]
 
-Logs are generated (tests/support/fleet_logs.py), of five cars. Wall time from the call to its end, the start of the cluster
-included.
+Logs are generated (tests/support/fleet_logs.py), of five cars. Wall time from the call to its end, with the cluster's
+start.
 """
 
 from __future__ import annotations

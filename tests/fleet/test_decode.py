@@ -1,8 +1,10 @@
 """``gateway decode``: tables of signals, with cantools as the oracle and DuckDB as a reader."""
 
 import math
+import re
 import struct
 from datetime import UTC, datetime
+from pathlib import Path
 
 import cantools
 import numpy as np
@@ -75,6 +77,12 @@ def test_tables_equal_cantools_bit_for_bit(tmp_path_factory, message, data):
                 assert found == value, "whole numbers stay whole"
 
 
+#: Of docs/fleet.md.
+(QUERY,) = re.findall(
+    r"```sql\n(-- in lake.*?)```",
+    (Path(__file__).resolve().parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8"),
+    re.DOTALL,
+)
 DBC = """VERSION ""
 NS_ :
 BS_:
@@ -155,6 +163,7 @@ def test_the_same_log_again_writes_the_same_files(car):
     for _ in range(2):
         assert run(car / "logs" / "**", "-d", car / "car.dbc", "--out", car / "lake").exit_code == 0
     assert len(list((car / "lake").rglob("*.parquet"))) == 4
+    assert ask(QUERY.replace("lake/", f"{car}/lake/"))[-1][1] == 655.35
     answer = ask(f"select max(Speed), count(*) from '{car}/lake/A/Gear/**/*.parquet'")
     assert answer == [(655.35, 3)]
 
