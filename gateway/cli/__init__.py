@@ -681,9 +681,9 @@ def fleet_diff(
     second: Annotated[Path, typer.Argument(help="Verdicts of another one.")],
     json: Json = False,
 ) -> None:
-    """Say which logs changed their verdict, and the first event that differs.
+    """Say which logs changed their verdict between two runs.
 
-    Exit code 1 if one did.
+    With the first event that differs. Exit code 1 if a verdict did.
     """
     from gateway.cli.fleet import fleet_diff as work
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.errors import InputError
-from gateway.fleet.kinds import Kind, arrow_type, column, kind_of
+from gateway.fleet.kinds import NAMES, Kind, arrow_type, column, kind_of
 from gateway.signals.database import Database
 from gateway.signals.decode import OK, TOO_SHORT
 from gateway.signals.payloads import decode_columns, message_rows
@@ -63,6 +63,8 @@ class _Table:
         row: of the message in the plan.
         name: of its folder.
         signals: places among the message's decoded signals, and kinds.
+        schema: of its files.
+        names: columns that are names.
         held: frames that wait.
         writers: of the days so far.
     """
@@ -71,6 +73,7 @@ class _Table:
     name: str
     signals: list[tuple[int, Kind]]
     schema: pa.Schema
+    names: list[str]
     held: list[Frames] = field(default_factory=list)
     rows: int = 0
     writers: dict[int, Any] = field(default_factory=dict)
@@ -122,7 +125,9 @@ class Lake:
             facts = {"unit": signal.unit} if signal.unit else None
             fields.append(pa.field(_unlike_t(signal.name), arrow_type(kind), metadata=facts))
         folder = name if self._names[name] == 1 else f"bus{bus}.{name}"
-        return _Table(row, folder, signals, pa.schema(fields))
+        # Parquet's own dictionaries of numbers cost more than they save: zstd finds what repeats.
+        names = [_unlike_t(kind.signal.name) for _, kind in signals if kind.what == NAMES]
+        return _Table(row, folder, signals, pa.schema(fields), names)
 
 
 def _unlike_t(name: str) -> str:
@@ -248,7 +253,9 @@ class LogTables:
             self._paths[part] = path
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                writer = pq.ParquetWriter(part, table.schema, compression="zstd", compression_level=1)
+                writer = pq.ParquetWriter(
+                    part, table.schema, compression="zstd", compression_level=1, use_dictionary=table.names
+                )
             except OSError as error:
                 raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
             table.writers[day] = writer
