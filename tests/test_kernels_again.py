@@ -13,6 +13,7 @@ CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
 ENGINE = (
     "engine",
     "bus/test_adapters.py",
+    "bus/test_readers.py",
     "bus/test_traffic.py",
     "signals/test_random_databases.py",
     "signals/test_tooth_codec.py",

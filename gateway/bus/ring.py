@@ -89,6 +89,11 @@ class SegmentReader:
         return sum((reader.seen for reader in self._readers), Counter[str]())
 
     @property
+    def origin_ns(self) -> int:
+        """What makes stamps wall time: nothing, our own recordings have it [ns]."""
+        return 0
+
+    @property
     def passed_over(self) -> list[str]:
         """What was no frame that can be read, one text each."""
         return [text for reader in self._readers for text in reader.passed_over]

@@ -21,7 +21,7 @@ from gateway.errors import InputError
 from gateway.monitors.contract import SensorCalibration
 from gateway.runtime.app import Gateway
 from gateway.signals.decode import lookup
-from gateway.signals.decoded import columns
+from gateway.signals.payloads import columns
 from gateway.signals.tables import SignalRef, compile_plan
 
 #: Samples further from each other than so many periods are no neighbours.

@@ -34,9 +34,11 @@ app = typer.Typer(
     add_completion=False,
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
+fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
 convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
+app.add_typer(fleet_app, name="fleet")
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")]
 JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")]
@@ -61,7 +63,7 @@ HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report 
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst; or a folder of segments."
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder."
     ),
 ]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
@@ -534,6 +536,48 @@ def replay(
     )
 
 
+@app.command()
+def decode(
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**/*.mf4'.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the tables.")],
+    database: Annotated[
+        list[Path] | None,
+        typer.Option("--database", "-d", help="Database of all frames (.dbc, .kcd, .sym, .arxml); may be repeated."),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration whose buses and databases are taken, instead."),
+    ] = None,
+    maps: Maps = None,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Whose the logs are.  [default: folder of the log]")
+    ] = None,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Numbers instead of the names of values.")] = False,
+    json: JsonEvents = False,
+) -> None:
+    """Decode logs into Parquet: a table a message.
+
+    device/message/YYYY/MM/DD/log.parquet, with t in UTC and a column a signal. Exit code 2 if a log is damaged; what it
+    holds is written.
+    """
+    from gateway.cli.decode import decode as work
+
+    raise typer.Exit(
+        work(
+            logs,
+            out,
+            databases=database or (),
+            config=config,
+            maps=maps or (),
+            device=device,
+            numbers=numbers,
+            json=json,
+        )
+    )
+
+
 @app.command("plot")
 def plot_command(
     series: Annotated[Path, typer.Argument(help="File of gateway replay --signals: .parquet or .csv.")],
@@ -600,6 +644,75 @@ def doctor(
     from gateway.cli.doctor import doctor as work
 
     raise typer.Exit(work(config, memory=memory, running=running, bench=bench, json=json))
+
+
+@fleet_app.command("run")
+def fleet_run(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**'.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the verdicts.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask's scheduler, tcp://host:port; default: a cluster of this machine."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Workers of that cluster; 0: no cluster.  [default: one a core]"),
+    ] = None,
+    memory: Annotated[
+        str,
+        typer.Option(help="Fault memory: fresh for each log, or carried along each device's logs, in their order."),
+    ] = "fresh",
+    maps: Maps = None,
+    device: Annotated[
+        str | None, typer.Option("--device", help="Whose the logs are.  [default: first folder below the pattern]")
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Once more what failed or killed its worker.")] = False,
+    dashboard: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of Dask's dashboard on 127.0.0.1.")
+    ] = None,
+    json: JsonEvents = False,
+) -> None:
+    """Run many logs through the monitors, each once.
+
+    Tables of logs, DTCs, tests, events and errors as Parquet. Called again it does what is new. Exit code 2 if a log
+    could not be judged; others are.
+    """
+    from gateway.cli.fleet import fleet_run as work
+
+    raise typer.Exit(
+        work(
+            logs,
+            config,
+            out,
+            scheduler=scheduler,
+            workers=workers,
+            memory=memory,
+            maps=maps or (),
+            device=device,
+            retry=retry,
+            dashboard=dashboard,
+            json=json,
+        )
+    )
+
+
+@fleet_app.command("diff")
+def fleet_diff(
+    first: Annotated[Path, typer.Argument(help="Verdicts of one configuration or version.")],
+    second: Annotated[Path, typer.Argument(help="Verdicts of another one.")],
+    json: Json = False,
+) -> None:
+    """Say which logs changed their verdict between two runs.
+
+    With the first event that differs. Exit code 1 if a verdict did.
+    """
+    from gateway.cli.fleet import fleet_diff as work
+
+    raise typer.Exit(work(first, second, json=json))
 
 
 @faults_app.command("list")

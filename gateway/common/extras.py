@@ -10,6 +10,7 @@ from gateway.errors import InputError
 #: Extra -> the package that its features import.
 EXTRAS = {
     "auth": "cryptography",
+    "fleet": "distributed",
     "fmu": "fmpy",
     "mf4": "asammdf",
     "mqtt": "paho.mqtt",
@@ -22,10 +23,11 @@ EXTRAS = {
 #: Extra -> what people get with it.
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
+    "fleet": "many logs on many machines (gateway fleet)",
     "fmu": 'FMUs as plants (type = "fmu")',
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
-    "parquet": "series as Parquet (replay --signals)",
+    "parquet": "tables of signals (gateway decode), series as Parquet (replay --signals)",
     "plot": "pictures (--plot, gateway plot)",
     "serve": "the page (gateway serve), reports (--html), metrics",
     "structure": "gateway structure --residual; monitors, and plants, of your own equations",

@@ -14,7 +14,7 @@ from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import field_of, mask_of
-from gateway.signals.decoded import bits_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.params import CHECKSUMS
 from gateway.signals.protection.rules import RULES

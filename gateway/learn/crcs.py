@@ -19,7 +19,7 @@ from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import polynomial_of, solved
 from gateway.signals.bits import field_of, mask_of
-from gateway.signals.decoded import bits_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.checksum import LIST
 
 Keys = dict[str, Any]

@@ -22,7 +22,7 @@ from gateway.learn.snapshots import Snapshots
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup
-from gateway.signals.decoded import columns, words_of
+from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 
 #: A message that is away for so long when the log ends had ended before [ns], unless its own gaps are as long.

@@ -17,7 +17,7 @@ from gateway.learn.claims import Claim, proven
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.polynomials import solved
 from gateway.signals.bits import field_at
-from gateway.signals.decoded import bits_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.checksum import LIST
 from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.params import ProtectionParams, protection_for

@@ -18,7 +18,7 @@ from gateway.learn.counters import CounterFound, candidates, of_raw
 from gateway.learn.judged import Payloads
 from gateway.learn.profiles import e2e_claim
 from gateway.signals.bits import field_of
-from gateway.signals.decoded import bits_of
+from gateway.signals.payloads import bits_of
 from gateway.signals.protection.auto import automatic
 
 #: Different frames that a rule is looked for in, and that it is proven on, at most.

@@ -1,0 +1,325 @@
+"""Vector's BLF: objects in containers that zlib has packed.
+
+A file header (``LOGG``, 144 bytes), then objects (``LOBJ``), each with a header of 16 bytes: length of the whole
+header, its version, length of the object, type. Objects of type 10 are containers; unpacked, joined, they are the
+objects of the log, which may begin in one container and end in the next. Objects that lie outside of containers are
+taken, too. What is neither frame nor error frame is passed over. Vector publishes no description; this follows
+python-can's reader (https://github.com/hardbyte/python-can, can/io/blf.py), which follows T. Lorenz's library.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
+from gateway.bus.log_source import CutOffError, compression_of, damage, pull
+from gateway.bus.readers.batch import Batch, Names, Read, placed
+from gateway.bus.readers.scan import begin_frame, byte, set_length
+from gateway.errors import InputError
+from gateway.jit import kernel
+
+#: signature, bytes of it, 8 of versions, bytes of the file, unpacked, objects, read, begin and end as SYSTEMTIME.
+FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")
+#: Bytes of a finished file's header; the size of the file that it names until the recorder has finished it.
+FILE_HEADER_SIZE = 144
+#: signature, bytes of the header, its version, bytes of the object, its type.
+OBJECT = struct.Struct("<4sHHLL")
+#: how it is packed, bytes unpacked.
+CONTAINER = struct.Struct("<H6xL4x")
+PLAIN, ZLIB = 0, 2
+#: Types of objects.
+LOG_CONTAINER, CAN_MESSAGE, CAN_ERROR_EXT, CAN_MESSAGE2, CAN_FD_MESSAGE, CAN_FD_MESSAGE_64 = 10, 1, 73, 86, 100, 101
+
+#: Why a kernel stops: it needs more bytes, the batch is full, no object where one should be, a payload above 64 bytes.
+MORE, FULL, LOST, LONG = 0, 1, 2, 3
+#: Bytes unpacked that are read at a time: several containers.
+_BLOCK = 1 << 20
+
+
+@kernel
+def half(raw: Any, at: int) -> int:
+    """Return the 16-bit number at a place."""
+    return byte(raw, at) | (byte(raw, at + 1) << 8)
+
+
+@kernel
+def long(raw: Any, at: int) -> int:
+    """Return the 32-bit number at a place."""
+    return half(raw, at) | (half(raw, at + 2) << 16)
+
+
+@kernel
+def put_payload(raw: Any, at: int, count: int, words: Any, row: Any, k: int, length: int) -> None:
+    """Copy a payload, ``count`` of whose ``length`` bytes are there; the others are zero."""
+    for j in range(count):
+        row[16 + j] = raw[at + j]
+    set_length(words, k, length)
+
+
+@kernel
+def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, words: Any, row: Any, k: int) -> int:
+    """Read what is behind an object's header into a frame.
+
+    Args:
+        raw: unpacked bytes.
+        at: behind the header.
+        kind: of the object.
+        size: bytes behind the header.
+        room: bytes of the object that a payload may take, counted as its header has it.
+        t_ns: stamp [ns].
+        words: the batch.
+        row: bytes of the frame.
+        k: which frame.
+
+    Returns:
+        its channel, counted from 1; -1: no frame; -2: a payload above 64 bytes.
+    """
+    if kind in (CAN_MESSAGE, CAN_MESSAGE2) and size >= 16:
+        flags = byte(raw, at + 2)
+        name = long(raw, at + 4)
+        can_id = (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0)
+        begin_frame(words, k, t_ns, can_id, OWN if flags & 1 else 0)
+        if not flags & 0x80:
+            count = min(byte(raw, at + 3), 8)
+            put_payload(raw, at + 8, count, words, row, k, count)
+        return half(raw, at)
+    if kind == CAN_ERROR_EXT and size >= 32:
+        name = long(raw, at + 16)
+        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | ERROR, 0)
+        count = min(byte(raw, at + 10), 8)
+        put_payload(raw, at + 24, count, words, row, k, count)
+        return half(raw, at)
+    if kind == CAN_FD_MESSAGE and size >= 84:
+        flags, bits = byte(raw, at + 2), byte(raw, at + 13)
+        name = long(raw, at + 4)
+        own = OWN if flags & 1 else 0
+        fd = (FD | (BRS if bits & 2 else 0) | (ESI if bits & 4 else 0)) if bits & 1 else 0
+        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0), fd | own)
+        if not flags & 0x80:
+            count = min(byte(raw, at + 14), 64)
+            put_payload(raw, at + 20, count, words, row, k, count)
+        return half(raw, at)
+    if kind == CAN_FD_MESSAGE_64 and size >= 40:
+        bits, name = long(raw, at + 12), long(raw, at + 4)
+        own = OWN if raw[at + 34] else 0
+        fd = (FD | (BRS if bits & 0x2000 else 0) | (ESI if bits & 0x4000 else 0)) if bits & 0x1000 else 0
+        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | (REMOTE if bits & 0x10 else 0), fd | own)
+        valid = byte(raw, at + 2)
+        if valid > 64:
+            return -2
+        if not bits & 0x10:
+            other = byte(raw, at + 35)  # where data of another kind begin, counted as the object's length is
+            count = min(valid, (other if other else room) - 40)
+            put_payload(raw, at + 40, max(0, min(count, size - 40)), words, row, k, valid)
+        return byte(raw, at)
+    return -1
+
+
+@kernel
+def scan_blf(raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, start: int) -> tuple[int, int, int]:
+    """Read objects into a batch.
+
+    Args:
+        raw: unpacked bytes, uint8.
+        at: where to begin.
+        words: the batch, uint64, shape (frames, 10).
+        data: the same as uint8, shape (frames, 80).
+        channel: takes the channel of each frame, counted from 0.
+        k: frames that are in already.
+        start: of the log [ns].
+
+    Returns:
+        where the next object begins, frames that are in, why it stops.
+    """
+    end = raw.shape[0]
+    while True:
+        if k == words.shape[0]:
+            return at, k, FULL
+        skipped = 0  # padding
+        while skipped <= 4 and at + skipped + 4 <= end and long(raw, at + skipped) != 0x4A424F4C:  # LOBJ
+            skipped += 1
+        if skipped > 4:
+            return at, k, LOST
+        begin = at + skipped
+        if begin + 16 > end:
+            return at, k, MORE
+        header, version = half(raw, begin + 4), half(raw, begin + 6)
+        size, kind = long(raw, begin + 8), long(raw, begin + 12)
+        if size < 16:
+            return at, k, LOST
+        if begin + size > end:
+            return at, k, MORE
+        at = begin + size
+        base = 32 if version == 1 else 40
+        if version not in (1, 2) or size < base:
+            continue
+        stamp = long(raw, begin + 24) | (long(raw, begin + 28) << 32)
+        unit = 10_000 if long(raw, begin + 16) == 1 else 1
+        if stamp < 0 or stamp > 4 * 10**18 // unit:
+            return begin, k, LOST
+        found = blf_object(raw, begin + base, kind, size - base, size - header, start + stamp * unit, words, data[k], k)
+        if found == -2:
+            return begin, k, LONG
+        if found >= 0:
+            channel[k] = found - 1
+            k += 1
+
+
+def system_time_ns(fields: tuple[int, ...]) -> int:
+    """Return a SYSTEMTIME (year, month, weekday, day, hour, minute, second, millisecond) [ns], 0 if it is none."""
+    year, month, _, day, hour, minute, second, milli = fields
+    try:
+        whole = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
+    except ValueError:
+        return 0
+    return whole * 10**9 + min(milli, 999) * 10**6
+
+
+def _named(batch: Batch, names: Names) -> Read:
+    frames, channel = batch.take()
+    return frames, placed(channel, names)
+
+
+class Blf:
+    """Reads BLF (see :class:`gateway.bus.readers.batch.Reader`).
+
+    Args:
+        path: for errors, and for its size.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.passed_over: list[str] = []
+        self.origin_ns = 0
+        self._size, self._objects = 0, 0
+        self._start = 0
+        self._end: InputError | Exception | None = None
+        self._read = 0
+
+    def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
+        """Yield a log's frames."""
+        self._header(stream)
+        batch, rest = Batch(chunk), b""
+        frames = 0
+        for raw in self._unpacked(stream):
+            array = np.frombuffer(rest + raw, np.uint8)
+            at, why = 0, FULL
+            while why == FULL:
+                at, batch.count, why = scan_blf(
+                    array, at, batch.words, batch.data, batch.channel, batch.count, self._start
+                )
+                if why in (LOST, LONG):
+                    what = "no object where one should be" if why == LOST else "a payload above 64 bytes"
+                    self._end = InputError(f"damaged after frame {frames + batch.count}: {what}", file=self._path)
+                if batch.full or (why in (LOST, LONG) and batch.count):
+                    frames += batch.count
+                    yield _named(batch, names)
+            if why in (LOST, LONG):
+                break
+            rest = array[at:].tobytes()
+        if batch.count:
+            frames += batch.count
+            yield _named(batch, names)
+        if self._end is not None:
+            raise self._told(frames)
+        if cut := self._cut(frames):
+            raise cut
+
+    def _header(self, stream: BinaryIO) -> None:
+        head, broken = pull(stream, FILE_HEADER.size)
+        if broken is not None:
+            raise damage(broken, self._path, 0)
+        if len(head) < FILE_HEADER.size:
+            raise CutOffError("cut off in its header", file=self._path)
+        fields = FILE_HEADER.unpack(head)
+        if fields[0] != b"LOGG":
+            raise InputError("not a BLF log: it does not begin with LOGG", file=self._path)
+        self._size, self._objects = fields[10], fields[12]
+        self._start = system_time_ns(fields[14:22])
+        self._need(stream, fields[1] - FILE_HEADER.size)
+
+    def _need(self, stream: BinaryIO, count: int) -> bytes:
+        """Return so many bytes, or less: then the file ends within, or unpacking failed there."""
+        if count <= 0:
+            return b""
+        data, broken = pull(stream, count)
+        self._read += len(data)
+        if broken is not None:
+            self._end = broken
+        elif len(data) < count:
+            self._end = CutOffError("", file=self._path)
+        return data
+
+    def _unpacked(self, stream: BinaryIO) -> Iterator[bytes]:
+        """Yield the log's objects, unpacked, some containers at a time; what ends them is in ``_end``."""
+        parts: list[bytes] = []
+        held = 0
+        while self._end is None:
+            head, broken = pull(stream, OBJECT.size)
+            if broken is not None:
+                self._end = broken
+            if not head:
+                break
+            if len(head) < OBJECT.size:
+                self._end = self._end or CutOffError("", file=self._path)
+                break
+            mark, _, _, size, kind = OBJECT.unpack(head)
+            if mark != b"LOBJ" or size < OBJECT.size:
+                self._end = ValueError("no object where one should be")
+                break
+            body = self._need(stream, size - OBJECT.size)
+            if self._end is None:
+                pull(stream, size % 4)  # padding, of which some may be missing at the end
+            try:
+                part = self._contents(head, body, kind)
+            except zlib.error as error:
+                self._end = self._end or error
+                break
+            parts.append(part)
+            held += len(part)
+            if held >= _BLOCK:
+                yield b"".join(parts)
+                parts, held = [], 0
+        if parts:
+            yield b"".join(parts)
+
+    def _contents(self, head: bytes, body: bytes, kind: int) -> bytes:
+        """Return the objects in an object of the file: a container, or itself."""
+        if kind != LOG_CONTAINER:
+            return head + body
+        if len(body) < CONTAINER.size:
+            return b""
+        method, _ = CONTAINER.unpack_from(body)
+        packed = memoryview(body)[CONTAINER.size :]
+        if method == PLAIN:
+            return bytes(packed)
+        if method == ZLIB:
+            return zlib.decompressobj().decompress(packed)
+        self.passed_over.append(f"a container that is packed in an unknown way ({method})")
+        return b""
+
+    def _told(self, frames: int) -> InputError:
+        """Return what ended the log early."""
+        error = self._end
+        assert error is not None
+        if isinstance(error, CutOffError):
+            return self._cut(frames) or CutOffError(f"cut off after frame {frames}", file=self._path)
+        return error if isinstance(error, InputError) else damage(error, self._path, frames)
+
+    def _cut(self, frames: int) -> CutOffError | None:
+        """Return how the log is cut off by what its header says of its size, None if it is whole."""
+        size = self._path.stat().st_size
+        if not compression_of(self._path) and self._size > size:
+            text = f"cut off after frame {frames}: {size} bytes of {self._size}"
+            return CutOffError(text, file=self._path)
+        if frames and not self._objects and self._size <= FILE_HEADER_SIZE:
+            text = f"cut off after frame {frames}: its recorder did not finish the file"
+            return CutOffError(text, file=self._path)
+        return None

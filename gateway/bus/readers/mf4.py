@@ -1,0 +1,241 @@
+"""ASAM MDF 4 with CAN bus logging (CANedge, Vector, python-can), by asammdf: groups of channels in bulk.
+
+A bus logging group has a structure ``CAN_DataFrame``, ``CAN_ErrorFrame`` or ``CAN_RemoteFrame`` with members for
+identifier, length, bytes, direction, channel. asammdf unpacks so many records of it at once into an array; groups are
+joined by time.
+"""
+
+from __future__ import annotations
+
+import gc
+import struct
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
+from gateway.bus.log_source import CutOffError, compression_of, damage
+from gateway.bus.readers.batch import NO_CHANNEL, Names, Read, placed
+from gateway.errors import InputError
+
+#: Header of a block: mark, length, number of links; where the first one is.
+_BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
+#: Flag of a channel group: it is of a bus (ASAM MDF 4.1, cg_flags).
+_BUS_EVENT = 2
+#: Structures of frames, and what their identifiers get.
+_KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+#: Records that are asked of asammdf at once: what a call costs besides is small then.
+_RECORDS = 250_000
+
+
+def is_cut(path: Path) -> bool:
+    """Tell whether a block of a file lies beyond its end (ASAM MDF 4.1: all blocks are reached by links)."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(3)
+        if head not in (b"MDF", b"UnF"):  # finished, or not finalised by its recorder
+            return False
+        waiting, known = [_FIRST], {_FIRST}
+        while waiting:
+            at = waiting.pop()
+            file.seek(at)
+            block = file.read(_BLOCK.size)
+            if len(block) < _BLOCK.size:
+                return True
+            mark, length, count = _BLOCK.unpack(block)
+            if mark[:2] != b"##":
+                continue
+            if at + length > size:
+                return True
+            links = struct.unpack(f"<{count}Q", file.read(8 * count)) if count else ()
+            more = [link for link in links if link and link not in known]
+            known.update(more)
+            waiting += more
+    return False
+
+
+@contextmanager
+def _tidy() -> Iterator[None]:
+    """Let go of what an exception holds before it goes on: asammdf's half-made files fail when they end.
+
+    Python would print their failure, which says nothing new, as a traceback at the program's end.
+    """
+    try:
+        yield
+    except Exception as error:
+        before, sys.unraisablehook = sys.unraisablehook, lambda _: None
+        try:
+            traceback.clear_frames(error.__traceback__)
+            gc.collect()
+        finally:
+            sys.unraisablehook = before
+        raise
+
+
+class _Group:
+    """Frames of a group of channels, some at a time.
+
+    Args:
+        mdf: asammdf's file.
+        index: of the group.
+        kind: name of its structure.
+        begin_ns: of the measurement [ns].
+        names: takes the channels.
+    """
+
+    def __init__(self, mdf: Any, index: int, kind: str, begin_ns: int, names: Names) -> None:
+        self._mdf, self._index, self._kind, self._begin_ns, self._names = mdf, index, kind, begin_ns, names
+        self._count = int(mdf.groups[index].channel_group.cycles_nr)
+        self._next = 0
+        self.frames, self.channel = empty(0), np.empty(0, np.int64)
+
+    @property
+    def more(self) -> bool:
+        """Whether there are frames that have not been read."""
+        return self._next < self._count
+
+    def fill(self) -> None:
+        """Read some, if there are none."""
+        if len(self.frames) or not self.more:
+            return
+        count = min(_RECORDS, self._count - self._next)
+        found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=True)
+        self._next += count
+        self.frames, self.channel = _frames(found, self._kind, self._begin_ns, self._names)
+
+    def take(self, until_ns: int) -> tuple[Frames, NDArray[np.int64]]:
+        """Return the frames up to a time."""
+        end = int(np.searchsorted(np.maximum.accumulate(self.frames["t_ns"]), until_ns, "right"))
+        taken = self.frames[:end], self.channel[:end]
+        self.frames, self.channel = self.frames[end:], self.channel[end:]
+        return taken
+
+
+def _frames(found: Any, kind: str, begin_ns: int, names: Names) -> tuple[Frames, NDArray[np.int64]]:
+    """Return the records of a structure as frames, and the places of their channels."""
+    records = {name.partition(".")[2]: found.samples[name] for name in found.samples.dtype.names}
+    count = len(found.timestamps)
+    frames = empty(count)
+    frames["t_ns"] = begin_ns + np.rint(found.timestamps * 1e9).astype(np.int64)
+    ids = records["ID"].astype(np.uint32) & ID_MASK if "ID" in records else np.zeros(count, np.uint32)
+    # What python-can takes where a member is missing: extended.
+    ids |= np.where(records["IDE"] != 0, np.uint32(EXTENDED), np.uint32(0)) if "IDE" in records else np.uint32(EXTENDED)
+    ids |= np.uint32(_KINDS[kind])
+    if kind == "CAN_ErrorFrame" and "RTR" in records:
+        ids |= np.where(records["RTR"] != 0, np.uint32(REMOTE), np.uint32(0))
+    frames["can_id"] = ids
+    flags = np.zeros(count, np.uint8)
+    if "EDL" in records and kind != "CAN_RemoteFrame":
+        for name, flag in (("BRS", BRS), ("ESI", ESI)):
+            if name in records:
+                flags[records[name] != 0] |= flag
+        flags = np.where(records["EDL"] != 0, flags | FD, 0).astype(np.uint8)
+    if "Dir" in records:
+        direction = records["Dir"]
+        own = direction != b"Rx" if direction.dtype.kind == "S" else direction != 0
+        flags[own] |= OWN
+    frames["flags"] = flags
+    if "DataBytes" in records and "DataLength" in records and kind != "CAN_RemoteFrame":
+        _put_payloads(frames, records["DataBytes"], records["DataLength"])
+    channel = records.get("BusChannel", np.array(NO_CHANNEL))
+    return frames, placed(np.broadcast_to(channel.astype(np.int64), count), names)
+
+
+def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]) -> None:
+    """Put payloads into frames; bytes beyond a frame's length are zero."""
+    width = min(data.shape[1], 64)
+    lengths = np.minimum(lengths.astype(np.int64), width)
+    if int(lengths.min(initial=width)) == width:
+        frames["data"][:, :width] = data[:, :width]
+    else:
+        frames["data"][:, :width] = np.where(np.arange(width) < lengths[:, None], data[:, :width], 0)
+    frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
+
+
+def _groups(mdf: Any, names: Names) -> list[_Group]:
+    """Return the groups of CAN frames of a file."""
+    from asammdf.blocks.source_utils import Source  # noqa: PLC0415 - an extra, slow to load
+
+    begin_ns = round(mdf.header.start_time.timestamp() * 1e6) * 1000 + int(mdf.header.abs_time) % 1000
+    found = []
+    for index, group in enumerate(mdf.groups):
+        source = group.channel_group.acq_source
+        if not group.channel_group.flags & _BUS_EVENT or not group.channel_group.cycles_nr or source is None:
+            continue
+        if not source.source_type & Source.SOURCE_BUS or source.bus_type != Source.BUS_TYPE_CAN:
+            continue
+        has = {channel.name for channel in group.channels}
+        kind = next((kind for kind in _KINDS if kind in has), None)
+        if kind is not None:
+            found.append(_Group(mdf, index, kind, begin_ns, names))
+    return found
+
+
+def _joined(groups: list[_Group]) -> Iterator[Read]:
+    """Yield the frames of all groups, in order of time."""
+    while True:
+        for group in groups:
+            group.fill()
+        held = [group for group in groups if len(group.frames)]
+        if not held:
+            return
+        last = [int(group.frames["t_ns"].max()) for group in held if group.more]
+        until = min(last) if last else np.iinfo(np.int64).max
+        taken = [group.take(until) for group in held]
+        if len(taken) == 1:
+            yield taken[0]
+            continue
+        frames = np.concatenate([frames for frames, _ in taken])
+        order = np.argsort(frames["t_ns"], kind="stable")
+        yield frames[order], np.concatenate([channel for _, channel in taken])[order]
+
+
+class Mf4:
+    """Reads MF4 (see :class:`gateway.bus.readers.batch.Reader`).
+
+    Args:
+        path: the file, which asammdf maps.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.passed_over: list[str] = []
+        self.origin_ns = 0
+
+    def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
+        """Yield a log's frames."""
+        packed = bool(compression_of(self._path))
+        cut = not packed and is_cut(self._path)
+        frames = 0
+        try:
+            for taken, channel in self._all(stream if packed else None, names):
+                for first in range(0, len(taken), chunk):
+                    frames += len(taken[first : first + chunk])
+                    yield taken[first : first + chunk], channel[first : first + chunk]
+        except InputError:
+            raise
+        except Exception as error:  # asammdf and decompressors let any exception of theirs through
+            if not cut:
+                raise damage(error, self._path, frames) from None
+            text = " ".join(str(error).split()) or type(error).__name__
+            raise CutOffError(f"cut off after frame {frames}: {text}", file=self._path) from None
+        if cut:
+            raise CutOffError(f"cut off after frame {frames}", file=self._path)
+
+    def _all(self, stream: BinaryIO | None, names: Names) -> Iterator[Read]:
+        from asammdf import MDF  # noqa: PLC0415 - an extra, slow to load
+
+        with _tidy():
+            # It maps a file that has a name, and reads another one whole.
+            mdf = MDF(self._path if stream is None else BytesIO(stream.read()))
+        try:
+            yield from _joined(_groups(mdf, names))
+        finally:
+            mdf.close()

@@ -1,0 +1,206 @@
+"""What the kernels of text formats share: words, numbers and stamps in lines.
+
+``text`` is bytes that end with a newline; no function goes beyond it. Characters are numbers: 10 newline, 32 blank,
+46 ``.``, 48 ``0``, 57 ``9``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.readers.batch import FLAGS, LENGTH
+from gateway.jit import kernel
+
+#: What a kernel says of the line where it stops: all is read or the batch is full; it is bad; Python is to look at it;
+#: it is no frame but should be one.
+DONE, BAD, ASK, PASSED = 0, 1, 2, 3
+
+#: Character -> its value as a hexadecimal digit, 255: none.
+HEX = np.full(256, 255, np.uint8)
+for _digit, _character in enumerate(b"0123456789abcdef"):
+    HEX[_character] = _digit
+for _digit, _character in enumerate(b"ABCDEF", 10):
+    HEX[_character] = _digit
+
+#: Largest whole seconds whose nanoseconds an int64 holds.
+_MOST_SECONDS = 9223372035
+
+
+@kernel
+def byte(raw: Any, at: int) -> int:
+    """Return a byte as a number that arithmetic does not wrap."""
+    return np.int64(raw[at])  # type: ignore[return-value]
+
+
+@kernel
+def skip(text: Any, at: int) -> int:
+    """Return where the next word of a line begins, or its newline."""
+    while text[at] <= 32 and text[at] != 10:
+        at += 1
+    return at
+
+
+@kernel
+def word_end(text: Any, at: int) -> int:
+    """Return where a word ends."""
+    while text[at] > 32:
+        at += 1
+    return at
+
+
+@kernel
+def line_end(text: Any, at: int) -> int:
+    """Return where the next line begins."""
+    while text[at] != 10:
+        at += 1
+    return at + 1
+
+
+@kernel
+def is_digit(text: Any, at: int) -> bool:
+    """Tell whether a character is a decimal digit."""
+    return bool(48 <= text[at] <= 57)
+
+
+@kernel
+def number(text: Any, at: int, end: int, base: int, hexes: Any) -> int:
+    """Return the number that a word is in a base, -1 if it is none of at most 15 digits."""
+    if at == end or end - at > 15:
+        return -1
+    value = 0
+    for k in range(at, end):
+        digit = byte(hexes, text[k])
+        if digit >= base:
+            return -1
+        value = value * base + digit
+    return value
+
+
+@kernel
+def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
+    """Read a decimal number.
+
+    Args:
+        text: bytes.
+        at: where it begins.
+        places: 10 to the power of it times the number is wanted, rounded.
+
+    Returns:
+        the number so, -1 if there is none; where it ends; digits behind its point, -1: no point.
+    """
+    begin, value = at, 0
+    while 48 <= text[at] <= 57:
+        if at - begin < 12:
+            value = value * 10 + (byte(text, at) - 48)
+        at += 1
+    if at == begin or at - begin > 11 or value > _MOST_SECONDS:
+        return -1, at, -1
+    if text[at] != 46:
+        for _ in range(places):
+            value *= 10
+        return value, at, -1
+    at += 1
+    digits, up = 0, 0
+    while 48 <= text[at] <= 57:
+        digit = byte(text, at) - 48
+        if digits < places:
+            value = value * 10 + digit
+        elif digits == places and digit >= 5:
+            up = 1
+        digits += 1
+        at += 1
+    for _ in range(digits, places):
+        value *= 10
+    return value + up, at, digits
+
+
+@kernel
+def begin_frame(words: Any, k: int, t_ns: int, can_id: int, flags: int) -> None:
+    """Write a frame without its payload.
+
+    Args:
+        words: the batch, see :class:`gateway.bus.readers.batch.Batch`.
+        k: which frame.
+        t_ns: stamp [ns].
+        can_id: with its flags.
+        flags: of the frame.
+    """
+    words[k, 0] = np.uint64(t_ns)
+    words[k, 1] = np.uint64(can_id) | (np.uint64(flags) << np.uint64(FLAGS))
+    for j in range(2, 10):
+        words[k, j] = np.uint64(0)
+
+
+@kernel
+def set_length(words: Any, k: int, length: int) -> None:
+    """Set the length of a frame's payload, which was 0."""
+    words[k, 1] |= np.uint64(length) << np.uint64(LENGTH)
+
+
+@kernel
+def fd_length(dlc: int) -> int:
+    """Return the bytes that a DLC stands for (ISO 11898-1); 64 above 15, as python-can has it."""
+    if dlc <= 8:
+        return dlc
+    if dlc <= 12:
+        return 4 * dlc - 24
+    if dlc == 13:
+        return 32
+    if dlc == 14:
+        return 48
+    return 64
+
+
+@kernel
+def byte_words(text: Any, at: int, most: int, base: int, hexes: Any, row: Any) -> tuple[int, int]:
+    """Read bytes, a word each, until there are enough or the line ends.
+
+    Args:
+        text: bytes.
+        at: where the first one is, or blanks before it.
+        most: how many are wanted.
+        base: of the numbers.
+        hexes: :data:`HEX`.
+        row: the frame's bytes, shape (80,).
+
+    Returns:
+        how many there are, -1 if one is no byte; where they end.
+    """
+    count = 0
+    while count < most:
+        at = skip(text, at)
+        if text[at] == 10:
+            break
+        end = word_end(text, at)
+        value = number(text, at, end, base, hexes)
+        if not 0 <= value <= 255:
+            return -1, at
+        row[16 + count] = value
+        count += 1
+        at = end
+    return count, at
+
+
+@kernel
+def hex_pairs(text: Any, at: int, most: int, hexes: Any, row: Any) -> tuple[int, int]:
+    """Read bytes of two hexadecimal digits each without blanks; dots between them are passed over.
+
+    Returns:
+        how many there are, -1 if there are more than ``most`` or half a one; where they end.
+    """
+    count = 0
+    while True:
+        if text[at] == 46:
+            at += 1
+            continue
+        high = byte(hexes, text[at])
+        if high > 15:
+            return count, at
+        low = byte(hexes, text[at + 1])
+        if low > 15 or count == most:
+            return -1, at
+        row[16 + count] = high * 16 + low
+        count += 1
+        at += 2

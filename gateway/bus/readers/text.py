@@ -1,0 +1,172 @@
+"""Logs of lines: blocks of whole lines to a format's kernel, and what a log's last line may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import Frames, empty
+from gateway.bus.log_source import CutOffError, damage, pull
+from gateway.bus.readers.batch import Batch, Names, Read, placed
+from gateway.bus.readers.scan import ASK, BAD, DONE, PASSED
+from gateway.errors import InputError
+
+#: Bytes that are read at a time.
+BLOCK = 1 << 20
+#: Characters of a line that are shown.
+SHOWN = 60
+
+
+class Lines(Protocol):
+    """A format of lines."""
+
+    passed_over: list[str]
+    origin_ns: int
+    #: Whether channels are numbers, and not places of names.
+    numbered: bool
+
+    def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
+        """Read lines into a batch until one of both ends.
+
+        Args:
+            text: lines; the last one ends, too.
+            at: where to begin.
+            batch: not full.
+
+        Returns:
+            where reading stopped, lines that were read, and what is of the line there (``scan.DONE`` etc.).
+        """
+
+    def asked(self, line: bytes, names: Names) -> bool:
+        """Look at a line at which the kernel stopped; returns whether that was all of it."""
+
+    def bad(self, line: bytes, number: int) -> InputError:
+        """Return the error of a line that cannot be read."""
+
+    def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
+        """Tell whether a log ends within its last line, which has no end.
+
+        Args:
+            line: it.
+            frame: what it became; None: nothing.
+            before: frames before it.
+        """
+
+    def unfinished(self) -> str:
+        """Return what is missing at the log's end, "" if nothing is."""
+
+
+def shown(line: bytes) -> str:
+    """Return the beginning of a line, for people."""
+    return line[:SHOWN].decode("ascii", "replace").strip()
+
+
+class TextReader:
+    """Reads a log of lines.
+
+    Args:
+        path: for errors.
+        lines: its format.
+    """
+
+    def __init__(self, path: Path, lines: Lines) -> None:
+        self._path, self._lines = path, lines
+        self._line, self._frames = 1, 0
+        self._before = empty(0)
+
+    @property
+    def passed_over(self) -> list[str]:
+        """What was no frame that can be read, one text each."""
+        return self._lines.passed_over
+
+    @property
+    def origin_ns(self) -> int:
+        """What makes stamps wall time [ns]."""
+        return self._lines.origin_ns
+
+    def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
+        """Yield a log's frames (see :class:`gateway.bus.readers.batch.Reader`)."""
+        batch = Batch(chunk)
+        tail, broken = b"", None
+        wrong: InputError | None = None
+        while broken is None and wrong is None:
+            block, broken = pull(stream, BLOCK)
+            if not block:
+                break
+            cut = block.rfind(b"\n") + 1
+            if not cut:
+                tail += block
+                continue
+            text, tail = tail + block[:cut], block[cut:]
+            for wrong in self._scanned(text, names, batch):
+                if batch.full or (wrong is not None and batch.count):
+                    yield self._taken(batch, names)
+        if wrong is None and tail and broken is None:
+            wrong = self._last(tail, names, batch)
+        if batch.count:
+            yield self._taken(batch, names)
+        if wrong is not None:
+            raise wrong
+        if broken is not None:
+            raise damage(broken, self._path, self._frames)
+        if missing := self._lines.unfinished():
+            raise CutOffError(f"cut off after frame {self._frames}: {missing}", file=self._path)
+
+    def _taken(self, batch: Batch, names: Names) -> Read:
+        taken = batch.take()
+        self._frames += len(taken[0])
+        self._before = taken[0]
+        return taken[0], placed(taken[1], names) if self._lines.numbered else taken[1]
+
+    def _scanned(self, text: bytes, names: Names, batch: Batch) -> Iterator[InputError | None]:
+        """Read lines; yields where the batch is full, and what is wrong in the end."""
+        array, at = np.frombuffer(text, np.uint8), 0
+        while at < len(array):
+            at, lines, status = self._lines.scan(array, at, batch)
+            self._line += lines
+            if status == DONE:
+                if batch.full:
+                    yield None
+                continue
+            end = text.index(b"\n", at) + 1
+            line = text[at:end]
+            if status == BAD:
+                yield self._lines.bad(line, self._line)
+                return
+            if status == PASSED:
+                self.passed_over.append(f"line {self._line}: {shown(line)}")
+            if status == PASSED or (status == ASK and self._lines.asked(line, names)):
+                at = end
+                self._line += 1
+
+    def _last(self, tail: bytes, names: Names, batch: Batch) -> InputError | None:
+        """Read a last line without an end; returns that it is cut off."""
+        if not tail.strip():
+            return None
+        frames, channel = batch.take()
+        if len(frames):
+            self._before = frames
+        passed, number = len(self.passed_over), self._line
+        wrong = next((wrong for wrong in self._scanned(tail + b"\n", names, batch) if wrong is not None), None)
+        frame = batch.last() if batch.count else None
+        cut = wrong is not None or self._lines.cut(tail, frame, self._before)
+        more = 0 if cut else batch.count
+        channel = np.concatenate((channel, batch.channel[:more]))
+        joined = np.concatenate((frames, batch.take()[0][:more]))
+        if len(joined) > batch.size:  # a full batch, and one more
+            batch.size = len(joined)
+            batch.take()
+        batch.put(joined, channel)
+        if not cut:
+            return None
+        del self.passed_over[passed:]
+        return CutOffError(
+            f"cut off in this line, after frame {self._frames + batch.count}",
+            file=self._path,
+            line=number,
+            value=shown(tail),
+        )

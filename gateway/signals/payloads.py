@@ -1,0 +1,162 @@
+"""Payloads into columns of physical values: many frames of one message at once, through the engine's own decoder."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import ERROR, REMOTE, Frames
+from gateway.jit import kernel
+from gateway.signals.bits import read_bits
+from gateway.signals.decode import OK, decode, lookup
+from gateway.signals.tables import DecodePlan
+
+
+@kernel
+def decode_all(
+    words: Any,
+    lengths: Any,
+    row: int,
+    messages: Any,
+    signals: Any,
+    mux_ids: Any,
+    values: Any,
+    present: Any,
+    out: Any,
+    there: Any,
+    results: Any,
+) -> int:
+    """Decode all frames of one message.
+
+    Args:
+        words: payloads, uint64, shape (frames, 8), zero beyond their lengths.
+        lengths: int64, shape (frames,) [byte].
+        row: of the message.
+        messages: shape (messages,) of MESSAGE.
+        signals: shape (signals,) of SIGNAL.
+        mux_ids: int64, the multiplexer values of all signals.
+        values: float64, scratch for one frame.
+        present: uint8, scratch for one frame.
+        out: float64, shape (signals of the message, frames); takes what is in each frame.
+        there: uint8, of the same shape, 0 on entry; takes whether it is in there.
+        results: uint8, shape (frames,), takes what became of each frame: OK, TOO_SHORT, UNKNOWN_MUX.
+
+    Returns:
+        how many frames could be decoded.
+    """
+    good = 0
+    count = messages[row].count
+    for k in range(words.shape[0]):
+        result = decode(words[k], lengths[k], row, messages, signals, mux_ids, values, present)
+        results[k] = result
+        if result == OK:
+            good += 1
+            for j in range(count):
+                if present[j] == 1:
+                    out[j, k] = values[j]
+                    there[j, k] = 1
+    return good
+
+
+@kernel
+def rows_of(cells: Any, keys: Any, rows: Any, out: Any) -> int:
+    """Look up the message of each frame.
+
+    Args:
+        cells: frames as 64-bit words, shape (frames, 10).
+        keys: of a decode plan.
+        rows: of a decode plan.
+        out: int16, shape (frames,), takes the row of each frame's message, -1: foreign, a remote or error frame.
+
+    Returns:
+        how many have one.
+    """
+    found = 0
+    for k in range(cells.shape[0]):
+        can_id = np.int64(cells[k, 1] & np.uint64(0xFFFFFFFF))
+        bus = np.int64((cells[k, 1] >> np.uint64(32)) & np.uint64(0xFF))
+        out[k] = -1
+        if not can_id & (REMOTE | ERROR):
+            out[k] = lookup(keys, rows, bus, can_id)  # type: ignore[arg-type]
+        if out[k] >= 0:
+            found += 1
+    return found
+
+
+@kernel
+def read_all(words: Any, field: Any, out: Any) -> int:
+    """Read a field of all payloads, uint64, shape (frames, 8), into ``out``, uint64, shape (frames,)."""
+    for k in range(words.shape[0]):
+        out[k] = read_bits(words[k], field)
+    return int(words.shape[0])
+
+
+def words_of(frames: Frames) -> NDArray[np.uint64]:
+    """Return the payloads as the kernels want them, shape (frames, 8)."""
+    return np.ascontiguousarray(frames["data"]).view("<u8").reshape(len(frames), 8)
+
+
+class Columns(NamedTuple):
+    """Signals of frames of one message.
+
+    Attributes:
+        values: physical values, shape (signals, frames), in the plan's order; any number where there is none.
+        there: whether a frame has them, shape (signals, frames).
+        results: OK, TOO_SHORT or UNKNOWN_MUX (``signals.decode``), shape (frames,).
+        words: the payloads, shape (frames, 8).
+    """
+
+    values: NDArray[np.float64]
+    there: NDArray[np.bool_]
+    results: NDArray[np.uint8]
+    words: NDArray[np.uint64]
+
+
+def decode_columns(frames: Frames, plan: DecodePlan, row: int) -> Columns:
+    """Decode frames of one message.
+
+    Args:
+        frames: of this message.
+        plan: with all its signals.
+        row: of the message in the plan.
+    """
+    count = int(plan.messages[row]["count"])
+    values, present = np.zeros(max(count, 1)), np.zeros(max(count, 1), np.uint8)
+    out, there = np.zeros((count, len(frames))), np.zeros((count, len(frames)), np.uint8)
+    results = np.zeros(len(frames), np.uint8)
+    words, lengths = words_of(frames), frames["length"].astype(np.int64)
+    decode_all(words, lengths, row, plan.messages, plan.signals, plan.mux_ids, values, present, out, there, results)
+    return Columns(out, there.view(np.bool_), results, words)
+
+
+def message_rows(frames: Frames, plan: DecodePlan) -> NDArray[np.int16]:
+    """Return the row of each frame's message in a plan, -1: it has none; shape (frames,)."""
+    frames = np.ascontiguousarray(frames)
+    out = np.zeros(len(frames), np.int16)
+    rows_of(frames.view(np.uint64).reshape(len(frames), -1), plan.keys, plan.rows, out)
+    return out
+
+
+def columns(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.float64], int]:
+    """Return the physical values of a message's signals, and how many frames could be decoded.
+
+    Args:
+        frames: of this message.
+        plan: with all its signals.
+        row: of the message in the plan.
+
+    Returns:
+        shape (frames, signals), in the plan's order; NaN where a frame has no such signal, or cannot be decoded.
+    """
+    found = decode_columns(frames, plan, row)
+    found.values[~found.there] = np.nan
+    return np.ascontiguousarray(found.values.T), int((found.results == OK).sum())
+
+
+def bits_of(words: NDArray[np.uint64], field: Any) -> NDArray[np.uint64]:
+    """Return the raw bits of a field of all payloads, shape (frames,)."""
+    out = np.zeros(len(words), np.uint64)
+    read_all(words, field.view(np.recarray) if not hasattr(field, "word") else field, out)
+    return out

@@ -1,0 +1,160 @@
+"""Workers that are processes: killed ones, a log that kills its worker, a scheduler and workers of their own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import dask
+import distributed  # noqa: F401 - its settings are there before the test changes one
+import psutil
+import pytest
+from amount import FULL, amount
+from fleet_logs import tables_hash, write_config, write_fleet
+
+from gateway.fleet.corpus import find
+from gateway.fleet.run import Order, run
+from gateway.fleet.verdicts import Verdicts
+
+pytestmark = [pytest.mark.long, pytest.mark.system]
+
+#: Loaded by workers: a log of this name kills the worker that judges it.
+POISON = """
+import os, signal
+from gateway.fleet import task
+
+judged = getattr(task, "before", task._judged)  # Dask loads this twice
+task.before = judged
+
+def poisoned(setup, config, recording, *rest):
+    if recording.path.name == "poison.log":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return judged(setup, config, recording, *rest)
+
+task._judged = poisoned
+"""
+
+
+def workers():
+    """Return the process ids of the workers that this process's cluster has."""
+    found = []
+    for child in psutil.Process().children(recursive=True):
+        try:
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.append(child.pid)
+        except psutil.Error:
+            continue
+    return found
+
+
+@pytest.fixture
+def fleet(tmp_path):
+    """Logs, among them a corrupt and an empty one, and what a serial run makes of them."""
+    write_config(tmp_path)
+    paths = write_fleet(tmp_path / "logs", amount(200, 16), frames=1000)
+    whole = paths[0].read_bytes()
+    (tmp_path / "logs" / "car0" / "corrupt.log").write_bytes(whole[:9000] + b"nonsense\n")
+    (tmp_path / "logs" / "car1" / "empty.log").write_bytes(b"")
+    run(Order(find([tmp_path / "logs"]), tmp_path / "car.toml", tmp_path / "serial", workers=0))
+    return tmp_path
+
+
+def test_a_killed_worker_and_a_log_that_kills_its_own(fleet):
+    (fleet / "logs" / "car2" / "poison.log").write_bytes((fleet / "logs" / "car0" / "00000.log").read_bytes() + b"\n")
+    (fleet / "poison.py").write_text(POISON)
+    killed = []
+
+    def progress(outcome, left):
+        if not killed and left < len(recordings) // 2:
+            killed.append(workers()[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    recordings = find([fleet / "logs"])
+    with dask.config.set({"distributed.worker.preload": [str(fleet / "poison.py")]}):
+        result = run(Order(recordings, fleet / "car.toml", fleet / "out", workers=2), progress)
+    assert killed
+    states = {outcome.recording.path.name: outcome.state for outcome in result.outcomes}
+    assert {name: state for name, state in states.items() if state != "whole"} == {
+        "corrupt.log": "damaged", "empty.log": "empty", "poison.log": "killed",
+    }  # fmt: skip
+    verdicts = Verdicts(fleet / "out")
+    assert sorted(row["kind"] for row in verdicts.rows("errors")) == ["damaged", "empty", "killed"]
+    (poisoned,) = (row["log"] for row in verdicts.rows("errors") if row["kind"] == "killed")
+    verdicts.forget(poisoned)
+    assert tables_hash(fleet / "out") == tables_hash(fleet / "serial"), "nobody else's work is lost, or done twice"
+    assert not workers(), "the cluster is gone"
+
+
+@contextmanager
+def started(folder, *words):
+    """Run a part of Dask as a process of its own on loopback."""
+    with (folder / f"{words[0]}-{len(list(folder.glob('*.out')))}.out").open("w") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
+            cwd=folder,
+            stdout=out,
+            stderr=out,
+        )
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(60)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(60)
+
+
+def wait_for(path, seconds=120):
+    ends = time.monotonic() + seconds
+    while not path.exists() or not path.read_text().strip():
+        assert time.monotonic() < ends, f"no {path}"
+        time.sleep(0.1)
+
+
+def test_a_scheduler_and_workers_of_their_own(fleet):
+    facts = fleet / "scheduler.json"
+    one = ("--nthreads", "1", "--scheduler-file", str(facts))
+    with started(fleet, "scheduler", "--port", "0", "--scheduler-file", str(facts)):
+        wait_for(facts)
+        address = json.loads(facts.read_text())["address"]
+        assert address.startswith("tcp://127.0.0.1:")
+        with started(fleet, "worker", *one), started(fleet, "worker", *one):
+            order = Order(find([fleet / "logs"]), fleet / "car.toml", fleet / "out", scheduler=address)
+            result = run(order)
+            assert len(result.outcomes) == len(order.recordings)
+            assert run(order).outcomes == []
+    assert tables_hash(fleet / "out") == tables_hash(fleet / "serial")
+
+
+@pytest.mark.skipif(not FULL, reason="10^8 frames")
+def test_memory_of_a_worker_does_not_grow_with_the_length_of_a_log(tmp_path):
+    """10^8 frames through a log that has no end on the disk: resident memory is level."""
+    from gateway.bus.frames import empty
+    from gateway.config.load import load_config
+    from gateway.runtime.app import Gateway
+    from gateway.runtime.replay import replay
+
+    config = write_config(tmp_path)
+    gateway = Gateway(load_config(config), None, file=config)
+    sizes = []
+
+    def batches():
+        frames = empty(100_000)
+        frames["can_id"], frames["length"] = 256, 8
+        for k in range(1000):
+            frames["t_ns"] = 10**18 + (np_arange + k * 100_000) * 10_000_000
+            if k % 100 == 99:
+                sizes.append(psutil.Process().memory_info().rss)
+            yield frames.copy()
+
+    import numpy as np
+
+    np_arange = np.arange(100_000)
+    replay(gateway, batches())
+    gateway.close()
+    assert max(sizes[1:]) - sizes[1] < 20_000_000, sizes
