@@ -166,7 +166,7 @@ def prepare(
     restart(s, c)
 
 
-@kernel
+@kernel(inlined=False)
 def restart(s: State, c: Const) -> None:
     """Begin anew: nothing is known of the plant's state; of its parameters what was in a calm time."""
     f = c.filters
@@ -231,7 +231,7 @@ def _counts(c: Const, h: int, size: float) -> float:
     return float(abs(size) / (c.actuator[part] if part < c.filters.m else c.sensor[part - c.filters.m]))
 
 
-@kernel
+@kernel(inlined=False)
 def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
     """Let all hypotheses begin again from one's estimate; a fault that has healed is taken out of it."""
     f, x = c.filters, s.filters
@@ -346,7 +346,7 @@ def _recover(s: State, c: Const) -> None:
         _adopt(s, c, 0, False)
 
 
-@kernel
+@kernel(inlined=False)
 def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
     """Take a sample with one filter, and its share in the moving mean."""
     # What a sample alone does not show the mean of some does; then some have to tell of the jump before the next one.
@@ -415,7 +415,7 @@ def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
     advance(s, c, u, unsure)
 
 
-@kernel
+@kernel(inlined=False)
 def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
     """Take the filters in use to the next sample; also over a sample that did not come."""
     f = c.filters

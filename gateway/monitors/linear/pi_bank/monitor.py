@@ -124,15 +124,22 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _report(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
-    """Report a test with size and innovations as evidence."""
+def _report(
+    s: State, c: Const, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]
+) -> None:
+    """Report a test, with the size and what the observer or filter in use has left of the sensors as evidence."""
     e = report(out, fault, failed, abs(value), limit)
     if not failed:
         return
-    x = s.isolation
-    e.magnitude, e.observer = value, float(x.active)
+    e.magnitude = value
+    if c.logic == MODELS:
+        e.observer = float(s.models.active)
+        left = s.models.filters.e[s.models.active]
+    else:
+        e.observer = float(s.isolation.active)
+        left = s.isolation.bank.e[s.isolation.active]
     for j in range(bank.MOST_OUTPUTS):
-        e.innovation[j] = x.bank.e[x.active, j]
+        e.innovation[j] = left[j]
 
 
 @kernel
@@ -140,16 +147,16 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     """Report what the isolation has found."""
     x, o = s.isolation, c.isolation.bank
     if x.unexplained == 1:
-        _report(s, UNEXPLAINED, True, 1.0, 0.0, out)
+        _report(s, c, UNEXPLAINED, True, 1.0, 0.0, out)
         return
     if x.tested == 0:
         return
-    _report(s, UNEXPLAINED, False, 0.0, 0.0, out)
+    _report(s, c, UNEXPLAINED, False, 0.0, 0.0, out)
     for i in range(o.m):
-        _report(s, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
+        _report(s, c, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
     for j in range(o.p):
         failed = x.latched == j and x.confirmed == 1
-        _report(s, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
+        _report(s, c, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
 
 
 @kernel
@@ -170,13 +177,13 @@ def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Rec
         x.fault[i] = x.bank.z[0, o.n + i]
         flag = products.actuator(x.bank.z, o.n, o.p, i, limit, False)
         x.actuator[i] = 1 if flag else 0
-        _report(s, 1 + i, flag, x.fault[i], limit, out)
+        _report(s, c, 1 + i, flag, x.fault[i], limit, out)
     for j in range(o.p):
         limit = c.isolation.sensor[j]
         flag = products.sensor(x.bank.e, o.p, j, limit)
         if flag:
             x.latched = j
-        _report(s, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
+        _report(s, c, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
     for k in range(o.p + 1):
         bank.advance(x.bank, o, k, s.sampling.u)
 
@@ -192,31 +199,19 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
         return
     if x.unexplained == 1:
         s.reason = AMBIGUOUS
-        _tell(s, UNEXPLAINED, True, 1.0, 0.0, out)
+        _report(s, c, UNEXPLAINED, True, 1.0, 0.0, out)
         return
     if x.tested == 0:
         s.reason = FINDING if x.done < c.models.start else UNDECIDED
         return
-    _tell(s, UNEXPLAINED, False, 0.0, 0.0, out)
+    _report(s, c, UNEXPLAINED, False, 0.0, 0.0, out)
     named = decision.part_of(c.models, x.active)
     for part in range(f.m + f.p):
         limit = c.models.actuator[part] if part < f.m else c.models.sensor[part - f.m]
         at_fault = part == named and x.confirmed == 1
-        _tell(s, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
+        _report(s, c, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
     if named >= f.m:
         s.sensor = named - f.m
-
-
-@kernel
-def _tell(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
-    """Report a test of a hypothesis with size and innovations as evidence."""
-    e = report(out, fault, failed, abs(value), limit)
-    if not failed:
-        return
-    x = s.models
-    e.magnitude, e.observer = value, float(x.active)
-    for j in range(bank.MOST_OUTPUTS):
-        e.innovation[j] = x.filters.e[x.active, j]
 
 
 @kernel

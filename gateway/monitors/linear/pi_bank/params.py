@@ -13,7 +13,7 @@ from gateway.common.tomlfile import StrictModel
 from gateway.fdi.linear.plant import unobservable
 from gateway.fdi.linear.uncertainty import Entries, entries
 from gateway.fdi.model_set.design import Told, isolable
-from gateway.fdi.model_set.filters import MOST_ENTRIES
+from gateway.fdi.model_set.matrices import MOST_ENTRIES
 from gateway.fdi.pi_bank.design import Noise, Observer, check, design
 from gateway.monitors.linear.plant import Matrix, PlantParams
 
