@@ -100,7 +100,8 @@ class State(Record):
     ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, and what derives from them.
 
     ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
-    innovations. ``past``: commands of the samples before, newest first.
+    innovations; ``own``, ``square``: variance of each innovation by itself, and the normalised innovation squared, of
+    the filter that was asked last. ``past``: commands of the samples before, newest first.
     """
 
     z: Annotated[f8s, MOST_HYPOTHESES, MOST]
@@ -110,6 +111,8 @@ class State(Record):
     left: Annotated[f8s, MOST_HYPOTHESES]
     told: Annotated[f8s, MOST_HYPOTHESES]
     e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS]
+    own: Annotated[f8s, MOST_OUTPUTS]
+    square: f8
     past: Annotated[f8s, BACK, MOST_INPUTS]
     work: Annotated[f8s, MOST_STATES, MOST]
     by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW]
@@ -243,7 +246,7 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
     return float(size)
 
 
-@kernel
+@kernel(inlined=False)
 def _squared(s: State, c: Const, h: int) -> float:
     """Return the normalised innovation squared of the innovations in ``e`` of a filter that takes all sensors."""
     p = c.p
@@ -254,7 +257,7 @@ def _squared(s: State, c: Const, h: int) -> float:
             for r in range(c.n):
                 value += c.c[i, r] * s.gain[r]
             s.spread[j, i] = value
-        s.spread[j, j] = size
+        s.spread[j, j] = s.own[j] = size
     # Cholesky, and L w = e on the way.
     total = 0.0
     for j in range(p):
@@ -272,6 +275,14 @@ def _squared(s: State, c: Const, h: int) -> float:
         s.rest[j] = rest / s.spread[j, j]
         total += s.rest[j] * s.rest[j]
     return float(total)
+
+
+@kernel
+def innovate(s: State, c: Const, h: int, y: f8s) -> None:
+    """Compute what a sample has beyond what a filter expects; sets ``e``, ``own`` and ``square``."""
+    for j in range(c.p):
+        s.e[h, j] = y[j] - _expected(s, c, h, j)
+    s.square = _squared(s, c, h)
 
 
 @kernel(inlined=False)

@@ -8,6 +8,12 @@ the window, explain the innovations of each observer:
     only of the one without sensor j     sensor j; from here on that observer alone is believed
     of none, for a while                 more than one sensor, or not the plant that was told: not isolated
 
+While a sensor is at fault, or is about to be named, what else it takes to explain the innovations of the observer
+without it may be an actuator or a second sensor. With few sensors left both leave nearly the same at first: the second
+sensor's offset is a step in its own reading, the actuator's fault the same step where it acts at once (a current, a
+rate) and only later what follows from it. So an actuator is believed beside a sensor only once a second sensor
+explains clearly less (:data:`CLEARER`); if that does not come, two sensors may be at fault, and it is not isolated.
+
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
 fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is
 at fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
@@ -41,6 +47,8 @@ GONE, AGAINST = 2.0, 2.0
 NOTHING = 3.0
 #: Energy that a fault has to take from an observer's innovations, once there is an alarm [standard deviations squared].
 WEAK = 6.0
+#: Energy by which actuators have to explain more than one sensor more: twice the log of the odds.
+CLEARER = 25.0
 #: Standard deviation of an actuator's fault beforehand, in thresholds.
 PRIOR = 100.0
 
@@ -246,18 +254,25 @@ def _search_explanations(s: State, c: Const) -> tuple[int, int]:
 
 
 @kernel
+def _may_be_two_sensors(s: State, c: Const, k: int) -> bool:
+    """Tell whether a jump of one sensor more would explain what observer k needs a fault of actuators for."""
+    gained = s.jump.gained[k]
+    return bool(gained > c.window_alarm and jump.other_sensor(s.jump, c.jump, c.bank, k) > gained - CLEARER)
+
+
+@kernel
 def _isolate(s: State, c: Const, y: f8s) -> None:
     """Decide between actuators and a sensor if the explanations allow it."""
     s.undecided += 1
     observers_explaining, last = _search_explanations(s, c)
     if s.latched != NONE:
-        if observers_explaining == 1:
+        if observers_explaining == 1 and not _may_be_two_sensors(s, c, s.active):
             _open_faults(s, c, y, False)
         elif s.undecided > PATIENCE:
             s.unexplained = 1
     elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2:
         _open_faults(s, c, y, True)
-    elif s.explains[0] == 0 and observers_explaining == 1:
+    elif s.explains[0] == 0 and observers_explaining == 1 and not _may_be_two_sensors(s, c, last):
         _latch_sensor(s, c, y, last)
     elif s.undecided > PATIENCE:
         alone = _only_undisturbed(s, c)

@@ -7,7 +7,9 @@ discrete time, with (16) corrected (:mod:`gateway.fdi.pi_bank.products`) and dec
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any
 
 from gateway.fdi.model_set import decision
 from gateway.fdi.pi_bank import bank, isolation, products
@@ -22,13 +24,15 @@ from gateway.monitors.contract import (
     Monitor,
     Out,
     Readout,
+    Refined,
     Refinement,
     Warnings,
     report,
 )
 from gateway.monitors.linear import plant as linear_plant
 from gateway.monitors.linear.pi_bank.params import Params
-from gateway.monitors.linear.pi_bank.refine import found, wanted
+from gateway.monitors.linear.plant import AMBIGUOUS, COMMAND, FINDING, UNDECIDED
+from gateway.monitors.linear.refine import found, wanted
 
 
 class Const(Record):
@@ -68,9 +72,6 @@ class Evidence(Record):
 #: Logics by their number.
 JUMPS, PRODUCTS, MODELS = range(3)
 _LOGICS = {"jumps": JUMPS, "products": PRODUCTS, "models": MODELS}
-#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
-#: a command was lost; no part explains what came.
-FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
 
@@ -105,7 +106,8 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     s.sensor = NONE
     if c.logic == MODELS:
         times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
-        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, learning=p.learning, **times)
+        task = decision.LEARNING if p.learning else decision.ISOLATING
+        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, task=task, **times)
         return
     isolation.prepare(
         c.isolation,
@@ -194,7 +196,7 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
     x, f = s.models, c.models.filters
     decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
     s.sensor = NONE
-    if c.models.learning == 1:
+    if c.models.task == decision.LEARNING:
         s.reason = FINDING
         return
     if x.unexplained == 1:
@@ -216,13 +218,11 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
 
 @kernel
 def _lost(s: State, c: Const, at: int, u: linear_plant.Inputs) -> bool:
-    """Find the commands of a sample; tells whether one is lost."""
-    linear_plant.commands(s.sampling, c.sampling, u, at)
-    for j in range(c.sampling.inputs):
-        if s.sampling.unsure[j] == 1:
-            s.commands_lost += 1
-            return True
-    return False
+    """Find the commands of a sample; tells whether one is lost, and counts it."""
+    lost = linear_plant.command_lost(s.sampling, c.sampling, u, at)
+    if lost:
+        s.commands_lost += 1
+    return bool(lost)
 
 
 @kernel
@@ -307,6 +307,17 @@ def _warnings(p: Params) -> tuple[str, ...]:
     return tuple(said)
 
 
+def _wanted(p: Params) -> Mapping[str, Any]:
+    """Return the keys with which healthy logs are replayed."""
+    return {**wanted(p), "logic": "models"}
+
+
+def _found(p: Params, s: Any) -> Refined:
+    """Return what a log says; a model that is known to some percent is decided by models."""
+    refined = found(p, s)
+    return replace(refined, keys={**refined.keys, "logic": None})
+
+
 MONITOR = Monitor(
     type="pi_bank",
     api=2,
@@ -323,7 +334,7 @@ MONITOR = Monitor(
     capabilities=(
         Arrivals(lambda c: c.sampling.message),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
-        Refinement(wanted, found),
+        Refinement(_wanted, _found),
         Warnings(_warnings),
     ),
 )
