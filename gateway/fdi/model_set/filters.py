@@ -371,6 +371,10 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
         for i in range(m):
             acts = u[i] * (1.0 + s.z[h, n + q + m + i]) + s.z[h, n + q + i]
             value += s.plant.now[h, r, n + i] * acts
+        # What the estimate of the entries has moved by since the matrices were computed: once it is well known even a
+        # hundredth of what was told is many of its standard deviations.
+        for k in range(q):
+            value += s.by_slow[r, k] * (s.z[h, n + k] - s.plant.at[h, k])
         s.gain[r] = value
         for k in range(size):
             total = 0.0
