@@ -397,17 +397,34 @@ def _alone(s: State, c: Const, y: f8s) -> None:
 
 
 @kernel
+def watch(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
+    """Take one sample as :func:`step` does, with the healthy hypothesis alone, whatever the task."""
+    s.tested = 0
+    if s.done < c.start:
+        _start(s, c, y)
+    else:
+        _alone(s, c, y)
+    advance(s, c, u, unsure)
+
+
+@kernel
+def _start(s: State, c: Const, y: f8s) -> None:
+    """Take a sample of the start."""
+    filters.correct(s.filters, c.filters, 0, y, s.done >= c.found, False)
+    s.done += 1
+    if s.done >= c.start:
+        s.misfits[0] = c.filters.p
+
+
+@kernel
 def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
     """Take one sample of outputs ``y`` with the commands ``u`` that hold from it on."""
     f = c.filters
     s.tested = 0
     if s.done < c.start:
-        filters.correct(s.filters, f, 0, y, s.done >= c.found, False)
-        s.done += 1
-        if s.done >= c.start:
-            s.misfits[0] = f.p
-            if s.unexplained == 0:
-                _adopt(s, c, 0, False)
+        _start(s, c, y)
+        if s.done >= c.start and s.unexplained == 0:
+            _adopt(s, c, 0, False)
         advance(s, c, u, unsure)
         return
     if c.task != ISOLATING:

@@ -287,7 +287,7 @@ def _judge_whole(s: State, c: Const, out: Out[Evidence, Record]) -> None:
 def _uncertain(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample with the filter."""
     x = s.models
-    decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
+    decision.watch(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
     s.nis = x.filters.square
     for j in range(c.p):
         s.e[j] = x.filters.e[0, j]
@@ -311,15 +311,15 @@ def _exact(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
         for i in range(c.p):
             s.nis += s.e[j] * c.weight[j, i] * s.e[i]
     s.samples += 1
-    if s.samples <= c.start:
-        s.reason, s.blind = FINDING, 0
-    elif s.blind > 0:
-        s.blind -= 1
-    else:
+    if s.samples > c.start and s.blind == 0:
         s.reason = 0
         _judge_whole(s, c, out)
         for j in range(c.p):
             _judge(s, c, j, s.e[j] / c.spread[j], out)
+    elif s.blind > 0:
+        s.blind -= 1
+    else:
+        s.reason = FINDING
 
 
 @kernel
