@@ -302,11 +302,9 @@ def kernel(function: F | None = None, *, inlined: bool = True) -> F | Callable[[
 
 
 def _kernel(function: F, *, inlined: bool) -> F:
-    if not COMPILED:
-        return function
     if not inlined:
         vars(function)[NOT_INLINED] = True
-    return cast(F, Kernel(function))
+    return cast(F, Kernel(function)) if COMPILED else function
 
 
 def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:

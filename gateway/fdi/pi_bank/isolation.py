@@ -8,11 +8,10 @@ the window, explain the innovations of each observer:
     only of the one without sensor j     sensor j; from here on that observer alone is believed
     of none, for a while                 more than one sensor, or not the plant that was told: not isolated
 
-While a sensor is at fault, or is about to be named, what else it takes to explain the innovations of the observer
-without it may be an actuator or a second sensor. With few sensors left both leave nearly the same at first: the second
-sensor's offset is a step in its own reading, the actuator's fault the same step where it acts at once (a current, a
-rate) and only later what follows from it. So an actuator is believed beside a sensor only once a second sensor
-explains clearly less (:data:`CLEARER`); if that does not come, two sensors may be at fault, and it is not isolated.
+A sensor's offset is a step in its own reading; an actuator's fault is the same step where it acts at once (a current, a
+rate), and only later what follows from it. So actuators are believed only once a sensor's jump explains clearly less
+(:data:`CLEARER`): with all sensors a first one's, beside a sensor that is at fault, or about to be named, a second
+one's. If that does not come, two sensors may be at fault, and it is not isolated.
 
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
 fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is
@@ -254,8 +253,8 @@ def _search_explanations(s: State, c: Const) -> tuple[int, int]:
 
 
 @kernel
-def _may_be_two_sensors(s: State, c: Const, k: int) -> bool:
-    """Tell whether a jump of one sensor more would explain what observer k needs a fault of actuators for."""
+def _sensor_would_do(s: State, c: Const, k: int) -> bool:
+    """Tell whether a jump of a sensor would explain nearly as well what observer k needs a fault of actuators for."""
     gained = s.jump.gained[k]
     return bool(gained > c.window_alarm and jump.other_sensor(s.jump, c.jump, c.bank, k) > gained - CLEARER)
 
@@ -266,13 +265,13 @@ def _isolate(s: State, c: Const, y: f8s) -> None:
     s.undecided += 1
     observers_explaining, last = _search_explanations(s, c)
     if s.latched != NONE:
-        if observers_explaining == 1 and not _may_be_two_sensors(s, c, s.active):
+        if observers_explaining == 1 and not _sensor_would_do(s, c, s.active):
             _open_faults(s, c, y, False)
         elif s.undecided > PATIENCE:
             s.unexplained = 1
-    elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2:
+    elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2 and not _sensor_would_do(s, c, 0):
         _open_faults(s, c, y, True)
-    elif s.explains[0] == 0 and observers_explaining == 1 and not _may_be_two_sensors(s, c, last):
+    elif s.explains[0] == 0 and observers_explaining == 1 and not _sensor_would_do(s, c, last):
         _latch_sensor(s, c, y, last)
     elif s.undecided > PATIENCE:
         alone = _only_undisturbed(s, c)
