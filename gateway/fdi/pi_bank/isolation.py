@@ -360,7 +360,8 @@ def unknown_command(s: State, c: Const) -> None:
     """Say that the command of the sample before is not known: behind :func:`step` or :func:`missing`.
 
     What it was instead has moved the state by Gamma times what nobody knows: it is estimated like a fault that lasted
-    for one sample, from the next innovations, and nothing is judged till then.
+    for one sample, from the next innovations, and nothing is judged till then. Of several lost in a row, none of which
+    shows yet, it is taken that they were the same.
     """
     o = c.bank
     if s.started == 0:
@@ -369,7 +370,7 @@ def unknown_command(s: State, c: Const) -> None:
     if s.unexplained == 1:
         return
     for k in range(o.p + 1):
-        jump.pulse(s.jump, c.jump, o, k, s.bank.z)
+        jump.pulse(s.jump, c.jump, o, k, s.bank.z, s.blind == BLIND)
     jump.forget(s.jump)
     s.undecided, s.blind, s.tested = 0, BLIND, 0
 
@@ -441,7 +442,11 @@ def missing(s: State, c: Const, u: f8s) -> None:
         start.missing(s.start, c.start, o, s.bank.z, u)
         return
     for k in range(o.p + 1):
-        jump.merge(s.jump, o, k, s.bank.z)
+        # What a lost command was is still to be estimated: it goes on, nothing has told of it.
+        if s.blind > 0:
+            jump.coast(s.jump, o, k)
+        else:
+            jump.merge(s.jump, o, k, s.bank.z)
         bank.missing(s.bank, o, k, u)
     jump.forget(s.jump)
     s.undecided = 0

@@ -263,8 +263,8 @@ def merge(s: State, o: Bank, k: int, z: f8s) -> None:
 
 
 @kernel
-def _onwards(s: State, o: Bank, k: int) -> None:
-    """Step G of observer k by one sample."""
+def _onwards(s: State, o: Bank, k: int, corrected: bool) -> None:
+    """Step G of observer k by one sample, which has corrected it or did not come."""
     size = o.n + o.m
     _show(s, o, k)
     for i in range(o.m):
@@ -272,8 +272,9 @@ def _onwards(s: State, o: Bank, k: int) -> None:
             value = 0.0
             for r in range(size):
                 value += o.phi[q, r] * s.g[k, r, i]
-            for j in range(o.p):
-                value -= o.gain[k, q, j] * s.shown[j, i]
+            if corrected:
+                for j in range(o.p):
+                    value -= o.gain[k, q, j] * s.shown[j, i]
             s.next[q, i] = value
     for q in range(size):
         for i in range(o.m):
@@ -309,23 +310,35 @@ def begin(s: State, c: Const, o: Bank, k: int) -> None:
     for d in range(s.age[k]):
         place = (s.at - s.age[k] + d) % WINDOW
         _learn(s, c, o, k, s.r[k, place])
-        _onwards(s, o, k)
+        _onwards(s, o, k, True)
         if d == 0:
             for i in range(o.m):
                 s.g[k, o.n + i, i] += theta
 
 
 @kernel
-def pulse(s: State, c: Const, o: Bank, k: int, z: f8s) -> None:
-    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size."""
-    merge(s, o, k, z)
-    s.open[k] = 1
+def pulse(s: State, c: Const, o: Bank, k: int, z: f8s, again: bool) -> None:
+    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size.
+
+    ``again``: the one that is open has not been estimated yet: it has lasted on, with the same size.
+    """
+    if not again:
+        merge(s, o, k, z)
     for i in range(o.m):
         for q in range(o.n + o.m):
-            s.g[k, q, i] = o.gamma[q, i] if q < o.n else 0.0
+            before = s.g[k, q, i] if again else 0.0
+            s.g[k, q, i] = before + (o.gamma[q, i] if q < o.n else 0.0)
         s.h[k, i] = s.a[k, i] = 0.0
         for q in range(o.m):
             s.j[k, i, q] = c.prior[i] if i == q else 0.0
+    s.open[k] = 1
+
+
+@kernel
+def coast(s: State, o: Bank, k: int) -> None:
+    """Step observer k's open fault over a sample that did not come."""
+    if s.open[k] == 1:
+        _onwards(s, o, k, False)
 
 
 @kernel
@@ -360,7 +373,7 @@ def onwards(s: State, o: Bank, k: int, z: f8s) -> None:
     """Step observer k's open fault to the next sample, behind the bank's own step; closes it once it has settled."""
     if s.open[k] == 0:
         return
-    _onwards(s, o, k)
+    _onwards(s, o, k, True)
     largest = 0.0
     for q in range(o.n + o.m):
         for i in range(o.m):
