@@ -23,13 +23,13 @@ from gateway.fdi.model_set import design, filters
 from gateway.fdi.model_set.filters import (
     GAIN,
     HEALTHY,
-    MOST_HYPOTHESES,
     MOST_SLOW,
     OFFSET,
     SENSOR,
     SILENT,
     slot,
 )
+from gateway.fdi.model_set.matrices import MOST_HYPOTHESES
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.quantiles import chi2_above
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel

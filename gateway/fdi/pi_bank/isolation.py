@@ -347,10 +347,18 @@ def _agree(s: State, c: Const) -> bool:
 
 @kernel
 def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
-    """Go on with a bank that contradicts itself, until it has agreed for long enough."""
+    """Go on with a bank that contradicts itself, until it has agreed for long enough that all is well.
+
+    All may come to agree on a fault of an actuator: two speeds of one shaft that are off alike are what its motor's
+    voltage would do, but for how it began, and that was not the actuator. So this is no agreement.
+    """
     o = c.bank
     bank.step(s.bank, o, y, u)
-    s.agreed = s.agreed + 1 if _agree(s, c) else 0
+    well = _agree(s, c)
+    for i in range(o.m):
+        if abs(s.bank.z[0, o.n + i]) >= c.actuator[i]:
+            well = False
+    s.agreed = s.agreed + 1 if well else 0
     if s.agreed >= c.hold:
         restart(s, c)
 

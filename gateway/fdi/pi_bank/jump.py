@@ -121,7 +121,7 @@ def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], 
                 information = information + signature.T @ weight @ signature
                 c.inverse[k][phase][d][:m, :m] = np.linalg.inv(information)
                 g = f @ g + (theta * late if d == 0 else 0.0)
-        _prepare_sensors(c, k, rows, f, observer.gain.gain, shown, weight)
+        _prepare_sensors(c, k, rows, f, observer.gain.gain, shown, np.asarray(weight, np.float64))
         counts = np.arange(1, WINDOW + 1)
         c.limit[k][1:] = chi2_above(REFUSED, len(rows) * counts)
 
