@@ -53,11 +53,11 @@ def call(entry, state, const, inputs, stride, count, out, results):
         call_entry(entry, state, const, inputs + t * stride, out)
 
 
-def monitor_us(y, u, logic):
-    """A monitor's step, one call a sample [us]."""
+def monitor_us(y, u, **keys):
+    """A monitor's step, one call a sample [us]; ``keys``: of its table."""
     found = load_config(shipped("configs/linear_aircraft.toml")).monitor[0]
     monitor, p = monitor_of(found)
-    p = type(p).model_validate({**p.model_dump(), "logic": logic})
+    p = type(p).model_validate({**p.model_dump(), **keys})
     state, const, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
     monitor.prepare(p, state[0], const[0])
     rows = zeros(len(y), monitor.inputs)
@@ -132,8 +132,9 @@ def main():
     times = {
         "NumPy, three observers, flags": numpy_us(y[:3000], u[:3000]),
         "the paper's bank, replay": best_us(lambda: run_bank(s, c, many_y, many_u), len(many_y)),
-        "monitor with the paper's products": monitor_us(y, u, "products"),
-        "monitor with our decisions": monitor_us(y, u, "jumps"),
+        "monitor with the paper's products": monitor_us(y, u, logic="products"),
+        "monitor with our decisions": monitor_us(y, u, logic="jumps"),
+        "monitor with model_error of 5 %": monitor_us(y, u, model_error=0.05),
         "whole gateway, a frame": gateway_us(),
     }
     peer = times["NumPy, three observers, flags"]

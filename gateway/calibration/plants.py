@@ -18,7 +18,7 @@ from gateway.monitors.contract import Refined, Refinement
 from gateway.runtime.app import Gateway
 
 #: Keys that a replay for learning sets and a configuration is not to hold.
-_REPLAY = ("learning", "poles")
+_REPLAY = ("learning",)
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,9 @@ def write(path: Path, plants: Sequence[Plant], source: str) -> None:
             continue
         for key, value in plant.keys.items():
             if key in _REPLAY:
+                continue
+            if value is None:
+                entry.pop(key, None)
                 continue
             if key == "output":
                 for table, part in zip(entry["output"], value, strict=True):

@@ -25,6 +25,9 @@ _IGNORED = frozenset(
     {"ctx", "kind", "type_comment", "type_params", "type_ignores", "returns", "annotation", "decorator_list"}
 )  # fmt: skip
 
+#: Attribute of a function that is called, not copied into what calls it: it makes other code.
+NOT_INLINED = "gateway_not_inlined"
+
 
 def _syntax(node: Any, parts: list[str]) -> None:
     """Append the text of a syntax tree; the same in each version of Python that has these nodes."""
@@ -120,6 +123,8 @@ class Closure:
             return name
         self.kernels.append(function)
         lines = [f"def {name} {_text(function)}"]
+        if NOT_INLINED in vars(function):
+            lines.append(NOT_INLINED)
         used = set(_names(function.__code__))
         lines += [f"{key} = {self._value(value, used)}" for key, value in _reads(function)]
         defaults = function.__defaults__ or ()

@@ -23,6 +23,7 @@ from numba.np import arrayobj
 
 from gateway.errors import KernelError
 from gateway.jit import forms
+from gateway.jit.closure import NOT_INLINED
 from gateway.jit.forms import Form
 from gateway.jit.settings import BOUNDSCHECK
 
@@ -118,7 +119,7 @@ class Callee(CPUDispatcher):
 
 def callee(function: Any) -> Any:
     """Return a kernel as kernels call it."""
-    return Callee(function, targetoptions=dict(_OPTIONS))
+    return Callee(function, targetoptions=_OPTIONS | {"forceinline": NOT_INLINED not in vars(function)})
 
 
 def _type_of(form: Form) -> Any:

@@ -13,7 +13,8 @@ import inspect
 import struct
 import threading
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from functools import partial
+from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from gateway.common import progress
 from gateway.errors import KernelError
 from gateway.jit import cache, shipped
 from gateway.jit.addresses import address_of_array
-from gateway.jit.closure import Closure
+from gateway.jit.closure import NOT_INLINED, Closure
 from gateway.jit.forms import (
     INT,
     Arr,
@@ -336,12 +337,29 @@ def symbol_of(key: str) -> str:
     return f"gateway_{key[:16]}"
 
 
-def kernel(function: F) -> F:
+@overload
+def kernel(function: F) -> F: ...
+@overload
+def kernel(*, inlined: bool) -> Callable[[F], F]: ...
+def kernel(function: F | None = None, *, inlined: bool = True) -> F | Callable[[F], F]:
     """Compile a scalar kernel: no GIL, IEEE arithmetic, division by zero as in NumPy.
 
     A kernel allocates nothing, reads no clock, and returns numbers or tuples of them. Kernels that it calls are
     inlined, so that tables handed down in a tuple cost nothing.
+
+    Args:
+        function: the kernel.
+        inlined: copied into each kernel that calls it, at each call. A long one that is called in several places is
+            better not: copies of copies multiply, in size and in time to compile. LLVM then decides.
     """
+    if function is None:
+        return partial(_kernel, inlined=inlined)
+    return _kernel(function, inlined=inlined)
+
+
+def _kernel(function: F, *, inlined: bool) -> F:
+    if not inlined:
+        vars(function)[NOT_INLINED] = True
     return cast(F, Kernel(function)) if COMPILED else function
 
 

@@ -108,6 +108,13 @@ def test_a_changed_kernel_changes_the_key(digest, old, new):
     assert digest(user=USER.replace(old, new)) != digest()
 
 
+def test_a_kernel_that_is_called_instead_of_copied_is_other_code(digest):
+    called = HELPER.replace("@kernel\ndef below", "@kernel(inlined=False)\ndef below")
+    assert called != HELPER
+    assert digest(helper=called) != digest()
+    assert digest(helper=HELPER.replace("@kernel\ndef below", "@kernel(inlined=True)\ndef below")) == digest()
+
+
 def test_a_function_that_is_read_of_a_module_counts(digest):
     user = USER.replace("below(x) else", "helper.other(x) else")
     helper = HELPER.replace("def other(x):\n    return x", "def other(x):\n    return x + 1")

@@ -56,6 +56,28 @@ def from_noise(phi: Array, c: Array, q: Array, r: Array) -> Gain:
     return Gain(phi @ error @ c.T @ np.linalg.inv(innovation), error, innovation)
 
 
+#: Share of the innovation's variance below which an error has gone; samples after which it is said never to.
+GONE, NEVER = 0.1, 20_000
+
+
+def settling(phi: Array, c: Array, gain: Gain, error: Array) -> int:
+    """Return the samples after which an error of the state is small beside the innovation's noise.
+
+    Args:
+        phi: shape (n, n).
+        c: shape (p, n).
+        gain: of the observer.
+        error: covariance of the state's error beyond the stationary one, shape (n, n).
+    """
+    f, spread, last, k = phi - gain.gain @ c, np.diag(gain.innovation), 0, 0
+    # As long as anything of it is left: what does not show at first may later.
+    while k < NEVER and np.abs(error).max() > 1e-9 * np.abs(gain.error).max():
+        if (np.diag(c @ error @ c.T) > GONE * spread).any():
+            last = k + 1
+        error, k = f @ error @ f.T, k + 1
+    return last
+
+
 def _from_vectors(phi: Array, c: Array, poles: NDArray[np.complex128], g: Array) -> Array:
     """Return L for free vectors g, shape (n, p): a real pole's own; of a pair the real and the imaginary part."""
     n = len(phi)

@@ -23,13 +23,13 @@ from gateway.fdi.model_set import design, filters
 from gateway.fdi.model_set.filters import (
     GAIN,
     HEALTHY,
-    MOST_HYPOTHESES,
     MOST_SLOW,
     OFFSET,
     SENSOR,
     SILENT,
     slot,
 )
+from gateway.fdi.model_set.matrices import MOST_HYPOTHESES
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.quantiles import chi2_above
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
@@ -47,14 +47,19 @@ FORGIVEN, CALM = 4, 1000
 LEAST = 4
 #: Samples until what no hypothesis explains is called so.
 PATIENCE = 25
+#: Share of healthy plants within what was told whose errors would look larger than that, behind what was not isolated.
+LARGER = 1e-3
 #: Samples between two jumps that no single sample shows.
 WAIT = 16
 #: Jumps of an actuator's fault since the alarm with which it may be named.
 MOST_JUMPS = 1
 #: Share of a moving mean that a new sample is.
 SHARE = 1.0 / 16.0
-#: Samples between two estimates of the parameters that are kept for a new start.
-KEPT = 2000
+#: Calm samples between two estimates of the parameters that are kept for a new start; until the first two are there.
+KEPT, FIRST = 2000, 250
+#: What is done: a fault is isolated; the plant's errors are learned from healthy samples; the healthy hypothesis is
+#: compared with what comes, and somebody else judges.
+ISOLATING, LEARNING, WATCHING = range(3)
 #: No part.
 NONE = -1
 
@@ -63,9 +68,10 @@ class Const(Record):
     """Constants.
 
     ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that
-    is right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared; ``actuator``,
-    ``sensor``: sizes that count; ``learning``: nothing is judged; ``found``: x is known, ``start``, ``hold``,
-    ``patience`` [samples].
+    is right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared, ``told``: likewise,
+    behind what was not isolated; ``actuator``, ``sensor``: sizes that count; ``task``; ``doubt``: normalised innovation
+    squared of one sample beyond which it is not learned from while watching; ``found``: x is known, ``start``,
+    ``hold``, ``patience`` [samples].
     """
 
     filters: filters.Const
@@ -73,9 +79,11 @@ class Const(Record):
     fits: f8
     fits_less: f8
     bounds: f8
+    told: f8
     actuator: Annotated[f8s, MOST_INPUTS]
     sensor: Annotated[f8s, MOST_OUTPUTS]
-    learning: i8
+    task: i8
+    doubt: f8
     found: i8
     start: i8
     hold: i8
@@ -129,8 +137,8 @@ def prepare(
     mtfa_s: float,
     start_s: float,
     hold_s: float,
-    patience_s: float | None,
-    learning: bool = False,
+    patience_s: float | None = None,
+    task: int = ISOLATING,
 ) -> None:
     """Fill records of State and Const.
 
@@ -142,7 +150,7 @@ def prepare(
         start_s: time in which nothing is judged [s].
         hold_s: a fault is gone when it has been for so long [s].
         patience_s: time in which a fault has to be isolated [s]; None: 200 samples.
-        learning: nothing is judged, the plant's errors are learned.
+        task: ISOLATING, LEARNING or WATCHING.
 
     Raises:
         ValueError: too many entries are uncertain.
@@ -155,18 +163,19 @@ def prepare(
     c.fits = p + 8.0 * spread * sqrt(2.0 * p)
     c.fits_less = (p - 1) + 8.0 * spread * sqrt(2.0 * max(p - 1, 1))
     slow = c.filters.total - c.filters.n - m
-    c.bounds = 2.0 * chi2_above(1e-6, slow)
+    c.bounds, c.told = 2.0 * chi2_above(1e-6, slow), chi2_above(LARGER, slow)
     c.actuator[:m], c.sensor[:p] = told.actuator, told.sensor
     c.start = max(round(start_s / period), 4 * told.plant.states)
     c.found = c.start // 4
-    c.learning = learning
+    c.task = task
+    c.doubt = chi2_above(min(period / mtfa_s, 0.4), p)
     c.hold = max(round(hold_s / period), 1)
     c.patience = 200 if patience_s is None else max(round(patience_s / period), PATIENCE)
     filters.ignorant(s.filters, c.filters, 0)
     restart(s, c)
 
 
-@kernel
+@kernel(inlined=False)
 def restart(s: State, c: Const) -> None:
     """Begin anew: nothing is known of the plant's state; of its parameters what was in a calm time."""
     f = c.filters
@@ -191,12 +200,12 @@ def restart(s: State, c: Const) -> None:
 
 @kernel
 def _keep(s: State, c: Const) -> None:
-    """Keep what is slow, each KEPT calm samples."""
+    """Keep what is slow, each KEPT calm samples, the first two sooner."""
     f = c.filters
     s.calm += 1
     if s.calm % CALM == 0 and s.forgiven > 0:
         s.forgiven -= 1
-    if s.calm < KEPT:
+    if s.calm < (FIRST if s.keeps < 2 else KEPT):
         return
     s.calm = 0
     new = s.keeps % 2
@@ -231,7 +240,7 @@ def _counts(c: Const, h: int, size: float) -> float:
     return float(abs(size) / (c.actuator[part] if part < c.filters.m else c.sensor[part - c.filters.m]))
 
 
-@kernel
+@kernel(inlined=False)
 def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
     """Let all hypotheses begin again from one's estimate; a fault that has healed is taken out of it."""
     f, x = c.filters, s.filters
@@ -338,15 +347,20 @@ def _judge_named(s: State, c: Const, y: f8s, u: f8s) -> None:
 
 @kernel
 def _recover(s: State, c: Const) -> None:
-    """Go on with the healthy hypothesis until it has explained all for long enough."""
-    well = _fits(s, c, 0) and filters.off_the_bounds(s.filters, c.filters, 0) < c.bounds
+    """Go on with the healthy hypothesis until it has explained all for long enough.
+
+    It learns from sensors of which several may be wrong: what they say is explained by errors of the plant that are
+    larger than was told. So these have to be as small as they were told, and for as long as it would take to tell that
+    something is wrong.
+    """
+    well = _fits(s, c, 0) and filters.off_the_bounds(s.filters, c.filters, 0) < c.told
     s.agreed = s.agreed + 1 if well and s.done >= c.start else 0
-    if s.agreed >= c.hold:
+    if s.agreed >= max(c.hold, c.patience):
         s.unexplained = 0
         _adopt(s, c, 0, False)
 
 
-@kernel
+@kernel(inlined=False)
 def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
     """Take a sample with one filter, and its share in the moving mean."""
     # What a sample alone does not show the mean of some does; then some have to tell of the jump before the next one.
@@ -363,23 +377,58 @@ def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
 
 
 @kernel
+def _alone(s: State, c: Const, y: f8s) -> None:
+    """Take a sample with the healthy hypothesis alone.
+
+    While watching, what is slow is learned only from samples that it explains: otherwise a fault would be learned as an
+    error of the plant, and be gone.
+    """
+    filters.innovate(s.filters, c.filters, 0, y)
+    expected = s.filters.square < c.doubt
+    _take(s, c, 0, y, expected or c.task == LEARNING)
+    s.fit += s.filters.left[0]
+    s.fitted += 1
+    if c.task == WATCHING:
+        s.tested = 1
+        if expected:
+            _keep(s, c)
+        else:
+            s.calm = 0
+
+
+@kernel
+def watch(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
+    """Take one sample as :func:`step` does, with the healthy hypothesis alone, whatever the task."""
+    s.tested = 0
+    if s.done < c.start:
+        _start(s, c, y)
+    else:
+        _alone(s, c, y)
+    advance(s, c, u, unsure)
+
+
+@kernel
+def _start(s: State, c: Const, y: f8s) -> None:
+    """Take a sample of the start."""
+    filters.correct(s.filters, c.filters, 0, y, s.done >= c.found, False)
+    s.done += 1
+    if s.done >= c.start:
+        s.misfits[0] = c.filters.p
+
+
+@kernel
 def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
     """Take one sample of outputs ``y`` with the commands ``u`` that hold from it on."""
     f = c.filters
     s.tested = 0
     if s.done < c.start:
-        filters.correct(s.filters, f, 0, y, s.done >= c.found, False)
-        s.done += 1
-        if s.done >= c.start:
-            s.misfits[0] = f.p
-            if s.unexplained == 0:
-                _adopt(s, c, 0, False)
+        _start(s, c, y)
+        if s.done >= c.start and s.unexplained == 0:
+            _adopt(s, c, 0, False)
         advance(s, c, u, unsure)
         return
-    if c.learning == 1:
-        _take(s, c, 0, y, True)
-        s.fit += s.filters.left[0]
-        s.fitted += 1
+    if c.task != ISOLATING:
+        _alone(s, c, y)
     elif s.unexplained == 1:
         _take(s, c, 0, y, True)
         _recover(s, c)
@@ -415,12 +464,12 @@ def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
     advance(s, c, u, unsure)
 
 
-@kernel
+@kernel(inlined=False)
 def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
     """Take the filters in use to the next sample; also over a sample that did not come."""
     f = c.filters
     filters.remember(s.filters, f, u)
-    if s.done < c.start or s.unexplained == 1 or c.learning == 1:
+    if s.done < c.start or s.unexplained == 1 or c.task != ISOLATING:
         filters.predict(s.filters, f, 0, u, unsure, False)
     elif s.active > 0:
         filters.predict(s.filters, f, s.active, u, unsure, True)

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from gateway.fdi.linear.plant import LinearPlant, observability
 from gateway.fdi.linear.uncertainty import Entries
+from gateway.fdi.model_set import matrices
 from gateway.fdi.model_set.filters import (
     GAIN,
     HEALTHY,
-    MOST_ENTRIES,
     OFFSET,
     SENSOR,
     SILENT,
     Const,
 )
+from gateway.fdi.model_set.matrices import MOST_ENTRIES
 from gateway.fdi.pi_bank.design import Noise
 from gateway.fdi.quantiles import chi2_above
 
@@ -90,10 +91,7 @@ def prepare(c: Const, told: Told) -> None:
         raise ValueError(f"{q} uncertain entries of a and b; at most {MOST_ENTRIES}: give model_error by entry")
     c.n, c.m, c.p, c.q = n, m, p, q
     c.total = n + q + 2 * m + p
-    c.discrete = told.discrete
-    c.scale = 1.0 if told.discrete else period
-    c.matrix[:n, : n + m] = np.hstack([told.a, told.b]) * c.scale
-    c.row[:q], c.column[:q] = told.entries.row, told.entries.column
+    _prepare_matrices(c.plant, told)
     given = np.hstack([told.a, told.b])[told.entries.row, told.entries.column]
     # Of an entry that is 0 the bound is all that is known.
     c.relative[:q] = 1.0 / np.maximum(np.abs(given), told.entries.bound) ** 2
@@ -120,6 +118,16 @@ def prepare(c: Const, told: Told) -> None:
     c.hypotheses = len(found)
     for h, (kind, place) in enumerate(found):
         c.kind[h], c.place[h] = kind, place
+
+
+def _prepare_matrices(c: matrices.Const, told: Told) -> None:
+    """Fill a record of the matrices' Const."""
+    q, n, m = len(told.entries), told.plant.states, told.plant.inputs
+    c.n, c.m, c.q, c.discrete = n, m, q, told.discrete
+    c.scale = 1.0 if told.discrete else told.plant.period
+    c.matrix[:n, : n + m] = np.hstack([told.a, told.b]) * c.scale
+    c.row[:q], c.column[:q] = told.entries.row, told.entries.column
+    c.bound[:q] = told.entries.bound**2
 
 
 def _unknown(plant: LinearPlant, noise: Array) -> Array:

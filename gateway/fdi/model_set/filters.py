@@ -36,17 +36,14 @@ from __future__ import annotations
 from math import log, pi, sqrt
 from typing import Annotated
 
+from gateway.fdi.model_set import matrices
+from gateway.fdi.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
-#: Uncertain entries of A and B.
-MOST_ENTRIES = 40
-#: Slow states; all states; hypotheses.
+#: Slow states; all states.
 MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + MOST_OUTPUTS
 MOST = MOST_STATES + MOST_SLOW
-MOST_HYPOTHESES = 1 + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
-#: [A, B] with the rows of the commands.
-_BLOCK = MOST_STATES + MOST_INPUTS
 #: Kinds of hypotheses.
 HEALTHY, OFFSET, GAIN, SENSOR, SILENT = range(5)
 #: Samples before the present one at which a jump may have begun: these, at most BACK.
@@ -56,8 +53,8 @@ BACK = 34
 JUMP = -10.0
 #: Change of an entry's estimate, in its bounds, from which on Phi(theta) is computed anew.
 FRESH = 0.01
-#: Change from which on the derivatives are, likewise; step of their differences.
-DERIVED, STEP = 0.2, 1e-4
+#: Change from which on the derivatives are, likewise.
+DERIVED = 0.2
 #: What the derivatives leave out, per relative uncertainty of the entries.
 SECOND_ORDER = 4.0
 
@@ -66,10 +63,9 @@ class Const(Record):
     """Constants.
 
     ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones.
-    ``matrix``: [[A, B], [0, 0]] T (or [Phi, Gamma]); ``row``, ``column``, ``scale``: of each entry in it; ``relative``:
-    1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and their
-    variance; ``drive``, ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and of a
-    jump; ``loose``: share of the latter that a fault which is followed changes by in a sample. ``gate``: of the
+    ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
+    their variance; ``drive``, ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and
+    of a jump; ``loose``: share of the latter that a fault which is followed changes by in a sample. ``gate``: of the
     normalised innovation squared of one sample, beyond which something jumped; ``range``: of a silent sensor's reading,
     as log density.
     """
@@ -79,14 +75,10 @@ class Const(Record):
     p: i8
     q: i8
     total: i8
-    discrete: i8
+    plant: matrices.Const
     hypotheses: i8
     kind: Annotated[i8s, MOST_HYPOTHESES]
     place: Annotated[i8s, MOST_HYPOTHESES]
-    matrix: Annotated[f8s, MOST_STATES, _BLOCK]
-    row: Annotated[i8s, MOST_ENTRIES]
-    column: Annotated[i8s, MOST_ENTRIES]
-    scale: f8
     relative: Annotated[f8s, MOST_ENTRIES]
     c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
     noise: Annotated[f8s, MOST_STATES]
@@ -105,31 +97,27 @@ class Const(Record):
 class State(Record):
     """State of all filters.
 
-    ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, computed for the errors ``at``; ``by_entry``: its derivatives by
-    each entry, for the errors ``derived``.
+    ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, and what derives from them.
 
     ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
-    innovations. ``past``: commands of the samples before, newest first.
+    innovations; ``own``, ``square``: variance of each innovation by itself, and the normalised innovation squared, of
+    the filter that was asked last. ``past``: commands of the samples before, newest first.
     """
 
     z: Annotated[f8s, MOST_HYPOTHESES, MOST]
     cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST]
-    plant: Annotated[f8s, MOST_HYPOTHESES, MOST_STATES, _BLOCK]
-    at: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES]
-    by_entry: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES, MOST_STATES, _BLOCK]
-    derived: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES]
+    plant: matrices.State
     jumped: Annotated[i8s, MOST_HYPOTHESES]
     left: Annotated[f8s, MOST_HYPOTHESES]
     told: Annotated[f8s, MOST_HYPOTHESES]
     e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS]
+    own: Annotated[f8s, MOST_OUTPUTS]
+    square: f8
     past: Annotated[f8s, BACK, MOST_INPUTS]
     work: Annotated[f8s, MOST_STATES, MOST]
     by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW]
     second: Annotated[f8s, MOST_STATES]
     gain: Annotated[f8s, MOST]
-    block: Annotated[f8s, _BLOCK, _BLOCK]
-    term: Annotated[f8s, _BLOCK, _BLOCK]
-    next: Annotated[f8s, _BLOCK, _BLOCK]
     spread: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
     rest: Annotated[f8s, MOST_OUTPUTS]
 
@@ -148,86 +136,12 @@ def slot(c: Const, h: int) -> int:
 
 
 @kernel
-def _multiply(a: f8s, b: f8s, into: f8s, size: int) -> None:
-    """Multiply two square matrices."""
-    for i in range(size):
-        for j in range(size):
-            total = 0.0
-            for k in range(size):
-                total += a[i, k] * b[k, j]
-            into[i, j] = total
-
-
-@kernel
-def _exponential(s: State, c: Const, h: int, entry: int, step: float) -> None:
-    """Put [Phi, Gamma] into ``term``, with the errors that a filter estimates, one of them moved by a step.
-
-    The exponential is computed by scaling, Taylor's series and squaring.
-    """
-    size = c.n + c.m
-    for i in range(size):
-        for j in range(size):
-            s.block[i, j] = c.matrix[i, j] if i < c.n else 0.0
-    for k in range(c.q):
-        s.block[c.row[k], c.column[k]] += c.scale * (s.z[h, c.n + k] + (step if k == entry else 0.0))
-    if c.discrete == 1:
-        for i in range(size):
-            for j in range(size):
-                s.term[i, j] = s.block[i, j]
-        return
-    largest = 0.0
-    for i in range(c.n):
-        total = 0.0
-        for j in range(size):
-            total += abs(s.block[i, j])
-        largest = max(largest, total)
-    halvings = 0
-    while largest > 0.5 and halvings < 40:
-        largest *= 0.5
-        halvings += 1
-    share = 0.5**halvings
-    for i in range(size):
-        for j in range(size):
-            s.block[i, j] *= share
-            s.term[i, j] = 1.0 if i == j else 0.0
-    # Horner: 1 + X (1 + X/2 (1 + X/3 (...))); twelve terms leave 1e-13 of a norm of a half.
-    for order in range(12, 0, -1):
-        _multiply(s.block, s.term, s.next, size)
-        for i in range(size):
-            for j in range(size):
-                s.term[i, j] = s.next[i, j] / order + (1.0 if i == j else 0.0)
-    for _ in range(halvings):
-        _multiply(s.term, s.term, s.next, size)
-        for i in range(size):
-            for j in range(size):
-                s.term[i, j] = s.next[i, j]
-
-
-@kernel
-def refresh(s: State, c: Const, h: int) -> None:
-    """Compute [Phi, Gamma] of a filter from its estimate of the entries."""
-    _exponential(s, c, h, 0, 0.0)
-    for i in range(c.n):
-        for j in range(c.n + c.m):
-            s.plant[h, i, j] = s.term[i, j]
-    for k in range(c.q):
-        s.at[h, k] = s.z[h, c.n + k]
-
-
-@kernel
 def derive(s: State, c: Const, h: int) -> None:
-    """Compute [Phi, Gamma] of a filter and its derivatives by the entries, as differences."""
-    refresh(s, c, h)
-    for k in range(c.q):
-        s.derived[h, k] = s.z[h, c.n + k]
-        step = STEP * sqrt(c.prior[k])
-        _exponential(s, c, h, k, step)
-        for i in range(c.n):
-            for j in range(c.n + c.m):
-                s.by_entry[h, k, i, j] = (s.term[i, j] - s.plant[h, i, j]) / step
+    """Compute the matrices of a filter and their derivatives from its estimate of the entries."""
+    matrices.derive(s.plant, c.plant, h, s.z[h, c.n :])
 
 
-@kernel
+@kernel(inlined=False)
 def unknown(s: State, c: Const, h: int) -> None:
     """Forget a filter's x; what is slow stays, without its ties to x."""
     for i in range(c.n):
@@ -237,7 +151,7 @@ def unknown(s: State, c: Const, h: int) -> None:
         s.cov[h, i, i] = c.unknown[i]
 
 
-@kernel
+@kernel(inlined=False)
 def ignorant(s: State, c: Const, h: int) -> None:
     """Set what is slow to its prior."""
     for i in range(c.n, c.total):
@@ -248,19 +162,7 @@ def ignorant(s: State, c: Const, h: int) -> None:
     derive(s, c, h)
 
 
-@kernel
-def _reset_slot(s: State, c: Const, h: int) -> None:
-    """Let go of the slow state of a hypothesis: its size is not known."""
-    k = slot(c, h)
-    if k < 0:
-        return
-    for j in range(c.total):
-        s.cov[h, c.n + k, j] = s.cov[h, j, c.n + k] = 0.0
-    s.z[h, c.n + k] = 0.0
-    s.cov[h, c.n + k, c.n + k] = c.free[k]
-
-
-@kernel
+@kernel(inlined=False)
 def copy(s: State, c: Const, source: int, target: int) -> None:
     """Let a filter go on from another one's estimate."""
     if source == target:
@@ -269,15 +171,7 @@ def copy(s: State, c: Const, source: int, target: int) -> None:
         s.z[target, i] = s.z[source, i]
         for j in range(c.total):
             s.cov[target, i, j] = s.cov[source, i, j]
-    for i in range(c.n):
-        for j in range(c.n + c.m):
-            s.plant[target, i, j] = s.plant[source, i, j]
-    for k in range(c.q):
-        s.at[target, k] = s.at[source, k]
-        s.derived[target, k] = s.derived[source, k]
-        for i in range(c.n):
-            for j in range(c.n + c.m):
-                s.by_entry[target, k, i, j] = s.by_entry[source, k, i, j]
+    matrices.copy(s.plant, c.plant, source, target)
 
 
 @kernel
@@ -287,7 +181,7 @@ def separate(s: State, c: Const) -> None:
         copy(s, c, 0, h)
 
 
-@kernel
+@kernel(inlined=False)
 def _add_jump(s: State, c: Const, h: int) -> None:
     """Let the slow state of a hypothesis jump, at this sample or up to BACK samples before."""
     k = slot(c, h)
@@ -297,7 +191,7 @@ def _add_jump(s: State, c: Const, h: int) -> None:
     i = c.place[h]
     for r in range(c.n):
         s.gain[r] = 0.0  # what the fault has done to x by now
-        s.work[r, 0] = s.plant[h, r, c.n + i]  # what one sample of it has done so many samples later
+        s.work[r, 0] = s.plant.now[h, r, c.n + i]  # what one sample of it has done so many samples later
     seen = 0.0  # energy of what one unit of it has shown in the samples before this one
     for back in range(BACK + 1):
         if back > 0:
@@ -307,7 +201,7 @@ def _add_jump(s: State, c: Const, h: int) -> None:
             for r in range(c.n):
                 total = 0.0
                 for j in range(c.n):
-                    total += s.plant[h, r, j] * s.work[j, 0]
+                    total += s.plant.now[h, r, j] * s.work[j, 0]
                 s.work[r, 1] = total
             for r in range(c.n):
                 s.work[r, 0] = s.work[r, 1]
@@ -352,7 +246,7 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
     return float(size)
 
 
-@kernel
+@kernel(inlined=False)
 def _squared(s: State, c: Const, h: int) -> float:
     """Return the normalised innovation squared of the innovations in ``e`` of a filter that takes all sensors."""
     p = c.p
@@ -363,7 +257,7 @@ def _squared(s: State, c: Const, h: int) -> float:
             for r in range(c.n):
                 value += c.c[i, r] * s.gain[r]
             s.spread[j, i] = value
-        s.spread[j, j] = size
+        s.spread[j, j] = s.own[j] = size
     # Cholesky, and L w = e on the way.
     total = 0.0
     for j in range(p):
@@ -384,6 +278,14 @@ def _squared(s: State, c: Const, h: int) -> float:
 
 
 @kernel
+def innovate(s: State, c: Const, h: int, y: f8s) -> None:
+    """Compute what a sample has beyond what a filter expects; sets ``e``, ``own`` and ``square``."""
+    for j in range(c.p):
+        s.e[h, j] = y[j] - _expected(s, c, h, j)
+    s.square = _squared(s, c, h)
+
+
+@kernel(inlined=False)
 def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> None:
     """Take a sample of the outputs with one filter; sets ``e``, ``left`` and ``told``.
 
@@ -424,7 +326,7 @@ def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> 
     s.told[h], s.left[h] = told, left
 
 
-@kernel
+@kernel(inlined=False)
 def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> None:
     """Take one filter to the next sample, the commands ``u`` held till then.
 
@@ -439,41 +341,45 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
     n, m, q, size = c.n, c.m, c.q, c.total
     moved, far, relative = 0.0, 0.0, 0.0
     for k in range(q):
-        apart = s.z[h, n + k] - s.at[h, k]
+        apart = s.z[h, n + k] - s.plant.at[h, k]
         moved = max(moved, apart * apart / c.prior[k])
-        apart = s.z[h, n + k] - s.derived[h, k]
+        apart = s.z[h, n + k] - s.plant.derived[h, k]
         far = max(far, apart * apart / c.prior[k])
         relative = max(relative, s.cov[h, n + k, n + k] * c.relative[k])
     if far > DERIVED * DERIVED:
         derive(s, c, h)
     elif moved > FRESH * FRESH:
-        refresh(s, c, h)
+        matrices.refresh(s.plant, c.plant, h, s.z[h, n:])
     relative *= SECOND_ORDER * SECOND_ORDER
     # Columns of F for what is slow.
     for r in range(n):
         for k in range(q):
             value = 0.0
             for i in range(n):
-                value += s.by_entry[h, k, r, i] * s.z[h, i]
+                value += s.plant.by_entry[h, k, r, i] * s.z[h, i]
             for i in range(m):
-                value += s.by_entry[h, k, r, n + i] * u[i]
+                value += s.plant.by_entry[h, k, r, n + i] * u[i]
             s.by_slow[r, k] = value
         for i in range(m):
-            s.by_slow[r, q + i] = s.plant[h, r, n + i]
-            s.by_slow[r, q + m + i] = s.plant[h, r, n + i] * u[i]
+            s.by_slow[r, q + i] = s.plant.now[h, r, n + i]
+            s.by_slow[r, q + m + i] = s.plant.now[h, r, n + i] * u[i]
     slow = q + 2 * m
     for r in range(n):
         value = 0.0
         for i in range(n):
-            value += s.plant[h, r, i] * s.z[h, i]
+            value += s.plant.now[h, r, i] * s.z[h, i]
         for i in range(m):
             acts = u[i] * (1.0 + s.z[h, n + q + m + i]) + s.z[h, n + q + i]
-            value += s.plant[h, r, n + i] * acts
+            value += s.plant.now[h, r, n + i] * acts
+        # What the estimate of the entries has moved by since the matrices were computed: once it is well known even a
+        # hundredth of what was told is many of its standard deviations.
+        for k in range(q):
+            value += s.by_slow[r, k] * (s.z[h, n + k] - s.plant.at[h, k])
         s.gain[r] = value
         for k in range(size):
             total = 0.0
             for i in range(n):
-                total += s.plant[h, r, i] * s.cov[h, i, k]
+                total += s.plant.now[h, r, i] * s.cov[h, i, k]
             for i in range(slow):
                 total += s.by_slow[r, i] * s.cov[h, n + i, k]
             s.work[r, k] = total
@@ -494,12 +400,12 @@ def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: floa
         for k in range(r, n):
             total = 0.0
             for i in range(n):
-                total += s.work[r, i] * s.plant[h, k, i]
+                total += s.work[r, i] * s.plant.now[h, k, i]
             for i in range(slow):
                 total += s.work[r, n + i] * s.by_slow[k, i]
             for i in range(m):
                 if unsure[i] == 1:
-                    total += s.plant[h, r, n + i] * s.plant[h, k, n + i] * c.command[i]
+                    total += s.plant.now[h, r, n + i] * s.plant.now[h, k, n + i] * c.command[i]
             s.cov[h, r, k] = s.cov[h, k, r] = total
         s.cov[h, r, r] += c.noise[r] + relative * s.second[r]
         for k in range(size - n):

@@ -8,6 +8,11 @@ the window, explain the innovations of each observer:
     only of the one without sensor j     sensor j; from here on that observer alone is believed
     of none, for a while                 more than one sensor, or not the plant that was told: not isolated
 
+A sensor's offset is a step in its own reading; an actuator's fault is the same step where it acts at once (a current, a
+rate), and only later what follows from it. So actuators are believed only once a sensor's jump explains clearly less
+(:data:`CLEARER`): with all sensors a first one's, beside a sensor that is at fault, or about to be named, a second
+one's. If that does not come, two sensors may be at fault, and it is not isolated.
+
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
 fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is
 at fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
@@ -41,6 +46,8 @@ GONE, AGAINST = 2.0, 2.0
 NOTHING = 3.0
 #: Energy that a fault has to take from an observer's innovations, once there is an alarm [standard deviations squared].
 WEAK = 6.0
+#: Energy by which actuators have to explain more than one sensor more: twice the log of the odds.
+CLEARER = 25.0
 #: Standard deviation of an actuator's fault beforehand, in thresholds.
 PRIOR = 100.0
 
@@ -246,18 +253,25 @@ def _search_explanations(s: State, c: Const) -> tuple[int, int]:
 
 
 @kernel
+def _sensor_would_do(s: State, c: Const, k: int) -> bool:
+    """Tell whether a jump of a sensor would explain nearly as well what observer k needs a fault of actuators for."""
+    gained = s.jump.gained[k]
+    return bool(gained > c.window_alarm and jump.other_sensor(s.jump, c.jump, c.bank, k) > gained - CLEARER)
+
+
+@kernel
 def _isolate(s: State, c: Const, y: f8s) -> None:
     """Decide between actuators and a sensor if the explanations allow it."""
     s.undecided += 1
     observers_explaining, last = _search_explanations(s, c)
     if s.latched != NONE:
-        if observers_explaining == 1:
+        if observers_explaining == 1 and not _sensor_would_do(s, c, s.active):
             _open_faults(s, c, y, False)
         elif s.undecided > PATIENCE:
             s.unexplained = 1
-    elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2:
+    elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2 and not _sensor_would_do(s, c, 0):
         _open_faults(s, c, y, True)
-    elif s.explains[0] == 0 and observers_explaining == 1:
+    elif s.explains[0] == 0 and observers_explaining == 1 and not _sensor_would_do(s, c, last):
         _latch_sensor(s, c, y, last)
     elif s.undecided > PATIENCE:
         alone = _only_undisturbed(s, c)
@@ -333,10 +347,18 @@ def _agree(s: State, c: Const) -> bool:
 
 @kernel
 def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
-    """Go on with a bank that contradicts itself, until it has agreed for long enough."""
+    """Go on with a bank that contradicts itself, until it has agreed for long enough that all is well.
+
+    All may come to agree on a fault of an actuator: two speeds of one shaft that are off alike are what its motor's
+    voltage would do, but for how it began, and that was not the actuator. So this is no agreement.
+    """
     o = c.bank
     bank.step(s.bank, o, y, u)
-    s.agreed = s.agreed + 1 if _agree(s, c) else 0
+    well = _agree(s, c)
+    for i in range(o.m):
+        if abs(s.bank.z[0, o.n + i]) >= c.actuator[i]:
+            well = False
+    s.agreed = s.agreed + 1 if well else 0
     if s.agreed >= c.hold:
         restart(s, c)
 
@@ -346,7 +368,8 @@ def unknown_command(s: State, c: Const) -> None:
     """Say that the command of the sample before is not known: behind :func:`step` or :func:`missing`.
 
     What it was instead has moved the state by Gamma times what nobody knows: it is estimated like a fault that lasted
-    for one sample, from the next innovations, and nothing is judged till then.
+    for one sample, from the next innovations, and nothing is judged till then. Of several lost in a row, none of which
+    shows yet, it is taken that they were the same.
     """
     o = c.bank
     if s.started == 0:
@@ -355,7 +378,7 @@ def unknown_command(s: State, c: Const) -> None:
     if s.unexplained == 1:
         return
     for k in range(o.p + 1):
-        jump.pulse(s.jump, c.jump, o, k, s.bank.z)
+        jump.pulse(s.jump, c.jump, o, k, s.bank.z, s.blind == BLIND)
     jump.forget(s.jump)
     s.undecided, s.blind, s.tested = 0, BLIND, 0
 
@@ -427,7 +450,11 @@ def missing(s: State, c: Const, u: f8s) -> None:
         start.missing(s.start, c.start, o, s.bank.z, u)
         return
     for k in range(o.p + 1):
-        jump.merge(s.jump, o, k, s.bank.z)
+        # What a lost command was is still to be estimated: it goes on, nothing has told of it.
+        if s.blind > 0:
+            jump.coast(s.jump, o, k)
+        else:
+            jump.merge(s.jump, o, k, s.bank.z)
         bank.missing(s.bank, o, k, u)
     jump.forget(s.jump)
     s.undecided = 0

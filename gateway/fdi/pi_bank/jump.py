@@ -12,6 +12,13 @@ that begins within a sample, at a share theta of it, is one of (1 - theta) a at 
 but for terms of the order of the sample's square; some thetas are tried. The best
 beginning then stays, and a is estimated further with every sample; x + G(d) a and omega + G(d) a have no transient. As
 G(d) vanishes, that becomes the observer's own estimate.
+
+An offset b of a sensor that the observer does take leaves
+
+    S(0) = 0,   S(d+1) = ([[Phi, Gamma], [0, 1]] - L C) S(d) + L e_j,   and adds (e_j - C S(d)) b to the innovation
+
+(S: what the estimate is moved by). Whoever has one sensor less, and still needs something to explain its innovations,
+is asked whether a jump of another sensor would do as well as the actuators' (:func:`other_sensor`).
 """
 
 from __future__ import annotations
@@ -21,7 +28,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway.fdi.linear.plant import LinearPlant
+from gateway.fdi.linear.plant import Array, LinearPlant
 from gateway.fdi.linear.solve import decompose, solve
 from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
 from gateway.fdi.pi_bank.bank import Const as Bank
@@ -42,7 +49,7 @@ class Const(Record):
 
     ``weighted``: (C G(d))^T V^-1; ``inverse``: of the information up to d; ``inverse_v``: V^-1; ``limit``: of the
     energy left in so many samples; ``variance``: of omega, stationary; ``prior``: information on a beforehand,
-    diagonal.
+    diagonal. ``sensor_weighted``, ``sensor_inverse``: likewise of an offset of each sensor.
     """
 
     weighted: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS]
@@ -51,6 +58,8 @@ class Const(Record):
     limit: Annotated[f8s, BANK, WINDOW + 1]
     variance: Annotated[f8s, BANK, MOST_INPUTS]
     prior: Annotated[f8s, MOST_INPUTS]
+    sensor_weighted: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS, MOST_OUTPUTS]
+    sensor_inverse: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS]
 
 
 class State(Record):
@@ -112,8 +121,21 @@ def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], 
                 information = information + signature.T @ weight @ signature
                 c.inverse[k][phase][d][:m, :m] = np.linalg.inv(information)
                 g = f @ g + (theta * late if d == 0 else 0.0)
+        _prepare_sensors(c, k, rows, f, observer.gain.gain, shown, np.asarray(weight, np.float64))
         counts = np.arange(1, WINDOW + 1)
         c.limit[k][1:] = chi2_above(REFUSED, len(rows) * counts)
+
+
+def _prepare_sensors(c: Const, k: int, rows: list[int], f: Array, gain: Array, shown: Array, weight: Array) -> None:
+    """Fill the signatures of the offsets of the sensors that observer k takes; shapes (n + m, p) and so on."""
+    moved, information = np.zeros_like(gain), np.zeros(len(rows))
+    for d in range(WINDOW):
+        signature = np.eye(len(rows)) - shown @ moved
+        weighted = signature.T @ weight
+        c.sensor_weighted[k][d][np.ix_(rows, rows)] = weighted
+        information += np.diag(weighted @ signature)
+        c.sensor_inverse[k][d][rows] = 1.0 / information
+        moved = f @ moved + gain
 
 
 @kernel
@@ -216,6 +238,21 @@ def search(s: State, c: Const, o: Bank, k: int) -> bool:
 
 
 @kernel
+def other_sensor(s: State, c: Const, o: Bank, k: int) -> float:
+    """Return the energy that a jump of one sensor more would take from observer k's window, the best of all."""
+    best = 0.0
+    for sensor in range(o.p):
+        for back in range(s.kept):
+            told = 0.0
+            for d in range(back + 1):
+                place = (s.at - back + d) % WINDOW
+                for j in range(o.p):
+                    told += c.sensor_weighted[k, d, sensor, j] * s.r[k, place, j]
+            best = max(best, told * told * c.sensor_inverse[k, back, sensor])
+    return best
+
+
+@kernel
 def merge(s: State, o: Bank, k: int, z: f8s) -> None:
     """Put the estimate of observer k into its state ``z``, and close it."""
     if s.open[k] == 1:
@@ -226,8 +263,8 @@ def merge(s: State, o: Bank, k: int, z: f8s) -> None:
 
 
 @kernel
-def _onwards(s: State, o: Bank, k: int) -> None:
-    """Step G of observer k by one sample."""
+def _onwards(s: State, o: Bank, k: int, corrected: bool) -> None:
+    """Step G of observer k by one sample, which has corrected it or did not come."""
     size = o.n + o.m
     _show(s, o, k)
     for i in range(o.m):
@@ -235,8 +272,9 @@ def _onwards(s: State, o: Bank, k: int) -> None:
             value = 0.0
             for r in range(size):
                 value += o.phi[q, r] * s.g[k, r, i]
-            for j in range(o.p):
-                value -= o.gain[k, q, j] * s.shown[j, i]
+            if corrected:
+                for j in range(o.p):
+                    value -= o.gain[k, q, j] * s.shown[j, i]
             s.next[q, i] = value
     for q in range(size):
         for i in range(o.m):
@@ -272,23 +310,35 @@ def begin(s: State, c: Const, o: Bank, k: int) -> None:
     for d in range(s.age[k]):
         place = (s.at - s.age[k] + d) % WINDOW
         _learn(s, c, o, k, s.r[k, place])
-        _onwards(s, o, k)
+        _onwards(s, o, k, True)
         if d == 0:
             for i in range(o.m):
                 s.g[k, o.n + i, i] += theta
 
 
 @kernel
-def pulse(s: State, c: Const, o: Bank, k: int, z: f8s) -> None:
-    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size."""
-    merge(s, o, k, z)
-    s.open[k] = 1
+def pulse(s: State, c: Const, o: Bank, k: int, z: f8s, again: bool) -> None:
+    """Open, for observer k, a fault of the actuators that has lasted for the sample before, of an unknown size.
+
+    ``again``: the one that is open has not been estimated yet: it has lasted on, with the same size.
+    """
+    if not again:
+        merge(s, o, k, z)
     for i in range(o.m):
         for q in range(o.n + o.m):
-            s.g[k, q, i] = o.gamma[q, i] if q < o.n else 0.0
+            before = s.g[k, q, i] if again else 0.0
+            s.g[k, q, i] = before + (o.gamma[q, i] if q < o.n else 0.0)
         s.h[k, i] = s.a[k, i] = 0.0
         for q in range(o.m):
             s.j[k, i, q] = c.prior[i] if i == q else 0.0
+    s.open[k] = 1
+
+
+@kernel
+def coast(s: State, o: Bank, k: int) -> None:
+    """Step observer k's open fault over a sample that did not come."""
+    if s.open[k] == 1:
+        _onwards(s, o, k, False)
 
 
 @kernel
@@ -323,7 +373,7 @@ def onwards(s: State, o: Bank, k: int, z: f8s) -> None:
     """Step observer k's open fault to the next sample, behind the bank's own step; closes it once it has settled."""
     if s.open[k] == 0:
         return
-    _onwards(s, o, k)
+    _onwards(s, o, k, True)
     largest = 0.0
     for q in range(o.n + o.m):
         for i in range(o.m):

@@ -5,6 +5,15 @@
 Each innovation, in its own standard deviations, goes through a stopping rule (:mod:`gateway.fdi.stopping`), and so does
 the normalised innovation squared e^T V^-1 e of all of them. It detects; it does not isolate: a fault of one sensor
 moves the observer, and shows in the others (paper 003, section 4.1). For that there is ``pi_bank``.
+
+Two ways, one choice:
+
+without ``model_error``   the gain L, constant, for a plant that is what its matrices say. A sample or a command that is
+                          lost leaves an error that no constant threshold knows: nothing is judged until it has gone.
+with ``model_error``      the healthy hypothesis of the bank (:mod:`gateway.fdi.model_set`): a Kalman filter with the
+                          errors of the matrices as slow states. The covariance of its innovations, V, grows with what
+                          the plant does, with samples and commands that are lost, and shrinks as the errors are
+                          learned; the rules are the same.
 """
 
 from __future__ import annotations
@@ -18,20 +27,31 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gateway.fdi import stopping
-from gateway.fdi.linear.gains import Gain, from_noise, from_poles
-from gateway.fdi.linear.plant import unobservable
+from gateway.fdi.linear.gains import Gain, from_noise, from_poles, settling
+from gateway.fdi.model_set import decision
+from gateway.fdi.model_set.design import COMMAND_SIZE
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.fdi.quantiles import chi2_above, normal_above
-from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
-from gateway.monitors.contract import TIMER, Debounce, Fault, Monitor, Out, Readout, report
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
+from gateway.monitors.contract import TIMER, Arrivals, Debounce, Fault, Monitor, Out, Readout, Refinement, report
 from gateway.monitors.linear import plant as linear_plant
-from gateway.monitors.linear.plant import Inputs, PlantParams
+from gateway.monitors.linear.plant import COMMAND, FINDING, MOST_MISSING, SETTLING, Inputs
+from gateway.monitors.linear.refine import found, wanted
+from gateway.monitors.linear.uncertain import UncertainPlantParams
 
 
 class Const(Record):
-    """Constants."""
+    """Constants.
+
+    ``uncertain``: 1: by ``models``. ``blind``: samples that are not judged behind so many missing ones in a row;
+    ``blind_command``: behind a lost command.
+    """
 
     sampling: linear_plant.Const
+    uncertain: i8
+    models: decision.Const
+    blind: Annotated[i8s, MOST_MISSING + 1]
+    blind_command: i8
     n: i8
     m: i8
     p: i8
@@ -50,6 +70,7 @@ class State(Record):
     """State."""
 
     sampling: linear_plant.State
+    models: decision.State
     x: Annotated[f8s, MOST_STATES]
     next: Annotated[f8s, MOST_STATES]
     e: Annotated[f8s, MOST_OUTPUTS]
@@ -57,6 +78,11 @@ class State(Record):
     nis: f8
     samples: i8
     missing: i8
+    commands_lost: i8 = means("samples whose command did not come")
+    restarts: i8
+    untested: i8 = means("samples that were not judged")
+    reason: i8 = means("why the last sample was not judged, see monitors/linear/plant.py; 0: it was")
+    blind: i8
 
 
 class Evidence(Record):
@@ -72,7 +98,7 @@ WHOLE = 0
 SHIFT = 1.0
 
 
-class Params(PlantParams):
+class Params(UncertainPlantParams):
     """A linear plant, watched by one observer."""
 
     poles: tuple[float | tuple[float, float], ...] | None = Field(
@@ -89,12 +115,17 @@ class Params(PlantParams):
 
     @model_validator(mode="after")
     def _observable(self) -> Self:
-        plant = self.plant
-        hidden = unobservable(plant.phi, plant.c, self.states)
-        if hidden:
-            raise ValueError(f"the sensors do not show {hidden}")
-        _ = self.observer
+        if self.uncertain:
+            self.check_filters(poles=self.poles is not None)
+        else:
+            self.check_observable()
+            _ = self.observer
         return self
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether the matrices are not taken as exact."""
+        return self.model_error is not None
 
     @cached_property
     def observer(self) -> Gain:
@@ -160,21 +191,35 @@ def _faults(p: Params) -> tuple[Fault, ...]:
 
 
 def _prepare(p: Params, s: State, c: Const) -> None:
-    plant, observer = p.plant, p.observer
+    plant = p.plant
     n, m, q = plant.states, plant.inputs, plant.outputs
     linear_plant.prepare(c.sampling, p)
     c.n, c.m, c.p = n, m, q
-    c.phi[:n, :n], c.gamma[:n, :m], c.c[:q, :n] = plant.phi, plant.gamma, plant.c
-    c.gain[:n, :q] = observer.gain
-    c.weight[:q, :q] = np.linalg.inv(observer.innovation)
-    c.spread[:q] = np.sqrt(np.diag(observer.innovation))
     level = p.threshold
     stopping.prepare(c.rule, p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
     c.total = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
     c.start = round(p.start_s / plant.period)
+    c.uncertain = p.uncertain
+    if p.uncertain:
+        task = decision.LEARNING if p.learning else decision.WATCHING
+        decision.prepare(s.models, c.models, p.told, mtfa_s=p.mtfa_s, start_s=p.start_s, hold_s=p.start_s, task=task)
+        return
+    observer = p.observer
+    c.phi[:n, :n], c.gamma[:n, :m], c.c[:q, :n] = plant.phi, plant.gamma, plant.c
+    c.gain[:n, :q] = observer.gain
+    c.weight[:q, :q] = np.linalg.inv(observer.innovation)
+    c.spread[:q] = np.sqrt(np.diag(observer.innovation))
+    noise = np.diag(np.array(p.disturbance) ** 2 * plant.period)
+    more = np.zeros((n, n))
+    for k in range(MOST_MISSING):
+        # Without a correction the error is Phi P Phi' + Q instead of what the observer makes of it, sample by sample.
+        more = plant.phi @ (observer.error + more) @ plant.phi.T + noise - observer.error
+        c.blind[k + 1] = settling(plant.phi, plant.c, observer, more)
+    unknown = plant.gamma * (COMMAND_SIZE * p.actuator_limits)
+    c.blind_command = settling(plant.phi, plant.c, observer, unknown @ unknown.T)
 
 
-@kernel
+@kernel(inlined=False)
 def _advance(s: State, c: Const, u: f8s) -> None:
     """Step the observer to the next sample."""
     for i in range(c.n):
@@ -191,21 +236,72 @@ def _advance(s: State, c: Const, u: f8s) -> None:
 
 
 @kernel
-def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
-    """Take one sample."""
-    if u.trigger == TIMER:
-        return
-    steps = linear_plant.samples(s.sampling, c.sampling, u)
-    if steps == 0:
-        return
-    if steps - 1 > linear_plant.MOST_MISSING:
+def _lost(s: State, c: Const, u: Inputs, at: int) -> bool:
+    """Find the commands of a sample; tells whether one is lost."""
+    lost = linear_plant.command_lost(s.sampling, c.sampling, u, at)
+    if lost:
+        s.commands_lost += 1
+        if c.uncertain == 0:
+            s.blind, s.reason = max(s.blind, c.blind_command), COMMAND
+    return bool(lost)
+
+
+@kernel
+def _skip(s: State, c: Const, u: Inputs, steps: int) -> None:
+    """Go on over the samples that did not come, each with the command that held then."""
+    if steps - 1 > MOST_MISSING or s.sampling.gap == 1:
+        s.restarts += 1
         s.samples = 0
-    else:
-        for j in range(c.p):
-            s.e[j] = 0.0
-        for _ in range(steps - 1):
-            s.missing += 1
-            _advance(s, c, u.u)
+        if c.uncertain == 1:
+            decision.restart(s.models, c.models)
+        return
+    for j in range(c.p):
+        s.e[j] = 0.0
+    for k in range(steps - 1):
+        s.missing += 1
+        _lost(s, c, u, k + 1)
+        if c.uncertain == 1:
+            decision.advance(s.models, c.models, s.sampling.u, s.sampling.unsure)
+        else:
+            _advance(s, c, s.sampling.u)
+    if c.uncertain == 0 and steps > 1 and s.blind < c.blind[steps - 1]:
+        s.blind, s.reason = c.blind[steps - 1], SETTLING
+
+
+@kernel
+def _judge(s: State, c: Const, j: int, share: float, out: Out[Evidence, Record]) -> None:
+    """Judge an innovation, in its standard deviations."""
+    alarm = stopping.update(s.rules[j], c.rule, share)
+    e = report(out, 1 + j, alarm, s.rules[j].level, c.rule.threshold)
+    e.innovation, e.nis = s.e[j], s.nis
+
+
+@kernel
+def _judge_whole(s: State, c: Const, out: Out[Evidence, Record]) -> None:
+    """Judge all innovations together."""
+    e = report(out, WHOLE, s.nis >= c.total, s.nis, c.total)
+    e.innovation, e.nis = sqrt(s.nis), s.nis
+
+
+@kernel
+def _uncertain(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
+    """Take one sample with the filter."""
+    x = s.models
+    decision.watch(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
+    s.nis = x.filters.square
+    for j in range(c.p):
+        s.e[j] = x.filters.e[0, j]
+    if x.tested == 0:
+        s.reason = FINDING
+        return
+    _judge_whole(s, c, out)
+    for j in range(c.p):
+        _judge(s, c, j, s.e[j] / sqrt(x.filters.own[j]), out)
+
+
+@kernel
+def _exact(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
+    """Take one sample with the observer."""
     for j in range(c.p):
         s.e[j] = u.y[j]
         for i in range(c.n):
@@ -215,14 +311,38 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
         for i in range(c.p):
             s.nis += s.e[j] * c.weight[j, i] * s.e[i]
     s.samples += 1
-    if s.samples > c.start:
-        e = report(out, WHOLE, s.nis >= c.total, s.nis, c.total)
-        e.innovation, e.nis = sqrt(s.nis), s.nis
+    if s.samples > c.start and s.blind == 0:
+        s.reason = 0
+        _judge_whole(s, c, out)
         for j in range(c.p):
-            alarm = stopping.update(s.rules[j], c.rule, s.e[j] / c.spread[j])
-            e = report(out, 1 + j, alarm, s.rules[j].level, c.rule.threshold)
-            e.innovation, e.nis = s.e[j], s.nis
-    _advance(s, c, u.u)
+            _judge(s, c, j, s.e[j] / c.spread[j], out)
+    elif s.blind > 0:
+        s.blind -= 1
+    else:
+        s.reason = FINDING
+
+
+@kernel
+def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
+    """Take one sample."""
+    if u.trigger == TIMER or linear_plant.command(s.sampling, c.sampling, u):
+        return
+    steps = linear_plant.samples(s.sampling, c.sampling, u)
+    if steps == 0:
+        return
+    _skip(s, c, u, steps)
+    # A command that is lost now acts from this sample on: the present one is judged as ever.
+    if c.uncertain == 1:
+        _lost(s, c, u, steps)
+        s.reason = 0
+        _uncertain(s, c, u, out)
+    else:
+        _exact(s, c, u, out)
+        _lost(s, c, u, steps)
+        _advance(s, c, s.sampling.u)
+    linear_plant.heard_all(s.sampling, c.sampling)
+    if s.reason > 0:
+        s.untested += 1
 
 
 MONITOR = Monitor(
@@ -238,5 +358,9 @@ MONITOR = Monitor(
     triggers=linear_plant.triggers,
     prepare=_prepare,
     faults=_faults,
-    capabilities=(Readout(("nis", "missing")),),
+    capabilities=(
+        Arrivals(lambda c: c.sampling.message),
+        Readout(("nis", "missing", "restarts", "commands_lost", "untested", "reason")),
+        Refinement(wanted, found),
+    ),
 )

@@ -17,6 +17,9 @@ from gateway.monitors.contract import Connection, MonitorParams, Signal
 
 Matrix = tuple[tuple[float, ...], ...]
 
+#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
+#: a command was lost; no part explains what came; samples were lost, and the observer has not settled since.
+FINDING, UNDECIDED, COMMAND, AMBIGUOUS, SETTLING = 1, 2, 3, 4, 5
 #: Samples missing in a row over which a plant is predicted; behind more of them it is found anew.
 MOST_MISSING = 5
 
@@ -283,6 +286,16 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
             s.u[j] = s.value[j, newest]
         if not found and s.listened >= _LISTENED and s.share[j] >= _CYCLIC:
             s.unsure[j] = 1
+
+
+@kernel
+def command_lost(s: State, c: Const, u: Inputs, at: int) -> bool:
+    """Find the commands of a sample as :func:`commands` does; tells whether one is lost."""
+    commands(s, c, u, at)
+    for j in range(c.inputs):
+        if s.unsure[j] == 1:
+            return True
+    return False
 
 
 @kernel

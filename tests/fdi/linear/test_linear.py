@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from gateway.fdi.linear.gains import from_noise, from_poles, with_noise
+from gateway.fdi.linear.gains import GONE, from_noise, from_poles, settling, with_noise
 from gateway.fdi.linear.plant import discretised, unobservable
 from gateway.fdi.linear.solve import decompose, solve
 
@@ -142,3 +142,19 @@ def test_small_systems_are_solved(seed, m):
     again = b.copy()
     solve(factor, again, again, m)  # in place
     np.testing.assert_array_equal(again[:m], x[:m])
+
+
+def test_an_observer_has_settled_when_an_error_is_small_beside_its_noise():
+    """One state, by hand: the error's variance falls by (phi - l)^2 a sample, from 100 to a tenth of V."""
+    phi, c = np.array([[0.9]]), np.array([[1.0]])
+    gain = with_noise(phi, c, np.array([[0.4]]), np.array([[0.01]]), np.array([[0.04]]))
+    expected = int(np.ceil(np.log(GONE * gain.innovation[0, 0] / 100.0) / np.log(0.25)))
+    assert settling(phi, c, gain, np.array([[100.0]])) == expected
+    assert settling(phi, c, gain, np.zeros((1, 1))) == 0
+
+
+def test_what_does_not_show_at_first_is_waited_for():
+    """The second state moves the sensor only later."""
+    phi, c = np.array([[0.5, 1.0], [0.0, 0.9]]), np.array([[1.0, 0.0]])
+    gain = from_noise(phi, c, 0.01 * np.eye(2), 0.01 * np.eye(1))
+    assert settling(phi, c, gain, np.diag([0.0, 25.0])) > 1

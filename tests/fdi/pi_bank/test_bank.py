@@ -262,3 +262,26 @@ def test_noise_of_a_design_is_a_sample_s():
     q, r = covariances(PLANT, plain)
     np.testing.assert_allclose(np.diag(q), 0.1)
     np.testing.assert_allclose(r, np.eye(3))
+
+
+@pytest.mark.parametrize("begun", [0, 1, 9])
+def test_a_jump_of_one_sensor_more_is_found(begun):
+    """Innovations of each observer behind an offset of each sensor that it takes, by its own error equation."""
+    s, c = records(1.0, known=True)
+    o, x = c["bank"], s["jump"]
+    phi = augmented(PLANT)
+    for k, observer in enumerate(observers()):
+        rows = [j for j in range(3) if j != observer.left_out]
+        left = np.hstack([PLANT.c[rows], np.zeros((len(rows), 2))])
+        weight = np.linalg.inv(observer.gain.innovation)
+        for one in range(len(rows)):
+            moved, offset = np.zeros(6), 0.4 * np.eye(len(rows))[one]
+            x["kept"], x["at"], x["r"][k] = 20, 5, 0.0
+            energy = 0.0
+            for d in range(begun + 1):
+                r = offset - left @ moved
+                x["r"][k][(5 - begun + d) % jump.WINDOW][rows] = r
+                energy += r @ weight @ r
+                moved = (phi - observer.gain.gain @ left) @ moved + observer.gain.gain @ offset
+            # It takes all of it; of the sensor that the observer does not take nothing is said.
+            assert jump.other_sensor(x, c["jump"], o, k) == pytest.approx(energy, rel=1e-9)

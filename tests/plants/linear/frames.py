@@ -95,6 +95,15 @@ def configuration(folder, plant, a, b, *, kind="pi_bank", extra="", counter=True
     return path
 
 
+def written(path, frames):
+    """Write frames as a candump log; returns its path."""
+    lines = [
+        f"({f['t_ns'] * 1e-9:.6f}) can {int(f['can_id']):03X}##1{bytes(f['data'][:16]).hex().upper()}" for f in frames
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def run(path, frames):
     """Replay frames as ``gateway replay`` does; returns the faults set, (seconds, name), and the summary."""
     gateway = Gateway(load_config(path), None, file=path)

@@ -7,7 +7,9 @@ discrete time, with (16) corrected (:mod:`gateway.fdi.pi_bank.products`) and dec
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any
 
 from gateway.fdi.model_set import decision
 from gateway.fdi.pi_bank import bank, isolation, products
@@ -22,13 +24,15 @@ from gateway.monitors.contract import (
     Monitor,
     Out,
     Readout,
+    Refined,
     Refinement,
     Warnings,
     report,
 )
 from gateway.monitors.linear import plant as linear_plant
 from gateway.monitors.linear.pi_bank.params import Params
-from gateway.monitors.linear.pi_bank.refine import found, wanted
+from gateway.monitors.linear.plant import AMBIGUOUS, COMMAND, FINDING, UNDECIDED
+from gateway.monitors.linear.refine import found, wanted
 
 
 class Const(Record):
@@ -68,9 +72,6 @@ class Evidence(Record):
 #: Logics by their number.
 JUMPS, PRODUCTS, MODELS = range(3)
 _LOGICS = {"jumps": JUMPS, "products": PRODUCTS, "models": MODELS}
-#: Why a sample is not judged: the state is being found (start, gap); a change has been seen and not been isolated yet;
-#: a command was lost; no part explains what came.
-FINDING, UNDECIDED, COMMAND, AMBIGUOUS = 1, 2, 3, 4
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
 
@@ -105,7 +106,8 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     s.sensor = NONE
     if c.logic == MODELS:
         times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
-        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, learning=p.learning, **times)
+        task = decision.LEARNING if p.learning else decision.ISOLATING
+        decision.prepare(s.models, c.models, p.told, patience_s=p.patience_s, task=task, **times)
         return
     isolation.prepare(
         c.isolation,
@@ -124,15 +126,22 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _report(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
-    """Report a test with size and innovations as evidence."""
+def _report(
+    s: State, c: Const, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]
+) -> None:
+    """Report a test, with the size and what the observer or filter in use has left of the sensors as evidence."""
     e = report(out, fault, failed, abs(value), limit)
     if not failed:
         return
-    x = s.isolation
-    e.magnitude, e.observer = value, float(x.active)
+    e.magnitude = value
+    if c.logic == MODELS:
+        e.observer = float(s.models.active)
+        left = s.models.filters.e[s.models.active]
+    else:
+        e.observer = float(s.isolation.active)
+        left = s.isolation.bank.e[s.isolation.active]
     for j in range(bank.MOST_OUTPUTS):
-        e.innovation[j] = x.bank.e[x.active, j]
+        e.innovation[j] = left[j]
 
 
 @kernel
@@ -140,16 +149,16 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     """Report what the isolation has found."""
     x, o = s.isolation, c.isolation.bank
     if x.unexplained == 1:
-        _report(s, UNEXPLAINED, True, 1.0, 0.0, out)
+        _report(s, c, UNEXPLAINED, True, 1.0, 0.0, out)
         return
     if x.tested == 0:
         return
-    _report(s, UNEXPLAINED, False, 0.0, 0.0, out)
+    _report(s, c, UNEXPLAINED, False, 0.0, 0.0, out)
     for i in range(o.m):
-        _report(s, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
+        _report(s, c, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
     for j in range(o.p):
         failed = x.latched == j and x.confirmed == 1
-        _report(s, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
+        _report(s, c, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
 
 
 @kernel
@@ -170,13 +179,13 @@ def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Rec
         x.fault[i] = x.bank.z[0, o.n + i]
         flag = products.actuator(x.bank.z, o.n, o.p, i, limit, False)
         x.actuator[i] = 1 if flag else 0
-        _report(s, 1 + i, flag, x.fault[i], limit, out)
+        _report(s, c, 1 + i, flag, x.fault[i], limit, out)
     for j in range(o.p):
         limit = c.isolation.sensor[j]
         flag = products.sensor(x.bank.e, o.p, j, limit)
         if flag:
             x.latched = j
-        _report(s, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
+        _report(s, c, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
     for k in range(o.p + 1):
         bank.advance(x.bank, o, k, s.sampling.u)
 
@@ -187,47 +196,33 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
     x, f = s.models, c.models.filters
     decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
     s.sensor = NONE
-    if c.models.learning == 1:
+    if c.models.task == decision.LEARNING:
         s.reason = FINDING
         return
     if x.unexplained == 1:
         s.reason = AMBIGUOUS
-        _tell(s, UNEXPLAINED, True, 1.0, 0.0, out)
+        _report(s, c, UNEXPLAINED, True, 1.0, 0.0, out)
         return
     if x.tested == 0:
         s.reason = FINDING if x.done < c.models.start else UNDECIDED
         return
-    _tell(s, UNEXPLAINED, False, 0.0, 0.0, out)
+    _report(s, c, UNEXPLAINED, False, 0.0, 0.0, out)
     named = decision.part_of(c.models, x.active)
     for part in range(f.m + f.p):
         limit = c.models.actuator[part] if part < f.m else c.models.sensor[part - f.m]
         at_fault = part == named and x.confirmed == 1
-        _tell(s, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
+        _report(s, c, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
     if named >= f.m:
         s.sensor = named - f.m
 
 
 @kernel
-def _tell(s: State, fault: int, failed: bool, value: float, limit: float, out: Out[Evidence, Record]) -> None:
-    """Report a test of a hypothesis with size and innovations as evidence."""
-    e = report(out, fault, failed, abs(value), limit)
-    if not failed:
-        return
-    x = s.models
-    e.magnitude, e.observer = value, float(x.active)
-    for j in range(bank.MOST_OUTPUTS):
-        e.innovation[j] = x.filters.e[x.active, j]
-
-
-@kernel
 def _lost(s: State, c: Const, at: int, u: linear_plant.Inputs) -> bool:
-    """Find the commands of a sample; tells whether one is lost."""
-    linear_plant.commands(s.sampling, c.sampling, u, at)
-    for j in range(c.sampling.inputs):
-        if s.sampling.unsure[j] == 1:
-            s.commands_lost += 1
-            return True
-    return False
+    """Find the commands of a sample; tells whether one is lost, and counts it."""
+    lost = linear_plant.command_lost(s.sampling, c.sampling, u, at)
+    if lost:
+        s.commands_lost += 1
+    return bool(lost)
 
 
 @kernel
@@ -312,6 +307,17 @@ def _warnings(p: Params) -> tuple[str, ...]:
     return tuple(said)
 
 
+def _wanted(p: Params) -> Mapping[str, Any]:
+    """Return the keys with which healthy logs are replayed."""
+    return {**wanted(p), "logic": "models"}
+
+
+def _found(p: Params, s: Any) -> Refined:
+    """Return what a log says; a model that is known to some percent is decided by models."""
+    refined = found(p, s)
+    return replace(refined, keys={**refined.keys, "logic": None})
+
+
 MONITOR = Monitor(
     type="pi_bank",
     api=2,
@@ -328,7 +334,7 @@ MONITOR = Monitor(
     capabilities=(
         Arrivals(lambda c: c.sampling.message),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
-        Refinement(wanted, found),
+        Refinement(_wanted, _found),
         Warnings(_warnings),
     ),
 )

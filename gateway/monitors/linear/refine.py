@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gateway.monitors.contract import Refined
-from gateway.monitors.linear.pi_bank.params import Params
+from gateway.monitors.linear.uncertain import UncertainPlantParams
 
 #: Relative bound where none is told.
 UNTOLD = 0.1
@@ -26,22 +26,21 @@ SURE, LEAST = 4.0, 0.005
 NOISY = 1.1
 
 
-def wanted(p: Params) -> Mapping[str, Any]:
+def wanted(p: UncertainPlantParams) -> Mapping[str, Any]:
     """Return the keys with which logs are replayed: in which nothing is judged, and all is learned."""
     return {
-        "logic": "models",
         "model_error": UNTOLD if p.model_error is None else p.model_error,
         "poles": None,
         "learning": True,
     }
 
 
-def found(p: Params, s: Any) -> Refined:
+def found(p: UncertainPlantParams, s: Any) -> Refined:
     """Return what a log says.
 
     Args:
         p: parameters with which it was replayed.
-        s: state at its end.
+        s: state at its end; its ``models`` is a record of :class:`gateway.fdi.model_set.decision.State`.
     """
     entries, n, m = p.entries, p.plant.states, p.plant.inputs
     x = s.models.filters
@@ -59,6 +58,7 @@ def found(p: Params, s: Any) -> Refined:
     samples = max(int(s.models.fitted), 1)
     fit = float(s.models.fit) / samples / p.plant.outputs
     keys: dict[str, Any] = {
+        "poles": None,
         "a": whole[:, :n].tolist(),
         "b": whole[:, n : n + m].tolist(),
         "model_error": {"a": bounds[:, :n].tolist(), "b": bounds[:, n : n + m].tolist()},

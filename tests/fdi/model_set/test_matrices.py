@@ -1,0 +1,83 @@
+"""Matrices of a plant whose entries are off: SciPy's exponential, and its derivatives."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, expm_frechet
+
+from gateway.fdi.linear.plant import discretised
+from gateway.fdi.linear.uncertainty import entries
+from gateway.fdi.model_set import filters, matrices
+from gateway.fdi.model_set.design import Told, isolable, prepare
+from gateway.fdi.pi_bank.design import Noise
+from gateway.jit import zeros
+
+#: A servo's, with a fast current; norm of A T above a half, so that halvings are needed.
+A = [[-180.0, -15.0, 0, 0], [300.0, -70.0, 66.0, -13000.0], [0, 22.0, -24.0, 4400.0], [0, 1.0, -1.0, 0]]
+B = [[166.0], [0], [0], [0]]
+C = [[0, 1.0, 0, 0], [0, 0, 1.0, 0], [1.0, 0, 0, 0]]
+
+
+def told(period, *, discrete=False):
+    plant = discretised(A, B, C, period, discrete=discrete)
+    noise = Noise(np.full(3, 0.1), np.full(4, 0.1), np.full(1, 0.01))
+    known = entries(A, B, 0.1, 0.1)
+    return Told(
+        plant, np.array(A), np.array(B), discrete, noise, known, np.full(1, 0.3), np.full(3, 1.0), isolable(plant)
+    )
+
+
+def at(errors, given):
+    """Return [A, B; 0, 0] T with these errors."""
+    block = np.zeros((5, 5))
+    block[:4] = np.hstack([A, B])
+    block[given.entries.row, given.entries.column] += errors
+    return block * given.plant.period
+
+
+@pytest.mark.parametrize("period", [1e-4, 0.005, 0.02])
+def test_matrices_and_derivatives_are_scipy_s(period):
+    given = told(period)
+    s, c = zeros(1, filters.State)[0], zeros(1, filters.Const)[0]
+    prepare(c, given)
+    print("seed 3")
+    errors = np.random.default_rng(3).uniform(-1, 1, len(given.entries)) * given.entries.bound
+    padded = np.zeros(matrices.MOST_ENTRIES)
+    padded[: len(errors)] = errors
+    matrices.derive(s.plant, c.plant, 2, padded)
+    whole = at(errors, given)
+    np.testing.assert_allclose(s.plant.now[2, :4, :5], expm(whole)[:4], rtol=1e-9, atol=1e-10)
+    np.testing.assert_array_equal(s.plant.at[2, : len(errors)], errors)
+    for k, (row, column) in enumerate(zip(given.entries.row, given.entries.column, strict=True)):
+        unit = np.zeros((5, 5))
+        unit[row, column] = period
+        exact = expm_frechet(whole, unit, compute_expm=False)[:4]
+        scale = np.abs(exact).max()
+        np.testing.assert_allclose(s.plant.by_entry[2, k, :4, :5], exact, rtol=0.02, atol=2e-3 * scale)
+
+
+def test_matrices_of_discrete_time_are_taken_as_they_are():
+    given = told(0.005, discrete=True)
+    s, c = zeros(1, filters.State)[0], zeros(1, filters.Const)[0]
+    prepare(c, given)
+    errors = np.zeros(matrices.MOST_ENTRIES)
+    errors[0] = 0.25
+    matrices.refresh(s.plant, c.plant, 0, errors)
+    expected = np.hstack([A, B])
+    expected[given.entries.row[0], given.entries.column[0]] += 0.25
+    np.testing.assert_array_equal(s.plant.now[0, :4, :5], expected)
+
+
+def test_a_filter_predicts_with_errors_that_its_matrices_do_not_have_yet():
+    """An estimate that has moved by less than what makes the matrices anew counts at once."""
+    given = told(0.005)
+    s, c = zeros(1, filters.State)[0], zeros(1, filters.Const)[0]
+    prepare(c, given)
+    filters.ignorant(s, c, 0)
+    moved = 0.5 * filters.FRESH * given.entries.bound
+    x, u = np.array([1.5, 20.0, -10.0, 0.01]), np.array([6.0])
+    s.z[0, :4] = x
+    s.z[0, 4 : 4 + len(moved)] = moved
+    filters.predict(s, c, 0, u, np.zeros(1, np.int64), False)
+    exact = (expm(at(moved, given)) @ np.concatenate([x, u]))[:4]
+    stale = (expm(at(0.0 * moved, given)) @ np.concatenate([x, u]))[:4]
+    np.testing.assert_array_less(np.abs(s.z[0, :4] - exact), 0.02 * np.abs(stale - exact).max())
