@@ -327,12 +327,12 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
     """Judge the wheel as it was learned: off centre, a tooth out of its place."""
     amplitude, most = runout.geometry(s.law, s.speed_rpm, s.profile.first, c.runout)
     r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
-    r.amplitude, r.tooth = amplitude, profile.worst(s.profile, c.wheel)
+    r.amplitude, r.tooth = amplitude, s.profile.worst
     r.speed = s.speed_rpm
-    tooth, off, scatter = profile.bent(s.profile, c.wheel)
-    limit = max(BENT, min(BENT_SIGMAS * scatter, BENT_MOST))
+    off = s.profile.off
+    limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
-    d.tooth, d.off, d.speed = tooth, off, s.speed_rpm
+    d.tooth, d.off, d.speed = s.profile.bent, off, s.speed_rpm
 
 
 @kernel

@@ -158,6 +158,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.stall_ns = int(p.stall_ms * 1e6)
     c.tooth_0_deg = p.tooth_0_deg
     place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
+    c.fast.longest_us = min(c.fast.slowest_us, p.stall_ms * 1e3 * (1 - 1e-9))
     constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
     cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
     s.counter = -1

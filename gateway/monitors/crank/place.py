@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
-from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget
+from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget, harmonics
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
@@ -30,7 +30,10 @@ BRAKE = 4.0
 
 
 class Const(Record):
-    """Constants."""
+    """Constants.
+
+    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands.
+    """
 
     pulses: i4
     repeats: i4
@@ -41,6 +44,7 @@ class Const(Record):
     usual: f8
     runout: f8
     slowest_us: f8
+    longest_us: f8
     gap: f8
     turning_us: f8
     wheel: LearnedWheel
@@ -124,6 +128,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
+    c.longest_us = c.slowest_us
     c.gap = pitches.max()
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
@@ -137,7 +142,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     wh.orders = min(MOST_ORDERS, count // 5)
     wh.nominal[:count] = pitches
     middle = 2 * np.pi * (np.asarray(wheel.positions) + pitches / 2) / wheel.turn
-    wh.cosine[:count], wh.sine[:count] = np.cos(middle), np.sin(middle)
+    harmonics(wh, middle)
     tr = s.tracker
     tr.pitches[:count] = pitches
     tr.slack[:] = c.slack

@@ -59,13 +59,20 @@ def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
 
 @kernel
 def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
-    n = 0
-    for k in range(y.shape[0]):
-        out.n = 0
-        adaptive.tooth(s, c, y[k], out)
-        teeth[k] = s.index if s.phase != place.SEARCHING else -1
-        proven[k] = place.proven(s)
-        n = _collect(out, n, k + 1, reports)
+    n = k = 0
+    while k < y.shape[0]:
+        taken = adaptive.regular(s, c, y, k, y.shape[0])
+        for j in range(taken):
+            teeth[k + j] = s.index - taken + 1 + j
+            proven[k + j] = True
+        k += taken
+        if k < y.shape[0]:
+            out.n = 0
+            adaptive.tooth(s, c, y[k], out)
+            teeth[k] = s.index if s.phase != place.SEARCHING else -1
+            proven[k] = place.proven(s)
+            k += 1
+            n = _collect(out, n, k, reports)
     return n
 
 
