@@ -112,19 +112,19 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
     anchor.note(s.anchor, c.pulses, y)
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
-        reversal.tell(s.reversal, out)
+        reversal.tell(s.reversal, out, c.told == 1)
         search(s, c)
     if s.phase == SEARCHING:
         if s.silent > 0:
             broken_silence(s, y, out)
         _seek(s, c, y)
     else:
-        span = s.tracker.pitches[s.index]
         period = best(s.tracker).period
-        if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
-            reversal.begin(s.reversal, c.pulses, s.index, y)
-            doubt(s)
-        if y > (MOST_MISSED + 1) * period and _silent(s, c, y, period):
+        silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        _watch_turning(s, c, y, silent)
+        if silent and s.reversal.stood == 1:
+            search(s, c)
+        elif silent:
             fall_silent(s, c, out, y / period)
         else:
             _track(s, c, y, out)
@@ -183,7 +183,7 @@ def _plain(s: State, c: Const, y: float) -> bool:
     h = best(tr)
     if s.reversal.index >= 0 or s.anchor.age > c.pulses or h.missed != 0 or h.added != 0:
         return False
-    if y > c.slowest_us * min(tr.pitches[index], 1.0) or y > (MOST_MISSED + 1) * h.period:
+    if y > c.longest_us * min(tr.pitches[index], 1.0) or y > (MOST_MISSED + 1) * h.period:
         return False
     if plain(tr, c.pulses, c.acceleration, y) < 0.0:
         return False
@@ -228,8 +228,35 @@ def _silent(s: State, c: Const, y: float, period: float) -> bool:
 
 
 @kernel
+def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
+    """Look whether the engine may have turned back in an interval; then its place is doubted.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: interval [us].
+        silent: it goes beyond all teeth that are counted.
+    """
+    re, pitches = s.reversal, s.tracker.pitches
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    before = behind - 1 if behind > 0 else c.pulses - 1
+    u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
+    slower = reversal.slower(re, u)
+    nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
+    if slower or nearly or reversal.stopping(c.turn_us, u2, u1, u):
+        reversal.begin(re, c.pulses, s.index, y)
+        doubt(s)
+        s.held_fault = -1 if slower else s.held_fault
+    elif not silent and reversal.sudden(re, c.turn_us, u1, u):
+        doubt(s)
+
+
+@kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
+    if reversal.stopping(c.turn_us, s.y2, s.y1, y):
+        s.reversal.stood = 1
+        restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
     if index >= 0:
         se = s.search

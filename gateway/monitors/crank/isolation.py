@@ -76,7 +76,12 @@ def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
 
 @kernel
 def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
-    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven."""
+    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
+
+    None where the engine may have turned back.
+    """
+    if s.phase == TENTATIVE and s.reversal.stood == 1:
+        return
     if s.phase == TENTATIVE:
         s.held_fault = fault
         _shape(s, c, number, first, s.held)
@@ -233,6 +238,7 @@ def confirm(s: State, out: Reports) -> None:
     waiting.clear(s.waiting)
     s.suspects = 0
     s.hole = 0
+    s.reversal.stood = 0
     if s.held_fault >= 0:
         e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
         e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed

@@ -27,12 +27,15 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 #: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
 #: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
+#: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
+KICK = 2.0
 
 
 class Const(Record):
     """Constants.
 
-    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands.
+    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
+    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported.
     """
 
     pulses: i4
@@ -45,6 +48,8 @@ class Const(Record):
     runout: f8
     slowest_us: f8
     longest_us: f8
+    turn_us: f8
+    told: u1
     gap: f8
     turning_us: f8
     wheel: LearnedWheel
@@ -128,7 +133,8 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
-    c.longest_us = c.slowest_us
+    c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
+    c.longest_us = c.turn_us
     c.gap = pitches.max()
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
@@ -192,6 +198,7 @@ def stand(s: State, c: Const) -> None:
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
+    s.reversal.stood = 0
 
 
 @kernel

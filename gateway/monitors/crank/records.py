@@ -56,6 +56,7 @@ class State(Record):
     added: i8
     corrections: i8
     losses: i8
+    reversals: i8
     half: i8
     cam: cam.State
     fast: place.State
