@@ -243,7 +243,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
     slower = reversal.slower(re, u)
     nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
-    if slower or nearly or reversal.stopping(c.turn_us, u2, u1, u):
+    if slower or nearly or reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u):
         reversal.begin(re, c.pulses, s.index, y)
         doubt(s)
         s.held_fault = -1 if slower else s.held_fault
@@ -254,7 +254,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
 @kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
-    if reversal.stopping(c.turn_us, s.y2, s.y1, y):
+    if reversal.stopping(c.turn_us, 1.0, s.y2, s.y1, y):
         s.reversal.stood = 1
         restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)

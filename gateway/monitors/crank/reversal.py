@@ -41,29 +41,33 @@ class Reversal(Record):
 
 #: Pulses that the two counts must differ by, and that a count may be off.
 CLEAR, OFF = 4, 2
-#: Growth from one interval to the next from which on an engine may be about to stand (1.28, less jitter).
-GREW = 1.2
+#: Growth from one interval to the next, less 1, from which on an engine may be about to stand within one pitch (0.28,
+#: less jitter); within a gap of S pitches it is as many times smaller (0.13 of three).
+GREW = 0.2
 #: Growth from which on an interval is a sudden one, and from the interval before it to the one behind it from which on
 #: it was not a pulse that was missed.
-ABRUPT, SLOWER = 1.6, 1.25
+ABRUPT, SLOWER = 1.6, 1.3
+#: An engine stops within a pitch, at its hardest, when one takes so much of the least time over a turning point.
+STOPS = 0.7
 
 
 @kernel
-def stopping(longest: float, u2: float, u1: float, u: float) -> bool:
+def stopping(longest: float, span: float, u2: float, u1: float, u: float) -> bool:
     """Tell whether the latest of three intervals is one over, or just before, a turning point.
 
     Args:
         longest: least that it takes over one pitch, at the hardest deceleration [us].
+        span: of the last interval [pitch].
         u2: the last interval but two, over one pitch [us]; 0: not known.
         u1: the last but one.
         u: the last one.
     """
-    return bool(u > longest and u >= u1 > GREW * u2 and u2 > 0.0)
+    return bool(u > longest and u >= u1 > (1.0 + GREW / span) * u2 and u2 > 0.0)
 
 
 @kernel
 def sudden(re: Reversal, longest: float, u1: float, u: float) -> bool:
-    """Tell whether an engine so slow that it stops within two pitches may have done so in the latest interval.
+    """Tell whether an engine so slow that it stops within a pitch may have done so in the latest interval.
 
     It may as well be a pulse missed: the next interval tells (:func:`slower`).
 
@@ -73,7 +77,7 @@ def sudden(re: Reversal, longest: float, u1: float, u: float) -> bool:
         u1: the last interval but one, over one pitch [us].
         u: the last one.
     """
-    if u <= longest or u1 < 0.5 * longest or u < ABRUPT * u1:
+    if u <= longest or u1 < STOPS * longest or u < ABRUPT * u1:
         return False
     re.before = u1
     return True
