@@ -242,13 +242,17 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     before = behind - 1 if behind > 0 else c.pulses - 1
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
     slower = reversal.slower(re, u)
+    stopping = reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u)
     nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
-    if slower or nearly or reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u):
+    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u)
+    if slower or stopping or nearly:
         reversal.begin(re, c.pulses, s.index, y)
+    if slower or stopping or nearly or sudden:
         doubt(s)
-        s.held_fault = -1 if slower else s.held_fault
-    elif not silent and reversal.sudden(re, c.turn_us, u1, u):
-        doubt(s)
+    if slower or stopping or (nearly and not sudden):
+        re.stood = 1
+    if slower:
+        s.held_fault = -1
 
 
 @kernel

@@ -94,7 +94,6 @@ def slower(re: Reversal, u: float) -> bool:
 @kernel
 def begin(re: Reversal, pulses: int, index: int, y: float) -> None:
     """Note that the engine nearly stood behind a tooth; of several slow intervals [us] the slowest counts."""
-    re.stood = 1
     if re.index < 0:
         re.index = index
         re.slowest = 0.0
