@@ -10,7 +10,8 @@ With the point a share f of a pitch behind the last tooth (f from 0 to 1) the in
     2 sqrt(f),  sqrt(f + 1) - sqrt(f),  sqrt(f + 2) - sqrt(f + 1),  ...
 
 so that the longest one, over the turning point or just before it, takes more than 1 / sqrt(a) at the deceleration a
-[pitch/s^2], and the one before that is longer by more than 1.28 than its own predecessor. An engine that passes its
+[pitch/s^2], and the one before that is longer by more than 1.28 than its own predecessor, or one of the two by more
+than 1.62. An engine that passes its
 slowest point turning on is nearly even there, and a missed pulse has no such interval before it. Slower still, any
 interval may hide a turning point. From there on until the place is proven again nothing is held against the sensor: on
 a wheel that turns back each tooth comes at the wrong time.
@@ -44,6 +45,9 @@ CLEAR, OFF = 4, 2
 #: Growth from one interval to the next, less 1, from which on an engine may be about to stand within one pitch (0.28,
 #: less jitter); within a gap of S pitches it is as many times smaller (0.13 of three).
 GREW = 0.2
+#: Growth that one of the last two intervals has before an engine stands (1.62, less jitter); one that is cranked over
+#: its compressions has 1.3 on a wheel of 12 teeth.
+STEEP = 1.5
 #: Growth from which on an interval is a sudden one, and from the interval before it to the one behind it from which on
 #: it was not a pulse that was missed.
 ABRUPT, SLOWER = 1.6, 1.3
@@ -62,7 +66,8 @@ def stopping(longest: float, span: float, u2: float, u1: float, u: float) -> boo
         u1: the last but one.
         u: the last one.
     """
-    return bool(u > longest and u >= u1 > (1.0 + GREW / span) * u2 and u2 > 0.0)
+    steep = u > STEEP * u1 or u1 > STEEP * u2
+    return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span) * u2 and u2 > 0.0)
 
 
 @kernel
