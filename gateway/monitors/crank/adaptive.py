@@ -247,7 +247,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u)
     if slower or stopping or nearly:
         reversal.begin(re, c.pulses, s.index, y)
-    if slower or stopping or nearly or sudden:
+    if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
         doubt(s)
     if slower or stopping or (nearly and not sudden):
         re.stood = 1
@@ -258,7 +258,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
 @kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
-    if reversal.stopping(c.turn_us, 1.0, s.y2, s.y1, y):
+    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y):
         s.reversal.stood = 1
         restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
