@@ -24,6 +24,9 @@ from __future__ import annotations
 from math import exp, log
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gateway.fdi.wheel import MOST_TEETH
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
 
@@ -51,7 +54,8 @@ class LearnedWheel(Record):
     """Wheel.
 
     What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, which slots
-    are or follow a gap, and the first order's cosine and sine in the middle of each slot.
+    are or follow a gap, and cosine and sine of each order in the middle of each slot, those of order k + 1 from
+    ``k * MOST_TEETH`` on.
     """
 
     pulses: i4
@@ -59,8 +63,23 @@ class LearnedWheel(Record):
     whole: f8
     nominal: Annotated[f8s, MOST_TEETH]
     gap: Annotated[u1s, MOST_TEETH]
-    cosine: Annotated[f8s, MOST_TEETH]
-    sine: Annotated[f8s, MOST_TEETH]
+    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH]
+    sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH]
+
+
+def harmonics(wh: LearnedWheel, middle: NDArray[np.float64]) -> None:
+    """Fill the cosines and sines of all orders.
+
+    Args:
+        wh: record of LearnedWheel.
+        middle: shape (P,), angle in the middle of each slot [rad].
+    """
+    even, odd = np.cos(middle), np.sin(middle)
+    x, y = even, odd
+    for k in range(MOST_ORDERS):
+        at = k * MOST_TEETH
+        wh.cosine[at : at + len(middle)], wh.sine[at : at + len(middle)] = x, y
+        x, y = x * even - y * odd, x * odd + y * even
 
 
 class Profile(Record):
@@ -72,7 +91,8 @@ class Profile(Record):
     ``ripple`` its low orders, ``turns`` pairs learned from, ``period`` [us] at which it was learned, ``first``
     amplitude of the first order, ``even`` and ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple
     that the last turn had and the profile did not expect, ``share`` of the ripple applied, ``slow``, ``fast``
-    between which the pitches hold, as they are.
+    between which the pitches hold, as they are. ``worst`` slot, whose pitch is farthest from nominal; ``bent`` tooth,
+    that is ``off`` most [pitch], and ``scatter``, the standard deviation of the others.
     """
 
     intervals: Annotated[f8s, MOST_TEETH]
@@ -94,6 +114,10 @@ class Profile(Record):
     evens: Annotated[f8s, MOST_ORDERS]
     odds: Annotated[f8s, MOST_ORDERS]
     share: f8
+    off: f8
+    scatter: f8
+    worst: i4
+    bent: i4
     clean: u1
     ended: u1
     ended_clean: u1
@@ -223,6 +247,7 @@ def _learn(pr: Profile, wh: LearnedWheel, us: float, growth: float) -> bool:
         most = (MOST_GAP_OFF if wh.gap[i] == 1 else MOST_OFF) / wh.nominal[i]
         own = pr.logs[i] - pr.ripple[i]
         pr.logs[i] = pr.ripple[i] + min(max(own, -most), most)
+    _inspect(pr, wh)
     return True
 
 
@@ -252,27 +277,21 @@ def _measure(pr: Profile, wh: LearnedWheel) -> None:
 @kernel
 def _harmonics(pr: Profile, wh: LearnedWheel) -> None:
     """Project what is learned on its low orders: their sum is the ripple, the first one the runout's amplitude."""
-    for k in range(wh.orders):
-        pr.evens[k] = 0.0
-        pr.odds[k] = 0.0
-    for i in range(wh.pulses):
-        re, im, weight = wh.cosine[i], wh.sine[i], wh.nominal[i] * pr.logs[i]
-        x, y = re, im
-        for k in range(wh.orders):
-            pr.evens[k] += weight * x
-            pr.odds[k] += weight * y
-            x, y = x * re - y * im, x * im + y * re
     scale = 2.0 / wh.whole
-    for k in range(wh.orders):
-        pr.evens[k] *= scale
-        pr.odds[k] *= scale
     for i in range(wh.pulses):
-        re, im = wh.cosine[i], wh.sine[i]
-        x, y, ripple = re, im, 0.0
-        for k in range(wh.orders):
-            ripple += pr.evens[k] * x + pr.odds[k] * y
-            x, y = x * re - y * im, x * im + y * re
-        pr.ripple[i] = ripple
+        pr.ripple[i] = 0.0
+    for k in range(wh.orders):
+        at = k * MOST_TEETH
+        even, odd = 0.0, 0.0
+        for i in range(wh.pulses):
+            weight = wh.nominal[i] * pr.logs[i]
+            even += weight * wh.cosine[at + i]
+            odd += weight * wh.sine[at + i]
+        even *= scale
+        odd *= scale
+        pr.evens[k], pr.odds[k] = even, odd
+        for i in range(wh.pulses):
+            pr.ripple[i] += even * wh.cosine[at + i] + odd * wh.sine[at + i]
     even, odd = pr.evens[0], pr.odds[0]
     pr.even, pr.odd = pr.even + even, pr.odd + odd
     pr.first = (even * even + odd * odd) ** 0.5
@@ -323,27 +342,22 @@ def _bend(pr: Profile, wh: LearnedWheel, tooth: int) -> float:
 
 
 @kernel
-def bent(pr: Profile, wh: LearnedWheel) -> tuple[int, float, float]:
-    """Return the tooth that is off most, by how much [pitch], and the standard deviation of the other teeth."""
-    place, most, total = 0, 0.0, 0.0
-    for i in range(wh.pulses):
-        off = _bend(pr, wh, i)
-        total += abs(off)
-        if abs(off) > abs(most):
-            place, most = i, off
-    count = wh.pulses - 3
-    for i in range(place - 1, place + 2):
-        total -= abs(_bend(pr, wh, i % wh.pulses))
-    # Of a normal distribution the mean of the absolute value is 0.8 standard deviations.
-    return place, most, 1.25 * total / max(count, 1)
-
-
-@kernel
-def worst(pr: Profile, wh: LearnedWheel) -> int:
-    """Return the slot whose pitch is farthest from nominal."""
-    place, most = 0, 0.0
+def _inspect(pr: Profile, wh: LearnedWheel) -> None:
+    """Find the slot whose pitch is farthest from nominal, and the tooth that is off most."""
+    most = 0.0
+    pr.worst = 0
     for i in range(wh.pulses):
         error = abs(pr.logs[i])
         if error > most:
-            place, most = i, error
-    return int(place)
+            pr.worst, most = i, error
+    pr.bent, pr.off = 0, 0.0
+    total = 0.0
+    for i in range(wh.pulses):
+        off = _bend(pr, wh, i)
+        total += abs(off)
+        if abs(off) > abs(pr.off):
+            pr.bent, pr.off = i, off
+    for i in range(pr.bent - 1, pr.bent + 2):
+        total -= abs(_bend(pr, wh, i % wh.pulses))
+    # Of a normal distribution the mean of the absolute value is 0.8 standard deviations.
+    pr.scatter = 1.25 * total / max(wh.pulses - 3, 1)

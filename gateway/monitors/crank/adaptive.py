@@ -7,10 +7,12 @@ while the speed changes.
 
 from __future__ import annotations
 
+import numpy as np
+
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway.fdi.pulse_tracking.branching import MOST_MISSED
-from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, short, take
+from gateway.fdi.pulse_tracking.hypotheses import HOPELESS, Limits, Pulses, plain, short, take
 from gateway.fdi.pulse_tracking.tracker import (
     agreed,
     begin,
@@ -21,7 +23,7 @@ from gateway.fdi.pulse_tracking.tracker import (
     shift,
     transfer_ripple,
 )
-from gateway.jit import kernel
+from gateway.jit import f8s, kernel
 from gateway.monitors.crank import anchor, reversal, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
@@ -53,6 +55,8 @@ from gateway.monitors.crank.place import (
 MOST_MEAN_COST = 8.0
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
+#: The neighbours of the largest gap, so many on each side, are never taken the short way.
+NEAR = 2
 #: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
 BEYOND = 0.45
 
@@ -102,25 +106,25 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         y: interval [us].
         out: record of Out.
     """
-    if s.phase == CONFIRMED and s.index > 1 and s.index + 2 < c.pulses and s.profile.ended == 0 and _regular(s, c, y):
+    if s.phase == CONFIRMED and 0 < s.index < c.pulses - 1 and s.profile.ended == 0 and _plain(s, c, y):
         return
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
     anchor.note(s.anchor, c.pulses, y)
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
-        reversal.tell(s.reversal, out)
+        reversal.tell(s.reversal, out, c.told == 1)
         search(s, c)
     if s.phase == SEARCHING:
         if s.silent > 0:
             broken_silence(s, y, out)
         _seek(s, c, y)
     else:
-        span = s.tracker.pitches[s.index]
         period = best(s.tracker).period
-        if y > c.slowest_us * span and period > c.slowest_us / ABRUPT:
-            reversal.begin(s.reversal, c.pulses, s.index, y)
-            doubt(s)
-        if y > (MOST_MISSED + 1) * period and _silent(s, c, y, period):
+        silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        _watch_turning(s, c, y, silent)
+        if silent and s.reversal.stood == 1:
+            search(s, c)
+        elif silent:
             fall_silent(s, c, out, y / period)
         else:
             _track(s, c, y, out)
@@ -133,29 +137,79 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
 
 
 @kernel
-def _regular(s: State, c: Const, y: float) -> bool:
-    """Take a pulse that is the next tooth beyond doubt, away from the gap; returns whether it was one.
+def regular(s: State, c: Const, us: f8s, first: int, last: int) -> int:
+    """Take the pulses that are the next teeth beyond doubt, away from the gap, up to one that is not.
 
-    The same as the long way does for it, without what that only does elsewhere.
+    The same as :func:`tooth` does for them, without what that only does elsewhere.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        us: intervals [us].
+        first: of them, where to begin.
+        last: where to end at the latest.
+
+    Returns:
+        how many were taken.
     """
-    pr = s.profile
-    period = best(s.tracker).period
-    if s.reversal.index >= 0 or y > c.slowest_us or s.anchor.age > c.pulses:
+    pr, index = s.profile, int(s.index)
+    if s.phase != CONFIRMED or index < NEAR or pr.ended == 1 or s.reversal.index >= 0:
+        return 0
+    last = min(last, first + c.pulses - NEAR - index, first + c.pulses + 1 - s.anchor.age)
+    learned = pr.turns > 0
+    limits = Limits(c.longest_us, pr.slow if learned else np.inf, pr.fast if learned else 0.0)
+    taken = short(s.tracker, Pulses(us, first, last), limits, s.residuals, s.teeth % RESIDUALS)
+    for k in range(first, first + taken):
+        y = us[k]
+        s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+        anchor.note(s.anchor, c.pulses, y)
+        profile.note(pr, index, y)
+        index += 1
+        s.y2 = s.y1
+        s.y1 = y
+    s.teeth += taken
+    s.index = index
+    s.since += taken
+    return taken
+
+
+@kernel
+def _plain(s: State, c: Const, y: float) -> bool:
+    """Take a pulse that the filter explains, not the gap's; returns whether it was one.
+
+    It is what is left where the filter has not come to its limit yet.
+    """
+    pr, tr, index = s.profile, s.tracker, int(s.index)
+    h = best(tr)
+    if s.reversal.index >= 0 or s.anchor.age > c.pulses or h.missed != 0 or h.added != 0:
         return False
-    if pr.turns > 0 and (period > pr.slow or period < pr.fast):
+    if y > c.longest_us * min(tr.pitches[index], 1.0) or y > (MOST_MISSED + 1) * h.period:
         return False
-    if not short(s.tracker, c.pulses, y):
+    if plain(tr, c.pulses, c.acceleration, y) < 0.0:
         return False
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
     anchor.note(s.anchor, c.pulses, y)
-    s.residuals[s.teeth % RESIDUALS] = s.tracker.residual
-    profile.note(pr, s.index, y)
-    s.index += 1
+    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    profile.note(pr, index, y)
+    s.index = index + 1
     s.since += 1
     s.y2 = s.y1
     s.y1 = y
+    if pr.turns > 0 and (h.period > pr.slow or h.period < pr.fast):
+        _follow(s, c, index)
     return True
+
+
+@kernel
+def _follow(s: State, c: Const, behind: int) -> None:
+    """Bring the pitches to the speed of a tooth, the one behind the slot ``behind``; what is predicted stays."""
+    pr, tr = s.profile, s.tracker
+    old_behind, old_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
+    profile.follow(pr, c.wheel, best(tr).period, tr.pitches)
+    new_behind, new_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
+    if new_behind != old_behind or new_ahead != old_ahead:
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
 
 
 @kernel
@@ -174,8 +228,39 @@ def _silent(s: State, c: Const, y: float, period: float) -> bool:
 
 
 @kernel
+def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
+    """Look whether the engine may have turned back in an interval; then its place is doubted.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: interval [us].
+        silent: it goes beyond all teeth that are counted.
+    """
+    re, pitches = s.reversal, s.tracker.pitches
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    before = behind - 1 if behind > 0 else c.pulses - 1
+    u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
+    slower = reversal.slower(re, u)
+    stopping = reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u)
+    nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
+    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u)
+    if slower or stopping or nearly:
+        reversal.begin(re, c.pulses, s.index, y)
+    if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
+        doubt(s)
+    if slower or stopping or (nearly and not sudden):
+        re.stood = 1
+    if slower:
+        s.held_fault = -1
+
+
+@kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
+    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y):
+        s.reversal.stood = 1
+        restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
     if index >= 0:
         se = s.search

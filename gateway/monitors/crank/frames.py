@@ -91,6 +91,20 @@ def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
 
 
 @kernel
+def _teeth(s: State, c: Const, number: int, out: Reports) -> None:
+    """Take the first intervals of the frame at hand."""
+    k = 0
+    while k < number:
+        if c.adaptive == 1:
+            taken = adaptive.regular(s.fast, c.fast, s.intervals, k, number)
+            s.count = (s.count + taken) % 65536
+            k += taken
+        if k < number:
+            _tooth(s, c, s.intervals[k], out)
+            k += 1
+
+
+@kernel
 def _stray(s: State, number: int, following: int) -> bool:
     """Tell whether a frame from the past came late; two that follow each other are a sender that restarted.
 
@@ -120,16 +134,21 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
                 _lost(s, c, number, out)
     s.linked = 1
     s.counter = counter
+    number = 0
     for k in range(CLASSIC_INTERVALS):
         code = int(u.intervals[k])
         if code == PADDING_CODE:
             continue
         if code == OVERFLOW_CODE:
+            _teeth(s, c, number, out)
+            number = 0
             s.count = (s.count + 1) % 65536
             stand(s, c)
             continue
         s.stalls_ns = u.t_ns + c.stall_ns
-        _tooth(s, c, period_us(code), out)
+        s.intervals[number] = period_us(code)
+        number += 1
+    _teeth(s, c, number, out)
 
 
 @kernel
@@ -150,4 +169,5 @@ def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
     scale = float(1 << int(u.shift))
     for k in range(int(u.valid)):
         s.stalls_ns = u.t_ns + c.stall_ns
-        _tooth(s, c, u.intervals[k] * scale, out)
+        s.intervals[k] = u.intervals[k] * scale
+    _teeth(s, c, int(u.valid), out)

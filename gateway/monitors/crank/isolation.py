@@ -76,7 +76,12 @@ def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
 
 @kernel
 def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
-    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven."""
+    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
+
+    None where the engine may have turned back.
+    """
+    if s.phase == TENTATIVE and s.reversal.stood == 1:
+        return
     if s.phase == TENTATIVE:
         s.held_fault = fault
         _shape(s, c, number, first, s.held)
@@ -233,6 +238,7 @@ def confirm(s: State, out: Reports) -> None:
     waiting.clear(s.waiting)
     s.suspects = 0
     s.hole = 0
+    s.reversal.stood = 0
     if s.held_fault >= 0:
         e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
         e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
@@ -327,12 +333,12 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
     """Judge the wheel as it was learned: off centre, a tooth out of its place."""
     amplitude, most = runout.geometry(s.law, s.speed_rpm, s.profile.first, c.runout)
     r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
-    r.amplitude, r.tooth = amplitude, profile.worst(s.profile, c.wheel)
+    r.amplitude, r.tooth = amplitude, s.profile.worst
     r.speed = s.speed_rpm
-    tooth, off, scatter = profile.bent(s.profile, c.wheel)
-    limit = max(BENT, min(BENT_SIGMAS * scatter, BENT_MOST))
+    off = s.profile.off
+    limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
-    d.tooth, d.off, d.speed = tooth, off, s.speed_rpm
+    d.tooth, d.off, d.speed = s.profile.bent, off, s.speed_rpm
 
 
 @kernel

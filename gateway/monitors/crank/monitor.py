@@ -69,6 +69,9 @@ class Params(MonitorParams):
     )
     runout: float = Field(0.04, gt=0, lt=1, description="adaptive: variation of the pitch once a turn, amplitude")
     reversal_rpm: float = Field(30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]")
+    report_reversal: bool = Field(
+        False, description="adaptive: an engine that turned back sets P1335-00; it is no defect, and counted anyway"
+    )
     cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
         (),
         max_length=cam.MOST_EDGES,
@@ -159,6 +162,8 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.stall_ns = int(p.stall_ms * 1e6)
     c.tooth_0_deg = p.tooth_0_deg
     place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
+    c.fast.told = p.report_reversal
+    c.fast.longest_us = min(c.fast.longest_us, p.stall_ms * 1e3 * (1 - 1e-9))
     constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
     cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
     s.counter = -1
@@ -203,6 +208,7 @@ def _show(s: State, c: Const) -> float:
         s.added = f.added
         s.corrections = f.corrections
         s.losses = f.losses
+        s.reversals = f.reversal.total
         s.half = s.cam.half
         return place.speed(f, c.fast)
     p = s.paper
@@ -296,6 +302,7 @@ MONITOR = Monitor(
                 "added",
                 "corrections",
                 "losses",
+                "reversals",
             )
         ),
     ),

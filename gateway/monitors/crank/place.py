@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
-from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget
+from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget, harmonics
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
@@ -27,10 +27,16 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 #: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
 #: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
+#: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
+KICK = 2.0
 
 
 class Const(Record):
-    """Constants."""
+    """Constants.
+
+    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
+    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported.
+    """
 
     pulses: i4
     repeats: i4
@@ -41,6 +47,9 @@ class Const(Record):
     usual: f8
     runout: f8
     slowest_us: f8
+    longest_us: f8
+    turn_us: f8
+    told: u1
     gap: f8
     turning_us: f8
     wheel: LearnedWheel
@@ -124,6 +133,8 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
+    c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
+    c.longest_us = c.turn_us
     c.gap = pitches.max()
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
@@ -137,7 +148,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     wh.orders = min(MOST_ORDERS, count // 5)
     wh.nominal[:count] = pitches
     middle = 2 * np.pi * (np.asarray(wheel.positions) + pitches / 2) / wheel.turn
-    wh.cosine[:count], wh.sine[:count] = np.cos(middle), np.sin(middle)
+    harmonics(wh, middle)
     tr = s.tracker
     tr.pitches[:count] = pitches
     tr.slack[:] = c.slack
@@ -187,6 +198,7 @@ def stand(s: State, c: Const) -> None:
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
+    s.reversal.stood = 0
 
 
 @kernel

@@ -29,7 +29,7 @@ class State(Record):
 
     ``count`` pulses, as the sender counts them (modulo 65536), once ``counted``; ``base_counter`` of the last
     CTW_BASE, ``owed`` when it told of frames that are not here yet; ``stray`` place after the last frame that
-    came late, -1: none.
+    came late, -1: none; ``intervals`` of the frame at hand [us].
     """
 
     counter: i8
@@ -41,6 +41,7 @@ class State(Record):
     owed_pulses: i8
     owed_teeth: i8
     stray: i8
+    intervals: Annotated[f8s, MOST_INTERVALS]
     stalls_ns: i8
     sent_ns: i8
     sent_sync: i8
@@ -55,6 +56,7 @@ class State(Record):
     added: i8
     corrections: i8
     losses: i8
+    reversals: i8
     half: i8
     cam: cam.State
     fast: place.State

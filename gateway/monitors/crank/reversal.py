@@ -3,11 +3,23 @@
 A sensor without direction shows the same teeth again. From the slowest interval on, behind tooth
 ``i``, a wheel that turns on shows its gap after ``P - i`` pulses, one that turned back after ``i + 2``,
 the gap recognised by the interval after it.
+
+How an engine comes to stand: under a constant torque the times from the turning point are as the roots of the angles.
+With the point a share f of a pitch behind the last tooth (f from 0 to 1) the intervals before it are to each other as::
+
+    2 sqrt(f),  sqrt(f + 1) - sqrt(f),  sqrt(f + 2) - sqrt(f + 1),  ...
+
+so that the longest one, over the turning point or just before it, takes more than 1 / sqrt(a) at the deceleration a
+[pitch/s^2], and the one before that is longer by more than 1.28 than its own predecessor, or one of the two by more
+than 1.62. An engine that passes its
+slowest point turning on is nearly even there, and a missed pulse has no such interval before it. Slower still, any
+interval may hide a turning point. From there on until the place is proven again nothing is held against the sensor: on
+a wheel that turns back each tooth comes at the wrong time.
 """
 
 from __future__ import annotations
 
-from gateway.jit import Record, f8, i4, kernel
+from gateway.jit import Record, f8, i4, i8, kernel, u1
 from gateway.monitors.contract import report
 from gateway.monitors.crank.faults import REVERSED, Reports
 
@@ -16,16 +28,72 @@ class Reversal(Record):
     """Reversal.
 
     ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since, ``slowest`` that
-    interval [us].
+    interval [us]; ``before`` a sudden interval, the one before it [us a pitch], 0: none; ``stood``: the engine may have
+    turned back, and the place was not proven since; ``total`` of reversals told.
     """
 
     index: i4
     count: i4
     slowest: f8
+    before: f8
+    stood: u1
+    total: i8
 
 
 #: Pulses that the two counts must differ by, and that a count may be off.
 CLEAR, OFF = 4, 2
+#: Growth from one interval to the next, less 1, from which on an engine may be about to stand within one pitch (0.28,
+#: less jitter); within a gap of S pitches it is as many times smaller (0.13 of three).
+GREW = 0.2
+#: Growth that one of the last two intervals has before an engine stands (1.62, less jitter); one that is cranked over
+#: its compressions has 1.3 on a wheel of 12 teeth.
+STEEP = 1.5
+#: Growth from which on an interval is a sudden one, and from the interval before it to the one behind it from which on
+#: it was not a pulse that was missed.
+ABRUPT, SLOWER = 1.6, 1.3
+#: An engine stops within a pitch, at its hardest, when one takes so much of the least time over a turning point.
+STOPS = 0.7
+
+
+@kernel
+def stopping(longest: float, span: float, u2: float, u1: float, u: float) -> bool:
+    """Tell whether the latest of three intervals is one over, or just before, a turning point.
+
+    Args:
+        longest: least that it takes over one pitch, at the hardest deceleration [us].
+        span: of the last interval [pitch].
+        u2: the last interval but two, over one pitch [us]; 0: not known.
+        u1: the last but one.
+        u: the last one.
+    """
+    steep = u > STEEP * u1 or u1 > STEEP * u2
+    return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span) * u2 and u2 > 0.0)
+
+
+@kernel
+def sudden(re: Reversal, longest: float, u1: float, u: float) -> bool:
+    """Tell whether an engine so slow that it stops within a pitch may have done so in the latest interval.
+
+    It may as well be a pulse missed: the next interval tells (:func:`slower`).
+
+    Args:
+        re: record of Reversal.
+        longest: as of :func:`stopping`.
+        u1: the last interval but one, over one pitch [us].
+        u: the last one.
+    """
+    if u <= longest or u1 < STOPS * longest or u < ABRUPT * u1:
+        return False
+    re.before = u1
+    return True
+
+
+@kernel
+def slower(re: Reversal, u: float) -> bool:
+    """Take the interval [us a pitch] behind a sudden one; returns whether the engine is slower than it was before."""
+    before = re.before
+    re.before = 0.0
+    return bool(u > SLOWER * before > 0.0)
 
 
 @kernel
@@ -62,14 +130,16 @@ def seen(re: Reversal, pulses: int, gap: float, y2: float, y1: float, y: float) 
         return False
     back, on = re.index + 2, pulses - re.index
     turned_back = abs(re.count - back) <= OFF and abs(on - back) > CLEAR
-    if not turned_back:
+    if not turned_back and abs(re.count - on) <= OFF:
         re.index = -1
     return bool(turned_back)
 
 
 @kernel
-def tell(re: Reversal, out: Reports) -> None:
-    """Report it."""
-    e = report(out, REVERSED, True, re.count, 0.0).reversed
-    e.tooth, e.pulses = re.index, re.count
+def tell(re: Reversal, out: Reports, reported: bool) -> None:
+    """Count it, and report it where that is wanted: it is no defect of the sensor."""
+    re.total += 1
+    if reported:
+        e = report(out, REVERSED, True, re.count, 0.0).reversed
+        e.tooth, e.pulses = re.index, re.count
     re.index = -1

@@ -34,6 +34,7 @@ class Followed:
         count: shape (m,), its count, the first value of its evidence.
         tooth: shape (m,), the second one: the tooth, where pulses were missed or added.
         alarms: exceedances that were looked into (paper), losses of synchronisation (peers).
+        reversals: times that the engine turned back (adaptive).
     """
 
     teeth: NDArray[np.int64]
@@ -43,6 +44,7 @@ class Followed:
     count: NDArray[np.int64]
     tooth: NDArray[np.int64]
     alarms: int
+    reversals: int = 0
 
 
 @kernel
@@ -59,13 +61,20 @@ def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
 
 @kernel
 def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
-    n = 0
-    for k in range(y.shape[0]):
-        out.n = 0
-        adaptive.tooth(s, c, y[k], out)
-        teeth[k] = s.index if s.phase != place.SEARCHING else -1
-        proven[k] = place.proven(s)
-        n = _collect(out, n, k + 1, reports)
+    n = k = 0
+    while k < y.shape[0]:
+        taken = adaptive.regular(s, c, y, k, y.shape[0])
+        for j in range(taken):
+            teeth[k + j] = s.index - taken + 1 + j
+            proven[k + j] = True
+        k += taken
+        if k < y.shape[0]:
+            out.n = 0
+            adaptive.tooth(s, c, y[k], out)
+            teeth[k] = s.index if s.phase != place.SEARCHING else -1
+            proven[k] = place.proven(s)
+            k += 1
+            n = _collect(out, n, k, reports)
     return n
 
 
@@ -97,12 +106,15 @@ def _threshold(s: Any, pulses: int, gap: float, y: Any, teeth: Any, proven: Any)
         proven[k] = s.synced == 1
 
 
-def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Followed]:
+def follower(
+    method: Method, wheel: Wheel, *, report_reversal: bool = False
+) -> Callable[[NDArray[np.float64]], Followed]:
     """Return a function that takes the pulse times of one train [us], each from the start.
 
     Args:
         method: one of ours by its name in the configuration, or a peer (see :mod:`.peers`).
         wheel: the wheel.
+        report_reversal: of the adaptive method's parameters.
     """
     out = zeros(1, MONITOR.results)
     defaults = Params(wheel=wheel)
@@ -113,13 +125,15 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
         teeth = np.full(len(y), -1, np.int64)
         proven = np.zeros(len(y), np.bool_)
         reports = np.zeros((MOST_REPORTS, 4))
-        n = alarms = 0
+        n = alarms = reversals = 0
         s: Any
         c: Any
         if method == "adaptive":
             s, c = zeros(1, place.State), zeros(1, place.Const)
             place.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
+            c[0]["told"] = report_reversal
             n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)
+            reversals = int(s[0]["reversal"]["total"])
         elif method == "paper":
             s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)
             constant_speed.prepare(s[0], c[0], wheel, defaults.gain, 0.5, False)
@@ -130,6 +144,6 @@ def follower(method: Method, wheel: Wheel) -> Callable[[NDArray[np.float64]], Fo
             (_ratio if method == "ratio" else _threshold)(s[0], pulses, gap, y, teeth, proven)
             alarms = int(s[0]["losses"])
         found = reports[:n].astype(np.int64)
-        return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms)
+        return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms, reversals)
 
     return follow

@@ -7,7 +7,7 @@ on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -118,14 +118,74 @@ def _dropout(rpm: float) -> Callable[[Wheel, np.random.Generator, int], Train]:
     return make
 
 
-def _kick_back(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
-    """Stops, and turns back over the same teeth; nothing is judged from the stop on."""
-    rest = 3.0 + rng.uniform(0.4, 0.6)
-    speed = [(0.0, 300.0), (3.0, 300.0), (rest, 0.0)]
-    times = tooth_times(wheel, speed, 30.0, jitter=JITTER, rng=rng) / 1e3
-    back = 2e6 * rest - times[::-1]
-    both = np.concatenate([times, back[back > times[-1] + 5e4][: wheel.pulses]]).astype(np.float64)
-    return both, np.arange(len(both)) % wheel.pulses, len(both)
+def turning_times(
+    wheel: Wheel, pieces: Sequence[tuple[float, float]], rpm: float, width: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the pulses of an engine that may turn back [us], rising, and the tooth of each.
+
+    Args:
+        wheel: the wheel; the engine begins at its tooth 0.
+        pieces: (acceleration [rpm/s], duration [s]), one behind the other.
+        rpm: speed at the beginning.
+        width: of a tooth [pitch]: turning back the sensor shows its other edge.
+    """
+    places = np.asarray(wheel.positions)
+    found: list[tuple[float, int]] = []
+    at, angle, speed = 0.0, 0.0, rpm / 60 * wheel.turn
+    for change, duration in pieces:
+        a = change / 60 * wheel.turn
+        turn = -speed / a if a != 0.0 else -1.0
+        for begin, end in ((0.0, turn), (turn, duration)) if 0.0 < turn < duration else ((0.0, duration),):
+            low, high = (angle + speed * t + a * t * t / 2 for t in (begin, end))
+            back = high < low
+            shift = width if back else 0.0
+            turns = range(int(min(low, high) // wheel.turn) - 1, int(max(low, high) // wheel.turn) + 2)
+            for k in turns:
+                for tooth, place in enumerate(places + k * wheel.turn + shift):
+                    if not min(low, high) <= place < max(low, high):
+                        continue
+                    root = np.sqrt(max(speed * speed + 2 * a * (place - angle), 0.0))
+                    root = -root if back else root
+                    t = (root - speed) / a if abs(a) > 1e-9 else (place - angle) / speed
+                    found.append((at + t, tooth))
+        angle, speed, at = angle + speed * duration + a * duration**2 / 2, speed + a * duration, at + duration
+    found.sort()
+    return np.array([t for t, _ in found]) * 1e6, np.array([tooth for _, tooth in found], np.int64)
+
+
+def _turned(wheel: Wheel, rng: np.random.Generator, pieces: Sequence[tuple[float, float]], rpm: float) -> Train:
+    times, teeth = turning_times(wheel, pieces, rpm, float(rng.choice([0.0, 0.3, 0.5])))
+    # Edges move by a share of a pitch, as fast as the engine turns there.
+    moved = times + JITTER * rng.normal(size=len(times)) * np.minimum(np.gradient(times), 60e6 / rpm / wheel.turn)
+    return np.maximum.accumulate(np.rint(moved)) + np.arange(len(times)), teeth, 0
+
+
+def _stop(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
+    """Runs, stops within a tenth of a second to a second, and its last compression turns it back."""
+    rpm, brake = 300.0, rng.uniform(400.0, 3000.0)
+    back = rng.uniform(0.3, 1.0) * brake
+    turn = np.sqrt(2 * rng.uniform(0.05, 0.5) * 60 / back)
+    run = 3.0 + rng.uniform(0, 0.2)
+    return _turned(wheel, rng, [(0, run), (-brake, rpm / brake), (-back, turn), (2 * back, turn / 2)], rpm)
+
+
+def _start(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
+    """Cranks, does not come over a compression and is turned back by it, cranks on and catches."""
+    rpm, brake = rng.uniform(120.0, 250.0), rng.uniform(1500.0, 6000.0)
+    turn = np.sqrt(2 * rng.uniform(0.02, 0.2) * 60 / brake)
+    push = rng.uniform(1000.0, 3000.0)
+    again = [(push, (brake * turn + 250.0) / push), (0, 2.0), (1300.0, 0.5), (0, 1.5)]
+    return _turned(wheel, rng, [(0, 2.0 + rng.uniform(0, 0.3)), (-brake, rpm / brake + turn), *again], rpm)
+
+
+def _rock(wheel: Wheel, rng: np.random.Generator, _: int) -> Train:
+    """Stops, rocks back and forth in the last compression, and is started again before it counts as standing."""
+    rpm, brake = 300.0, rng.uniform(400.0, 3000.0)
+    pieces = [(0.0, 3.0 + rng.uniform(0, 0.2)), (-brake, rpm / brake)]
+    for sign in (-1, 1, -1, 1):
+        reach = np.sqrt(2 * rng.uniform(0.01, 0.15) * 60 / brake)
+        pieces += [(sign * brake, reach), (-sign * brake, reach)]
+    return _turned(wheel, rng, [*pieces, (1500.0, 0.2), (0, 3.0)], rpm)
 
 
 @cache
@@ -143,7 +203,8 @@ def _cases() -> dict[tuple[str, str], Callable[[Wheel, np.random.Generator, int]
     made |= {("speed", f"{k:.0f} rpm"): _speed(k) for k in (50.0, 100.0, 200.0, 500.0, 2000.0, 6000.0, 12000.0)}
     made |= {("dropout 1 to 40", f"{k:.0f} rpm"): _dropout(k) for k in (300.0, 1000.0, 6000.0)}
     made[("start and stop", "20 to 900 to 60 rpm")] = _start_and_stop
-    made[("kick-back", "300 rpm")] = _kick_back
+    made |= {("turned back", "at a stop"): _stop, ("turned back", "at a start"): _start}
+    made[("turned back", "rocks, and starts")] = _rock
     return made
 
 

@@ -215,7 +215,7 @@ def test_runout(amplitude, found):
 
 
 @pytest.mark.parametrize("turn", [20.1, 20.33, 20.6, 20.85])
-def test_an_engine_that_turns_back_is_reported(turn):
+def test_an_engine_that_turns_back_is_told_and_no_fault(turn):
     """Constant torque brings it to rest, and back over the same teeth."""
     wheel = Wheel.parse("60-2")
     rest = 3 + 2 * (turn - 15) / 5
@@ -223,9 +223,14 @@ def test_an_engine_that_turns_back_is_reported(turn):
     speed = [(0.0, 300.0), (3.0, 300.0), (rest, 0.0)]
     times = tooth_times(wheel, speed, 30.0, jitter=0.01, rng=rng) / 1e3
     back = 2e6 * rest - times[::-1]
-    result = followed(np.concatenate([times, back[back > times[-1] + 5e4][:100]]))
-    assert result.fault.tolist() == [REVERSED]
-    assert abs(result.count[0] - (len(times) - 1) % 58) <= 1
+    both = np.concatenate([times, back[back > times[-1] + 5e4][:100]])
+    result = followed(both)
+    assert result.fault.tolist() == []
+    assert result.reversals == 1
+    assert not result.proven[len(times) :].any(), "proven while it turned back"
+    reported = follower("adaptive", wheel, report_reversal=True)(both)
+    assert reported.fault.tolist() == [REVERSED]
+    assert abs(reported.count[0] - (len(times) - 1) % 58) <= 1
 
 
 def test_an_engine_that_nearly_stops_and_goes_on_is_no_fault():

@@ -14,7 +14,7 @@ from gateway.fdi.pulse_tracking.motion import Q1, Q2, Hypothesis, correct, sprea
 from gateway.fdi.pulse_tracking.tracker import MOST, Tracker, begin
 from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED, zeros
-from gateway.monitors.crank import place
+from gateway.monitors.crank import MONITOR, adaptive, place
 
 
 def hypothesis(period=500.0, growth=0.0, **p):
@@ -155,3 +155,61 @@ def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     turns(2, 4000.0, 0.0)
     believed = np.log(np.array(pitches[:35]) / nominal)[plain]
     assert np.abs(believed).max() < 0.3 * np.abs(ripple[plain]).max()
+
+
+def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
+    """Bit for bit, whatever the length of the runs: a frame brings 4, 27, or the pulses of a whole log at once."""
+    wheel = Wheel.parse("60-2")
+    rng = np.random.default_rng(17)
+    print("seed 17")
+    y = np.tile(wheel.pitches, 20) * 350.0 * (1 + 0.01 * rng.normal(size=58 * 20))
+    ends = []
+    for longest in (1, 4, 27, len(y)):
+        state, const, out = zeros(1, place.State), zeros(1, place.Const), zeros(1, MONITOR.results)
+        place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+        k = regular = 0
+        while k < len(y):
+            taken = adaptive.regular(state[0], const[0], y, k, min(k + longest, len(y)))
+            assert taken <= longest
+            regular += taken
+            k += taken
+            if taken == 0:
+                out[0].n = 0
+                adaptive.tooth(state[0], const[0], y[k], out[0])
+                k += 1
+        ends.append(state.tobytes())
+        assert state[0].index == len(y) % 58
+        assert regular > 0.7 * len(y), "few were taken the short way"
+    assert len(set(ends)) == 1
+
+
+def test_what_the_profile_says_of_the_wheel_is_what_its_pitches_say():
+    """The tooth that is off most, the scatter of the others, the orders of the ripple: by numpy."""
+    wheel = Wheel.parse("60-2")
+    state, const = zeros(1, place.State), zeros(1, place.Const)
+    place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+    pr, wh = state[0].profile, const[0].wheel
+    pitches = np.array(wheel.pitches)
+    middle = 2 * np.pi * (np.array(wheel.positions) + pitches / 2) / wheel.turn
+    rng = np.random.default_rng(18)
+    late = 0.02 * rng.normal(size=58)
+    late[31] = 0.3
+    shown = (pitches + np.diff(np.append(late, late[0]))) * np.exp(0.03 * np.cos(2 * middle + 0.4))
+    for _ in range(8):
+        for slot in range(58):
+            profile.note(pr, slot, float(400.0 * shown[slot]))
+        profile.end(pr)
+        profile.turn(pr, wh, state[0].tracker.pitches, 0)
+    logs, ripple = np.array(pr.logs[:58]), np.array(pr.ripple[:58])
+    orders = np.arange(1, wh.orders + 1)[:, None] * middle
+    even, odd = (2 / wheel.turn * (pitches * logs * f(orders)).sum(1) for f in (np.cos, np.sin))
+    np.testing.assert_allclose(ripple, even @ np.cos(orders) + odd @ np.sin(orders), atol=2e-4)
+    own = pitches * (logs - ripple)
+    off = 0.5 * (np.roll(own, 1) - own)
+    gap = pitches > 1.3
+    off[gap | np.roll(gap, 1) | np.roll(gap, 2)] = 0.0
+    assert pr.bent == np.abs(off).argmax() == 31
+    assert pr.off == pytest.approx(off[31], rel=1e-9)
+    others = np.delete(np.abs(off), [30, 31, 32])
+    assert pr.scatter == pytest.approx(1.25 * others.sum() / 55, rel=1e-9)
+    assert pr.worst == np.abs(logs).argmax()
