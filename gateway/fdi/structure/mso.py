@@ -28,7 +28,7 @@ from gateway.jit import i8s, kernel
 #: Sets found between two reports of progress.
 PORTION = 20_000
 #: Default of the greatest number of sets.
-MOST_SETS = 1_000_000
+MOST_SETS = 20_000
 
 
 class TooManySetsError(ValueError):

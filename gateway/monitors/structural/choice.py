@@ -32,8 +32,6 @@ from gateway.fdi.structure.sequence import shown
 from gateway.monitors.structural.params import Params
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan, Test
 
-#: MSO sets that `auto` looks at.
-MOST_SETS = 20_000
 #: Places for sensors that a refusal names.
 MOST_HINTS = 4
 
@@ -94,7 +92,7 @@ def _named(model: Model, p: Params) -> Iterator[Test]:
             text = f'the residuals of the model are {known}; or "SET:EQUATION"{nearest(name, model.residuals)}'
             raise InputError(text, key=key, value=name)
         if choice is None:
-            analysis = analysis or _analysed(model)
+            analysis = analysis or analyse(model)
             try:
                 choice = analysis.choice(name)
             except InputError as error:
@@ -103,13 +101,6 @@ def _named(model: Model, p: Params) -> Iterator[Test]:
             yield _test(model, p, name.replace(":", "_"), choice)
         except (NotSolvableError, ValueError) as error:
             raise InputError(str(error), key=key, value=name) from error
-
-
-def _analysed(model: Model) -> Analysis:
-    try:
-        return analyse(model, limit=MOST_SETS)
-    except InputError as error:
-        raise InputError(f"{error.message}: name the tests", key="tests", value="auto") from error
 
 
 @dataclass(frozen=True)
@@ -146,7 +137,9 @@ def _sets(analysis: Analysis, p: Params) -> list[_Set]:
 
 def _auto(model: Model, p: Params) -> Iterator[Test]:
     """Yield the fewest tests that detect and tell apart as much as all that can be computed."""
-    analysis = _analysed(model)
+    analysis = analyse(model)
+    if analysis.left_out:
+        progress.say(f"{model.name}: {analysis.left_out}")
     sets = _sets(analysis, p)
     made: dict[bytes, Test] = {}
     while sets:
