@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gateway.fdi.structure.incidence import Sets
 
-
 #: Requirements times tests, up to which the choice is an integer program: some seconds' work there.
 MOST_EXACT = 100_000
 

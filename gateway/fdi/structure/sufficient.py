@@ -104,7 +104,8 @@ class _Search:
         order = self.order(number, fault)
         if not _shrink(self.rows, members, len(members), stays, order, self.matching, self.everything):
             return None
-        return self.matching.mate != ABSENT
+        left: Flags = self.matching.mate != ABSENT
+        return left
 
 
 def sufficient_msos(

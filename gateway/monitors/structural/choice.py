@@ -19,7 +19,7 @@ from gateway.common.extras import need
 from gateway.errors import InputError, nearest
 from gateway.fdi.structure.analysis import Analysis, analyse
 from gateway.fdi.structure.generator.code import write
-from gateway.fdi.structure.generator.conditioning import begins, forgets
+from gateway.fdi.structure.generator.conditioning import begins, forgets, noise_gains
 from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
@@ -30,7 +30,7 @@ from gateway.fdi.structure.selection import fewest_tests, requirements
 from gateway.fdi.structure.sensors import place_sensors
 from gateway.fdi.structure.sequence import shown
 from gateway.monitors.structural.params import Params
-from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan, Test
+from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Noise, Plan, Test
 
 #: Places for sensors that a refusal names.
 MOST_HINTS = 4
@@ -63,7 +63,29 @@ def choose(model: Model, p: Params) -> Plan:
     blind = [fault for fault in model.faults if fault not in seen and fault not in p.unseen]
     if blind:
         raise _refused(model, blind)
-    return Plan(chosen, tuple(fault for fault in model.faults if fault in seen), tuple(_told(model, chosen, seen)))
+    faults = tuple(fault for fault in model.faults if fault in seen)
+    meters = tuple(_meters(model, p, chosen, faults)) if p.sizes else ()
+    return Plan(chosen, faults, tuple(_told(model, chosen, seen)), meters)
+
+
+def _meters(model: Model, p: Params, tests: Sequence[Test], faults: Sequence[str]) -> Iterator[Test]:
+    """Yield generators for the sizes of faults that no test measures: they check the equation that the fault is in.
+
+    Its set is that of a test that sees the fault: what else is in it computes the equation's other variables.
+    """
+    measured = {test.measures for test in tests}
+    for fault in faults:
+        where = [e.name for e in model.equations if fault in e.faults]
+        if fault in measured or len(where) != 1:
+            continue
+        for test in sorted((t for t in tests if fault in t.faults), key=lambda t: len(t.equations)):
+            try:
+                found = _test(model, p, "", ResidualChoice(frozenset(test.equations), where[0]))
+            except (NotSolvableError, ValueError):
+                continue
+            if found.measures == fault and not found.guessed and not found.drifting:
+                yield replace(found, name=f"size of {fault}")
+                break
 
 
 def _known_names(model: Model, p: Params) -> None:
@@ -212,12 +234,12 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
     try:
         if not begins(realised, find_initial(realised)):
             raise NotSolvableError("(24) divides by zero at these parameters")
-        code = write(name or choice.consistency, realised)
+        code = write(name or choice.consistency, realised, sized=p.sizes)
     except NotSolvableError:  # (24) does not say where these begin: at 0, and they have the time to settle
         guessed = realised.initialised
         start = dict.fromkeys(guessed, 0.0) | p.start
         realised = realise(model, choice.equations, choice.consistency, differentiate=differentiate, start=start)
-        code = write(name or choice.consistency, realised)
+        code = write(name or choice.consistency, realised, sized=p.sizes)
     there = {f for e in realised.equations for f in model.by_name[e].faults}
     return Test(
         name=name,
@@ -232,6 +254,9 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         guessed=guessed,
         drifting=_drifting(model, realised),
         differentiated=realised.differentiated,
+        filtered=bool(realised.transformed),
+        noise=tuple(Noise(*one) for one in noise_gains(realised)),
+        measures=code.fault,
         source=code.source,
     )
 
