@@ -69,7 +69,9 @@ def fewest_tests(signature: Sets, cost: NDArray[np.float64] | None = None) -> ND
         the numbers of the tests, rising.
     """
     tests = signature.shape[0]
-    wanted = _needed(requirements(signature))
+    wanted = requirements(signature)
+    if wanted.size > MOST_EXACT:
+        wanted = _needed(wanted)
     if not len(wanted):
         return np.zeros(0, np.int64)
     weight = np.ones(tests)

@@ -78,14 +78,19 @@ def _meters(model: Model, p: Params, tests: Sequence[Test], faults: Sequence[str
         where = [e.name for e in model.equations if fault in e.faults]
         if fault in measured or len(where) != 1:
             continue
+        found = []
         for test in sorted((t for t in tests if fault in t.faults), key=lambda t: len(t.equations)):
             try:
-                found = _test(model, p, "", ResidualChoice(frozenset(test.equations), where[0]))
+                one = _test(model, p, "", ResidualChoice(frozenset(test.equations), where[0]))
             except (NotSolvableError, ValueError):
                 continue
-            if found.measures == fault and not found.guessed and not found.drifting:
-                yield replace(found, name=f"size of {fault}")
-                break
+            if one.measures == fault and not one.drifting:
+                found.append(one)
+                if not (one.guessed or one.differentiated):
+                    break
+        if found:
+            best = min(found, key=lambda one: (bool(one.differentiated), bool(one.guessed)))
+            yield replace(best, name=f"size of {fault}")
 
 
 def _known_names(model: Model, p: Params) -> None:

@@ -14,7 +14,7 @@ before is taken off both.
 
 from __future__ import annotations
 
-from math import exp, isfinite, nan
+from math import exp, isfinite
 from typing import Any
 
 from gateway.fdi import cusum, likelihood
@@ -22,20 +22,29 @@ from gateway.fdi.structure.incidence import BITS, clear, include
 from gateway.jit import kernel
 from gateway.monitors.contract import EVIDENCE, MAX_RESULTS, report
 from gateway.monitors.structural.plan import MOST_TESTS
-from gateway.monitors.structural.records import CELLS, WINDOW, WORDS, Const, State
+from gateway.monitors.structural.records import (
+    KINDS,
+    LISTED,
+    NORM,
+    RANKED,
+    RESIDUAL,
+    WINDOW,
+    WORDS,
+    Const,
+    State,
+)
 
 #: Time between two reports of the same [ns].
 REPEAT_NS = 1_000_000_000
 #: Tests up to which evidence has those that have fired as bits; faults up to which it ranks them with two digits.
 AS_BITS, TWO_DIGITS = 48, 99
 #: Faults that the evidence ranks, with two digits; with three, and tests that it lists.
-RANKED, RANKED_LONG = 6, 5
+MOST_RANKED, MOST_RANKED_LONG = 6, 5
 #: Results that are reported at once; of more, some each time.
 AT_ONCE = 60
 #: nu of Gaussian noise in its standard deviations: mean and standard deviation of its modulus.
 NU_OF_NOISE = 1.4007
 
-assert CELLS + 2 == EVIDENCE
 assert AT_ONCE + 2 <= MAX_RESULTS
 
 
@@ -91,7 +100,7 @@ def ranked(s: State, c: Const) -> float:
     clear(s.now)
     digits = 0.0
     many = c.faults > TWO_DIGITS
-    for _ in range(RANKED_LONG if many else RANKED):
+    for _ in range(MOST_RANKED_LONG if many else MOST_RANKED):
         best, most = -1, -1.0
         for k in range(c.faults):
             if _has(s.explained, k) and not _has(s.now, k):
@@ -112,7 +121,7 @@ def listed(s: State, c: Const) -> float:
         return float(s.fired[0])
     digits, count = 0.0, 0
     for k in range(c.tests):
-        if _has(s.fired, k) and count < RANKED_LONG:
+        if _has(s.fired, k) and count < MOST_RANKED_LONG:
             digits = digits * 1000.0 + k + 1
             count += 1
     return digits
@@ -173,7 +182,7 @@ def _measure(s: State, c: Const) -> None:
         gain, residual = s.gain[k], s.measured[k]
         if nothing:
             s.information[k] = s.product[k] = 0.0
-            s.sizes[k] = nan
+            s.sizes[k] = 0.0
             if isfinite(gain) and isfinite(residual):
                 s.measured_then[k], s.gain_then[k] = residual, gain
             continue
@@ -185,7 +194,7 @@ def _measure(s: State, c: Const) -> None:
         if isfinite(gain) and isfinite(residual):
             s.information[k] = keep * s.information[k] + gain * gain
             s.product[k] = keep * s.product[k] - gain * residual
-        s.sizes[k] = s.product[k] / s.information[k] if s.information[k] > 0.0 else nan
+        s.sizes[k] = s.product[k] / s.information[k] if s.information[k] > 0.0 else 0.0
 
 
 @kernel
@@ -194,14 +203,16 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
     e = report(out, k, k == s.found, largest, 1.0)
     if k != s.found:
         return
-    for j in range(CELLS):
+    _explain(s, c)
+    for j in range(EVIDENCE):
         what = c.shown[k, j]
         if what >= 0:
-            kind, number = what % 3, what // 3
-            e.value[j] = s.residual[number] if kind == 0 else s.norm[number] if kind == 1 else s.sizes[number]
-    e.value[CELLS] = listed(s, c)
-    _explain(s, c)
-    e.value[CELLS + 1] = ranked(s, c)
+            kind, number = what % KINDS, what // KINDS
+            e.value[j] = s.residual[number] if kind == RESIDUAL else s.norm[number] if kind == NORM else s.sizes[number]
+        elif what == LISTED:
+            e.value[j] = listed(s, c)
+        elif what == RANKED:
+            e.value[j] = ranked(s, c)
 
 
 @kernel

@@ -9,7 +9,7 @@ from gateway.fdi.structure.model import Model
 from gateway.monitors.contract import Debounce, Fault
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.plan import Plan, Test
-from gateway.monitors.structural.records import CELLS, SHOWN
+from gateway.monitors.structural.records import SHOWN
 
 #: Name of what no fault alone, and no group, explains.
 UNISOLATED = "unisolated"
@@ -77,7 +77,6 @@ def _labels(model: Model, plan: Plan, what: Shown) -> tuple[str, ...]:
         found += [f"residual of {test.name}, {equations_in_words(model, test)}{unit}", f"T over J of {test.name}"]
     faults = list(plan.measured)
     found += [f"size of {faults[k]}, {_size_in_words(model, faults[k])}" for k in what.meters]
-    found += [f"(not used {k})" for k in range(len(found), CELLS)]
     if len(plan.tests) <= AS_BITS:
         bits = ", ".join(f"{test.name} {1 << k}" for k, test in enumerate(plan.tests))
         fired = f"tests that have fired ({bits})"

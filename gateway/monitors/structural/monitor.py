@@ -28,6 +28,7 @@ from gateway.monitors.contract import (
     Parts,
     Quantities,
     Quantity,
+    Readout,
     Signal,
     Warnings,
 )
@@ -87,13 +88,11 @@ class _Made:
                 ),
                 Quantities(
                     lambda _: tuple(self._quantities()),
-                    lambda s: (
-                        *np.stack([s["own"]["residual"][:count], s["own"]["norm"][:count]], 1).ravel(),
-                        *s["own"]["sizes"][: len(plan.measured)],
-                    ),
+                    lambda s: np.stack([s["own"]["residual"][:count], s["own"]["norm"][:count]], 1).ravel(),
                 ),
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
+                Readout(tuple(source.sizes_of(plan))),
                 Warnings(lambda p: summary.warnings(plan, p)),
             ),
         )
@@ -102,8 +101,6 @@ class _Made:
         for test in self.plan.tests:
             yield Quantity(f"residual of {test.name}", test.unit)
             yield Quantity(f"T over J of {test.name}", limit=1.0)
-        for fault in self.plan.measured:
-            yield Quantity(f"size of {fault}", self.model.quantities.get(fault, Known()).unit)
 
     # How it is connected ----------------------------------------------------------------------------------------------
 
@@ -187,7 +184,6 @@ class _Made:
                 derivative_bandwidth=fitted.derivative,
             )
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
-        s.own.sizes[:] = math.nan
         s.own.found = -1
 
     def _fill_told(self, own: Any) -> None:
@@ -195,10 +191,11 @@ class _Made:
         own.told = len(diagnoses) + 1
         place = {fault: k for k, fault in enumerate(self.plan.faults)}
         own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], MOST_FAULTS)
-        own.shown[:] = -1
+        own.shown[:] = records.NOT_USED
         for k, one in enumerate(shown(self.plan)):
-            cells = [3 * test + kind for test in one.tests for kind in (0, 1)]
-            cells += [3 * meter + 2 for meter in one.meters]
+            cells = [records.KINDS * test + kind for test in one.tests for kind in (records.RESIDUAL, records.NORM)]
+            cells += [records.KINDS * meter + records.SIZE for meter in one.meters]
+            cells += [records.LISTED, records.RANKED]
             own.shown[k, : len(cells)] = cells
 
     def _faults(self, p: PartParams) -> tuple[Fault, ...]:

@@ -7,11 +7,16 @@ from typing import Annotated
 from gateway.fdi import cusum
 from gateway.fdi.structure.incidence import words
 from gateway.jit import Record, f8, f8s, i8, i8s, means
+from gateway.monitors.contract import EVIDENCE
 from gateway.monitors.rule.machine import Code, Machine
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_METERS, MOST_TESTS
 
-#: Known variables of a model, things that can be told of, values and tests in the evidence of each.
-MOST_INPUTS, MOST_TOLD, CELLS, SHOWN = 128, 2 * MOST_FAULTS + 1, 6, 3
+#: Known variables of a model, things that can be told of, tests in the evidence of each.
+MOST_INPUTS, MOST_TOLD, SHOWN = 128, 2 * MOST_FAULTS + 1, 3
+#: What a value of the evidence is: KINDS k + one of the first three, of test or meter k; or one of the others.
+RESIDUAL, NORM, SIZE = range(3)
+KINDS = 3
+NOT_USED, LISTED, RANKED = -1, -2, -3
 #: Words of the masks of tests and of faults.
 WORDS = words(max(MOST_TESTS, MOST_FAULTS))
 #: Values of each input that are kept to interpolate; a power of 2.
@@ -39,8 +44,7 @@ class Const(Record):
     told: i8
     signature: Annotated[i8s, MOST_FAULTS, WORDS] = means("tests that see each fault, a mask")
     diagnosis: Annotated[i8s, MOST_TOLD, WORDS] = means("faults that each result stands for, a mask; 0: not isolated")
-    shown: Annotated[i8s, MOST_TOLD, CELLS] = means("evidence of each: 3 k residual of test k, 3 k + 1 its T/J, 3 k + 2"
-                                                    " what meter k says; -1: nothing")  # fmt: skip
+    shown: Annotated[i8s, MOST_TOLD, EVIDENCE] = means("what the values of its evidence are")
     jumps: i8 = means("1: the tests look for jumps")
     weighted: Annotated[f8s, WINDOW, 1, 1] = means("of a residual in standard deviations, for a jump of its mean")
     inverse: Annotated[f8s, WINDOW, 1, 1]
@@ -92,4 +96,4 @@ class State(Record):
     gain_then: Annotated[f8s, MOST_METERS] = means("and of the gain")
     information: Annotated[f8s, MOST_METERS] = means("sum of squared gains, while a test has fired")
     product: Annotated[f8s, MOST_METERS] = means("sum of gains times residuals")
-    sizes: Annotated[f8s, MOST_METERS] = means("of each fault that has a meter; NaN: nothing has fired")
+    sizes: Annotated[f8s, MOST_METERS] = means("of each fault that has a meter; 0: nothing has fired")

@@ -12,6 +12,11 @@ def fields_of(plan: Plan) -> list[str]:
     return [f"generator_{k}" for k in range(len(plan.generators))]
 
 
+def sizes_of(plan: Plan) -> list[str]:
+    """Return the field of the state that shows each fault's size, in the order of :attr:`Plan.measured`."""
+    return [f"size_{field_name(fault)}" for fault in plan.measured]
+
+
 def _numbered(plan: Plan, form: str) -> list[str]:
     """Return a line for each generator: ``{k}`` its number, ``{g}`` its field."""
     return [form.format(k=k, g=g) for k, g in enumerate(fields_of(plan))]
@@ -67,6 +72,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
             "    own: records.State",
             "    sample: Sample",
             *_numbered(plan, "    {g}: m{k}.State"),
+            *(f"    {name}: f8" for name in sizes_of(plan)),
             "",
             "",
             "class Const(Record):",
@@ -87,6 +93,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
             "        dt = s.own.dt",
             *(f"        {line}" for line in _residuals(plan)),
             "        decision.decide(s.own, c.own, out)",
+            *(f"        s.{name} = s.own.sizes[{j}]" for j, name in enumerate(sizes_of(plan))),
             "        what = sampling.again(s.own, c.own, u)",
             "",
         ]
