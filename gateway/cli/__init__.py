@@ -315,7 +315,9 @@ def structure(
     model: Annotated[Path, typer.Argument(help="Structural model, or the name of a shipped one: truck.")],
     json: Json = False,
     plot: Annotated[Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")] = None,
-    limit: Annotated[int, typer.Option(min=1, help="Stop at more MSO sets than this.")] = 1_000_000,
+    limit: Annotated[
+        int, typer.Option(min=1, help="Look at all MSO sets up to this number; of more, at as many as are enough.")
+    ] = 20_000,
     residual: Annotated[
         str | None,
         typer.Option(help="A residual generator's sequence and code: its name, or SET:EQUATION."),

@@ -42,6 +42,8 @@ def _head(console: Console, analysis: Analysis) -> None:
     )
     shown = ", ".join(f"{count} of {size}" for size, count in analysis.sizes.items())
     console.print(f"{len(analysis.msos)} MSO sets ({shown or 'none'}), {len(analysis.candidates)} candidates")
+    if analysis.left_out:
+        console.print(f"[yellow]{analysis.left_out}[/] (--limit)", soft_wrap=True)
 
 
 def _names(blocks: Iterable[Sequence[str]]) -> str:

@@ -55,11 +55,17 @@ def grown(value: float, excess: float, most: float) -> float:
 
 
 @kernel
-def update(s: State, c: Const, residual: float) -> None:
-    """Take a residual."""
+def observe(s: State, residual: float) -> None:
+    """Take a residual into the sums that nu is found from."""
     s.samples += 1.0
     s.total += abs(residual)
     s.squares += residual * residual
+
+
+@kernel
+def update(s: State, c: Const, residual: float) -> None:
+    """Take a residual."""
+    observe(s, residual)
     s.value = grown(s.value, abs(residual) - c.nu, c.most)
     s.peak = max(s.peak, s.value / c.threshold)
 

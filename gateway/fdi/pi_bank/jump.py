@@ -28,6 +28,7 @@ from typing import Annotated
 
 import numpy as np
 
+from gateway.fdi import likelihood
 from gateway.fdi.linear.plant import Array, LinearPlant
 from gateway.fdi.linear.solve import decompose, solve
 from gateway.fdi.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
@@ -184,26 +185,7 @@ def energy(s: State, c: Const, o: Bank, k: int, place: int) -> float:
 @kernel
 def likelihood_ratio(s: State, c: Const, o: Bank, k: int) -> float:
     """Take the newest sample of observer k; returns the largest log likelihood ratio of a beginning, doubled."""
-    m, p, at = o.m, o.p, s.at
-    newest, begun, weighted, inverse = s.r[k, at], s.b, c.weighted[k, 0], c.inverse[k, 0]
-    for i in range(m):
-        begun[at, i] = 0.0
-    best = 0.0
-    for d in range(1, s.kept):
-        place = (at - d) & (WINDOW - 1)
-        square = 0.0
-        for i in range(m):
-            value = begun[place, i]
-            for j in range(p):
-                value += weighted[d, i, j] * newest[j]
-            begun[place, i] = value
-        for i in range(m):
-            half = 0.5 * inverse[d, i, i] * begun[place, i]
-            for j in range(i):
-                half += inverse[d, i, j] * begun[place, j]
-            square += half * begun[place, i]
-        best = max(best, 2.0 * square)
-    return best
+    return likelihood.largest(s.b, c.weighted[k, 0], c.inverse[k, 0], s.r[k, s.at], s.at, s.kept, o.m, o.p)
 
 
 @kernel

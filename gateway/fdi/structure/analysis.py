@@ -26,6 +26,7 @@ from gateway.fdi.structure.mso import MOST_SETS, TooManySetsError, find_msos
 from gateway.fdi.structure.mtes import find_mtes
 from gateway.fdi.structure.selection import fewest_tests
 from gateway.fdi.structure.sequence import Structure, shown
+from gateway.fdi.structure.sufficient import sufficient_msos
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ class Analysis:
         structure: its structure as it is counted.
         parts: its Dulmage-Mendelsohn decomposition.
         msos: its MSO sets, shape (sets, equations).
-        candidates: all candidates, classified.
+        candidates: all candidates of these, classified.
+        beyond: 0: these are all; else there are more than so many, and these are enough to tell what the model can.
     """
 
     model: Model
@@ -68,6 +70,18 @@ class Analysis:
     parts: Decomposition
     msos: Sets
     candidates: Candidates
+    beyond: int = 0
+
+    @property
+    def left_out(self) -> str:
+        """What was not looked at, in words; empty: nothing."""
+        if not self.beyond:
+            return ""
+        return (
+            f"there are more than {self.beyond} MSO sets, not all of them were looked for: these {len(self.msos)},"
+            " found for each fault and each pair of faults, tell what the structure can; there may be others that are"
+            " smaller, need fewer tests, or tell more by one class of causality alone"
+        )
 
     @cached_property
     def sizes(self) -> dict[int, int]:
@@ -92,7 +106,7 @@ class Analysis:
     @cached_property
     def fewest(self) -> NDArray[np.int64]:
         """The fewest sets with unique residual generators that tell as much as all of those, by their numbers."""
-        usable = np.flatnonzero(self.candidates.sets(self.candidates.chosen("SDI", "unique")))
+        usable = np.flatnonzero(_unique(self.candidates))
         sizes = self.msos[usable].sum(1).astype(np.float64)
         return usable[fewest_tests(self.signature[usable], sizes)]
 
@@ -159,11 +173,8 @@ def analyse(
 
     Args:
         model: the model.
-        limit: greatest number of MSO sets.
+        limit: greatest number of MSO sets that are all looked at; where there are more, as many as are enough.
         progress: called with what is done and the share of it, 0 to 1.
-
-    Raises:
-        InputError: there are more sets than the limit.
     """
 
     def searching(count: int, share: float) -> None:
@@ -175,12 +186,21 @@ def analyse(
             progress(f"{done} of {len(msos)} sets classified", done / max(len(msos), 1))
 
     structure = counted(model)
+    beyond = 0
     try:
         msos = find_msos(structure, limit=limit, progress=searching)
     except TooManySetsError as error:
-        raise InputError(str(error), key="--limit", value=limit) from error
+        beyond = error.limit
+        msos = sufficient_msos(
+            model, lambda sets: _unique(classify(model, sets)), structure=structure, progress=searching
+        )
     candidates = classify(model, msos, progress=classifying)
-    return Analysis(model, structure, decompose(structure), msos, candidates)
+    return Analysis(model, structure, decompose(structure), msos, candidates, beyond)
+
+
+def _unique(candidates: Candidates) -> NDArray[np.bool_]:
+    """Return which sets have a residual generator with one solution, shape (sets,)."""
+    return candidates.sets(candidates.chosen("SDI", "unique"))
 
 
 def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
@@ -194,12 +214,13 @@ def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
         "faults": list(model.faults),
         "redundancy": parts.redundancy,
         "msos": len(analysis.msos),
+        "all": not analysis.beyond,
         "candidates": len(analysis.candidates),
         "sizes": {str(size): count for size, count in analysis.sizes.items()},
         "table": _table(analysis.candidates),
         **_isolability(analysis.best),
         "isolability_of": {causality: _isolability(analysis.isolability(causality)) for causality in CAUSALITIES},
-        "mtes": [list(analysis.structure.names(row)) for row in find_mtes(model)],
+        "mtes": None if analysis.beyond else [list(analysis.structure.names(row)) for row in find_mtes(model)],
         "fewest_tests": [int(k) + 1 for k in analysis.fewest],
         "parts": {
             "under": _block(parts.under),

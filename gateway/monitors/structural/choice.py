@@ -19,7 +19,7 @@ from gateway.common.extras import need
 from gateway.errors import InputError, nearest
 from gateway.fdi.structure.analysis import Analysis, analyse
 from gateway.fdi.structure.generator.code import write
-from gateway.fdi.structure.generator.conditioning import begins, forgets
+from gateway.fdi.structure.generator.conditioning import begins, forgets, noise_gains
 from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
@@ -30,10 +30,8 @@ from gateway.fdi.structure.selection import fewest_tests, requirements
 from gateway.fdi.structure.sensors import place_sensors
 from gateway.fdi.structure.sequence import shown
 from gateway.monitors.structural.params import Params
-from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan, Test
+from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Noise, Plan, Test
 
-#: MSO sets that `auto` looks at.
-MOST_SETS = 20_000
 #: Places for sensors that a refusal names.
 MOST_HINTS = 4
 
@@ -65,7 +63,34 @@ def choose(model: Model, p: Params) -> Plan:
     blind = [fault for fault in model.faults if fault not in seen and fault not in p.unseen]
     if blind:
         raise _refused(model, blind)
-    return Plan(chosen, tuple(fault for fault in model.faults if fault in seen), tuple(_told(model, chosen, seen)))
+    faults = tuple(fault for fault in model.faults if fault in seen)
+    meters = tuple(_meters(model, p, chosen, faults)) if p.sizes else ()
+    return Plan(chosen, faults, tuple(_told(model, chosen, seen)), meters)
+
+
+def _meters(model: Model, p: Params, tests: Sequence[Test], faults: Sequence[str]) -> Iterator[Test]:
+    """Yield generators for the sizes of faults that no test measures: they check the equation that the fault is in.
+
+    Its set is that of a test that sees the fault: what else is in it computes the equation's other variables.
+    """
+    measured = {test.measures for test in tests}
+    for fault in faults:
+        where = [e.name for e in model.equations if fault in e.faults]
+        if fault in measured or len(where) != 1:
+            continue
+        found = []
+        for test in sorted((t for t in tests if fault in t.faults), key=lambda t: len(t.equations)):
+            try:
+                one = _test(model, p, "", ResidualChoice(frozenset(test.equations), where[0]))
+            except (NotSolvableError, ValueError):
+                continue
+            if one.measures == fault and not one.drifting:
+                found.append(one)
+                if not (one.guessed or one.differentiated):
+                    break
+        if found:
+            best = min(found, key=lambda one: (bool(one.differentiated), bool(one.guessed)))
+            yield replace(best, name=f"size of {fault}")
 
 
 def _known_names(model: Model, p: Params) -> None:
@@ -94,7 +119,7 @@ def _named(model: Model, p: Params) -> Iterator[Test]:
             text = f'the residuals of the model are {known}; or "SET:EQUATION"{nearest(name, model.residuals)}'
             raise InputError(text, key=key, value=name)
         if choice is None:
-            analysis = analysis or _analysed(model)
+            analysis = analysis or analyse(model)
             try:
                 choice = analysis.choice(name)
             except InputError as error:
@@ -103,13 +128,6 @@ def _named(model: Model, p: Params) -> Iterator[Test]:
             yield _test(model, p, name.replace(":", "_"), choice)
         except (NotSolvableError, ValueError) as error:
             raise InputError(str(error), key=key, value=name) from error
-
-
-def _analysed(model: Model) -> Analysis:
-    try:
-        return analyse(model, limit=MOST_SETS)
-    except InputError as error:
-        raise InputError(f"{error.message}: name the tests", key="tests", value="auto") from error
 
 
 @dataclass(frozen=True)
@@ -146,7 +164,9 @@ def _sets(analysis: Analysis, p: Params) -> list[_Set]:
 
 def _auto(model: Model, p: Params) -> Iterator[Test]:
     """Yield the fewest tests that detect and tell apart as much as all that can be computed."""
-    analysis = _analysed(model)
+    analysis = analyse(model)
+    if analysis.left_out:
+        progress.say(f"{model.name}: {analysis.left_out}")
     sets = _sets(analysis, p)
     made: dict[bytes, Test] = {}
     while sets:
@@ -219,12 +239,12 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
     try:
         if not begins(realised, find_initial(realised)):
             raise NotSolvableError("(24) divides by zero at these parameters")
-        code = write(name or choice.consistency, realised)
+        code = write(name or choice.consistency, realised, sized=p.sizes)
     except NotSolvableError:  # (24) does not say where these begin: at 0, and they have the time to settle
         guessed = realised.initialised
         start = dict.fromkeys(guessed, 0.0) | p.start
         realised = realise(model, choice.equations, choice.consistency, differentiate=differentiate, start=start)
-        code = write(name or choice.consistency, realised)
+        code = write(name or choice.consistency, realised, sized=p.sizes)
     there = {f for e in realised.equations for f in model.by_name[e].faults}
     return Test(
         name=name,
@@ -239,6 +259,9 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         guessed=guessed,
         drifting=_drifting(model, realised),
         differentiated=realised.differentiated,
+        filtered=bool(realised.transformed),
+        noise=tuple(Noise(*one) for one in noise_gains(realised)),
+        measures=code.fault,
         source=code.source,
     )
 

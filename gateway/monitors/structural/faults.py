@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from typing import NamedTuple
 
 from gateway.fdi.structure.model import Model
 from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.plan import Plan, Test
-from gateway.monitors.structural.steps import SHOWN
+from gateway.monitors.structural.records import SHOWN
 
 #: Name of what no fault alone, and no group, explains.
 UNISOLATED = "unisolated"
+#: Sizes that the evidence of a group shows.
+MOST_SIZES = 2
 #: Length of a name, beyond which groups have numbers.
 _MOST_NAME = 60
 
@@ -26,11 +30,26 @@ def names_of(plan: Plan) -> tuple[str, ...]:
     return (*names, UNISOLATED)
 
 
-def shown_tests(plan: Plan) -> Iterator[list[int]]:
-    """Yield, for each of them, the tests that its evidence shows."""
+class Shown(NamedTuple):
+    """What the evidence of a result shows.
+
+    Attributes:
+        tests: by their numbers; of each residual and T over J.
+        meters: sizes, by their place in :attr:`Plan.measured`.
+    """
+
+    tests: list[int]
+    meters: list[int]
+
+
+def shown(plan: Plan) -> Iterator[Shown]:
+    """Yield what the evidence of each result shows: up to three tests, or two and the sizes of up to two faults."""
+    place = {fault: k for k, fault in enumerate(plan.measured)}
     for faults in plan.diagnoses:
-        yield [k for k, test in enumerate(plan.tests) if set(faults) <= set(test.faults)][:SHOWN]
-    yield list(range(min(SHOWN, len(plan.tests))))
+        meters = [place[fault] for fault in faults if fault in place][:MOST_SIZES]
+        tests = [k for k, test in enumerate(plan.tests) if set(faults) <= set(test.faults)]
+        yield Shown(tests[: SHOWN - 1 if meters else SHOWN], meters)
+    yield Shown(list(range(min(SHOWN, len(plan.tests)))), [])
 
 
 def equations_in_words(model: Model, test: Test) -> str:
@@ -49,18 +68,36 @@ def _text(model: Model, fault: str) -> str:
     return quantity.text if quantity is not None and quantity.text else fault
 
 
-def _labels(model: Model, plan: Plan, tests: Iterable[int]) -> tuple[str, ...]:
+def _labels(model: Model, plan: Plan, what: Shown) -> tuple[str, ...]:
     """Return the names of the evidence."""
     found = []
-    for k in tests:
+    for k in what.tests:
         test = plan.tests[k]
         unit = f" [{test.unit}]" if test.unit else ""
         found += [f"residual of {test.name}, {equations_in_words(model, test)}{unit}", f"T over J of {test.name}"]
-    found += [f"(not used {k})" for k in range(len(found), 2 * SHOWN)]
-    bits = ", ".join(f"{test.name} {1 << k}" for k, test in enumerate(plan.tests))
-    places = ", ".join(f"{k + 1} {fault}" for k, fault in enumerate(plan.faults))
-    ranked = f"faults that explain them, likeliest first, two digits each ({places})"
-    return (*found, f"tests that have fired ({bits})", ranked)
+    faults = list(plan.measured)
+    found += [f"size of {faults[k]}, {_size_in_words(model, faults[k])}" for k in what.meters]
+    if len(plan.tests) <= AS_BITS:
+        bits = ", ".join(f"{test.name} {1 << k}" for k, test in enumerate(plan.tests))
+        fired = f"tests that have fired ({bits})"
+    else:
+        fired = "tests that have fired, the first ones, three digits each, as gateway check numbers them"
+    if len(plan.faults) <= TWO_DIGITS:
+        places = ", ".join(f"{k + 1} {fault}" for k, fault in enumerate(plan.faults))
+        ranked = f"faults that explain them, likeliest first, two digits each ({places})"
+    else:
+        ranked = "faults that explain them, likeliest first, three digits each, as gateway check numbers them"
+    return (*found, fired, ranked)
+
+
+def _size_in_words(model: Model, fault: str) -> str:
+    """Return what the size of a fault is: its text, where it stands, and its unit."""
+    (where,) = (e for e in model.equations if fault in e.faults)
+    quantity = model.quantities.get(fault)
+    unit = f" [{quantity.unit}]" if quantity is not None and quantity.unit not in ("", "1") else ""
+    relation = f", in {where.relation.text}" if where.relation is not None else ""
+    text = _text(model, fault)
+    return f"{text if text != fault else where.name}{relation}{unit}"
 
 
 def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, ...]:
@@ -73,7 +110,7 @@ def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, .
     """
     found = []
     diagnoses: list[tuple[str, ...]] = [*plan.diagnoses, ()]
-    for name, faults, tests in zip(names_of(plan), diagnoses, shown_tests(plan), strict=True):
+    for name, faults, what in zip(names_of(plan), diagnoses, shown(plan), strict=True):
         words = " or ".join(_text(model, fault) for fault in faults)
         if not faults:
             text, kind = f"{model.name}: a fault that is not isolated (yet), or several", "62"
@@ -81,8 +118,10 @@ def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, .
             text, kind = f"{words}: the tests cannot tell these apart", "62"
         else:
             text, kind = words, "64"
-        checks = "; ".join(f"{plan.tests[k].name} checks {equations_in_words(model, plan.tests[k])}" for k in tests)
+        checks = "; ".join(
+            f"{plan.tests[k].name} checks {equations_in_words(model, plan.tests[k])}" for k in what.tests
+        )
         remedy = f"{f'look at {words}' if faults else 'look at what the fired tests have in common'}; {checks}"
-        labels = _labels(model, plan, tests)
+        labels = _labels(model, plan, what)
         found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy))
     return tuple(found)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gateway.errors import InputError, nearest
-from gateway.fdi import cusum
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.sources import load_source
+from gateway.fdi.structure.incidence import pack
 from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
@@ -28,18 +28,21 @@ from gateway.monitors.contract import (
     Parts,
     Quantities,
     Quantity,
+    Readout,
     Signal,
     Warnings,
 )
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.structural import kept, source, steps, summary
-from gateway.monitors.structural.faults import faults_of, names_of, shown_tests
+from gateway.monitors.structural import decision, filters, kept, records, source, summary
+from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
-from gateway.monitors.structural.plan import Plan
+from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan
 
 TYPE, API = "structural", 2
+#: Rate at which what has no filter forgets [rad/s].
+AT_ONCE = 1e30
 
 
 class _Made:
@@ -52,10 +55,10 @@ class _Made:
 
     def __init__(self, model: Model, plan: Plan) -> None:
         self.model, self.plan = model, plan
-        if len(model.knowns) > steps.MOST_INPUTS:
-            text = f"{len(model.knowns)} known variables: a monitor has room for {steps.MOST_INPUTS}"
+        if len(model.knowns) > records.MOST_INPUTS:
+            text = f"{len(model.knowns)} known variables: a monitor has room for {records.MOST_INPUTS}"
             raise InputError(text, key="model", value=model.name)
-        for test in plan.tests:
+        for test in plan.generators:
             load_source(test.name, test.source)
         self._module = load_source(model.name, source.module_of(plan, model.knowns))
 
@@ -84,21 +87,20 @@ class _Made:
                     peaks=lambda s: s["own"]["cusum"]["peak"][:count],
                 ),
                 Quantities(
-                    lambda _: tuple(
-                        q
-                        for test in plan.tests
-                        for q in (
-                            Quantity(f"residual of {test.name}", test.unit),
-                            Quantity(f"T over J of {test.name}", limit=1.0),
-                        )
-                    ),
+                    lambda _: tuple(self._quantities()),
                     lambda s: np.stack([s["own"]["residual"][:count], s["own"]["norm"][:count]], 1).ravel(),
                 ),
-                Notes(lambda _: summary.notes(self.model, plan)),
+                Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
+                Readout(tuple(source.sizes_of(plan))),
                 Warnings(lambda p: summary.warnings(plan, p)),
             ),
         )
+
+    def _quantities(self) -> Iterator[Quantity]:
+        for test in self.plan.tests:
+            yield Quantity(f"residual of {test.name}", test.unit)
+            yield Quantity(f"T over J of {test.name}", limit=1.0)
 
     # How it is connected ----------------------------------------------------------------------------------------------
 
@@ -154,35 +156,47 @@ class _Made:
         needed, plan, own = self._needed(p), self.plan, c.own
         own.inputs, own.tests, own.faults = len(self.model.knowns), len(plan.tests), len(plan.faults)
         own.wanted[: own.inputs] = [z in needed for z in self.model.knowns]
-        own.sets, own.period_ns, own.oldest_ns = p.sample == "set", p.period_ns, p.oldest_ns
+        own.sets, own.interpolates = p.sample == "set", p.between == "interpolated"
+        own.period_ns, own.oldest_ns = p.period_ns, p.oldest_ns
         own.gap_ns = round((p.missing + 1.5) * p.period_ns)
         own.settle_ns, own.confirm_ns = round(p.settle_s * 1e9), round(p.confirm_s * 1e9)
         program = _condition(self.model, p)
         if program is not None:
             load(s.own.active, own.active, program, self.model.knowns)
-        own.signature[: own.faults] = [plan.bits(fault) for fault in plan.faults]
+        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], MOST_TESTS)
         self._fill_told(own)
-        for k, (test, field) in enumerate(zip(plan.tests, source.fields_of(plan), strict=True)):
-            nu, j = p.nu.get(test.name, math.inf), p.thresholds.get(test.name, math.inf)
-            cusum.prepare(own.cusum[k], nu, nu * j, p.limit)
+        own.jumps = p.decision == "jump"
+        decision.prepare_window(own)
+        for k, test in enumerate(plan.tests):
+            decision.prepare(own, k, p.nu.get(test.name, math.inf), p.thresholds.get(test.name, math.inf), p.limit)
+        own.meters, own.forgets[:] = len(plan.measured), AT_ONCE
+        place = {k: j for j, k in enumerate(plan.measured.values())}
+        for k, (test, field) in enumerate(zip(plan.generators, source.fields_of(plan), strict=True)):
+            fitted = filters.bandwidths(test, p)
+            if k in place and test.filtered:
+                own.forgets[place[k]] = fitted.filter
             fill(
                 getattr(c, field),
                 self.model,
                 values=p.parameters,
                 start=dict.fromkeys(test.guessed, 0.0) | p.start,
-                filter_bandwidth=p.filter_bandwidth,
-                derivative_bandwidth=p.derivative_bandwidth,
+                filter_bandwidth=fitted.filter,
+                derivative_bandwidth=fitted.derivative,
             )
+        own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         s.own.found = -1
 
     def _fill_told(self, own: Any) -> None:
         diagnoses = self.plan.diagnoses
         own.told = len(diagnoses) + 1
         place = {fault: k for k, fault in enumerate(self.plan.faults)}
-        own.diagnosis[: len(diagnoses)] = [sum(1 << place[f] for f in faults) for faults in diagnoses]
-        own.shown[:] = -1
-        for k, tests in enumerate(shown_tests(self.plan)):
-            own.shown[k, : len(tests)] = tests
+        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], MOST_FAULTS)
+        own.shown[:] = records.NOT_USED
+        for k, one in enumerate(shown(self.plan)):
+            cells = [records.KINDS * test + kind for test in one.tests for kind in (records.RESIDUAL, records.NORM)]
+            cells += [records.KINDS * meter + records.SIZE for meter in one.meters]
+            cells += [records.LISTED, records.RANKED]
+            own.shown[k, : len(cells)] = cells
 
     def _faults(self, p: PartParams) -> tuple[Fault, ...]:
         return faults_of(self.model, self.plan, p.given)
@@ -231,11 +245,14 @@ _MONITORS: dict[str, Monitor[Params]] = {}
 
 def made(p: Params, folder: Path) -> Monitor[Params]:
     """Return the monitor that has these parameters."""
+    if p.between == "interpolated" and p.sample == "set":
+        text = 'a set has its values from one time: sample = "clock", or between = "held"'
+        raise InputError(text, key="between", value=p.between)
     path = find_model(p.model, folder, beside="the configuration", key="model")
     model = load_own_model(path, key="model")
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
-        "start": sorted(p.start.items()),
+        "start": sorted(p.start.items()), "sizes": p.sizes,
     }  # fmt: skip
     key = kept.key_of(path.read_bytes(), asked)
     _condition(model, p)
@@ -259,10 +276,12 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
         ("nu", p.nu, tests),
         ("thresholds", p.thresholds, tests),
         ("parameters", p.parameters, model.parameters),
+        ("noise", p.noise, model.knowns),
     ):
         for name in names:
             if name not in known:
-                text = f"the {'parameters' if key == 'parameters' else 'tests'} are {', '.join(known)}"
+                what = {"parameters": "parameters", "noise": "known variables"}.get(key, "tests")
+                text = f"the {what} are {', '.join(known)}"
                 raise InputError(f"{text}{nearest(name, known)}", key=f"{key}.{name}", value=name)
 
 

@@ -37,11 +37,17 @@ class Params(MonitorParams):
     sample: Literal["clock", "set"] = Field(
         "clock", description="clock: each period, of held values; set: when each signal has come once more"
     )
+    between: Literal["held", "interpolated"] = Field(
+        "held",
+        description="what a value is between two frames: held: the last one, with its age; interpolated: on the line"
+        " from the last to the next, so that a sample waits for the slowest signal (sample = clock)",
+    )
     max_age_ms: float | None = Field(
         None,
         gt=0,
         le=3.6e6,
-        description="oldest value that a sample takes [ms]; default: 250, or three periods; of a set half a period",
+        description="oldest value that a sample takes, or longest time that is interpolated over [ms]; default: 250, or"
+        " three periods; of a set half a period",
     )
     missing: int = Field(
         5, ge=0, le=10_000, description="samples in a row that may be missing; behind more all begins anew"
@@ -57,13 +63,27 @@ class Params(MonitorParams):
     derivative_bandwidth: float = Field(
         10.0, gt=0, allow_inf_nan=False, description="of low-passes whose slope stands for a derivative [rad/s]"
     )
+    noise: dict[str, Positive] = Field(
+        default_factory=dict,
+        description="standard deviation of the noise of known variables, in their units; the bandwidths of a test that"
+        " differentiates one of them are fitted to it, if they are not given",
+    )
     parameters: dict[str, Finite] = Field(default_factory=dict, description="values instead of the model's")
     start: dict[str, Finite] = Field(default_factory=dict, description="start values of states")
+    decision: Literal["cusum", "jump"] = Field(
+        "cusum",
+        description="cusum: a sum of what is beyond nu; jump: likelihood ratio that the residual's mean has jumped at"
+        " one of the last 32 samples, for faults that begin at once. Calibrate again behind a change",
+    )
+    sizes: bool = Field(True, description="estimate the size of a fault where its equation can be solved for it")
     nu: dict[str, Positive] = Field(
         default_factory=dict,
         description="of each test, what its residual is without a fault; gateway calibrate finds it",
     )
-    thresholds: dict[str, Positive] = Field(default_factory=dict, description="J of each test, in units of its nu")
+    thresholds: dict[str, Positive] = Field(
+        default_factory=dict,
+        description="J of each test: of cusum in units of its nu, of jump twice a logarithm of the likelihood ratio",
+    )
     limit: float = Field(cusum.MOST, gt=1, description="of a test quantity, in units of J: it comes down again")
     codes: dict[str, Code] = Field(
         default_factory=dict, description="fault, or group -> base code of its DTC; default: its own, U1xxx, U2xxx"

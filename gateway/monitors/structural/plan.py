@@ -4,14 +4,28 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gateway.fdi.structure.isolability import Isolability, isolability_of_tests
 
-#: Tests and faults that a monitor has room for.
-MOST_TESTS, MOST_FAULTS = 48, 60
+#: Tests and faults that a monitor has room for, and generators that only measure a fault's size.
+MOST_TESTS, MOST_FAULTS, MOST_METERS = 160, 160, 160
+
+
+class Noise(NamedTuple):
+    """How a known variable's noise reaches a residual, at the model's parameters.
+
+    Attributes:
+        known: which.
+        direct: residual by known variable, where nothing is differentiated.
+        slope: residual by the derivative of the known variable [s].
+    """
+
+    known: str
+    direct: float
+    slope: float
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,9 @@ class Test:
         guessed: states that begin at 0, because neither the model nor (24) says where.
         drifting: states that are integrated and never forget: what a sensor is off by adds up.
         differentiated: variables whose derivative is the slope of a low-pass.
+        filtered: the residual is filtered by (20), and the gain of what it measures with it.
+        noise: how the noise of its known variables reaches the residual.
+        measures: the fault whose size is minus the residual over the gain that its state shows; empty: none.
         source: its code.
     """
 
@@ -46,6 +63,9 @@ class Test:
     guessed: tuple[str, ...]
     drifting: tuple[str, ...]
     differentiated: tuple[str, ...]
+    filtered: bool
+    noise: tuple[Noise, ...]
+    measures: str
     source: str
 
 
@@ -57,21 +77,34 @@ class Plan:
         tests: in the order in which they run.
         faults: of the model that some test sees, in the model's order.
         told: what people should know of the choice, a line each.
+        meters: generators that are no tests, but tell the size of a fault that no test measures.
     """
 
     tests: tuple[Test, ...]
     faults: tuple[str, ...]
     told: tuple[str, ...] = field(default=())
+    meters: tuple[Test, ...] = field(default=())
+
+    @property
+    def generators(self) -> tuple[Test, ...]:
+        """All that runs: the tests, and behind them the meters."""
+        return (*self.tests, *self.meters)
+
+    @cached_property
+    def measured(self) -> dict[str, int]:
+        """Which of the generators tells a fault's size, by fault, in the order of the faults."""
+        by = {g.measures: k for k, g in reversed(list(enumerate(self.generators))) if g.measures}
+        return {fault: by[fault] for fault in self.faults if fault in by}
 
     @property
     def knowns(self) -> tuple[str, ...]:
         """Known variables that the tests read."""
-        return tuple(dict.fromkeys(z for test in self.tests for z in test.knowns))
+        return tuple(dict.fromkeys(z for test in self.generators for z in test.knowns))
 
     @property
     def rates(self) -> tuple[str, ...]:
         """Fields for derivatives that their starts read."""
-        return tuple(dict.fromkeys(z for test in self.tests for z in test.rates))
+        return tuple(dict.fromkeys(z for test in self.generators for z in test.rates))
 
     @cached_property
     def isolability(self) -> Isolability:
@@ -86,9 +119,9 @@ class Plan:
         each = (tuple(g for g, too in zip(self.faults, row, strict=True) if too) for row in found)
         return tuple(dict.fromkeys(each))
 
-    def bits(self, fault: str) -> int:
-        """Return the tests that see a fault, as bits."""
-        return sum(1 << k for k, test in enumerate(self.tests) if fault in test.faults)
+    def seen_by(self, fault: str) -> list[int]:
+        """Return the tests that see a fault, by their numbers."""
+        return [k for k, test in enumerate(self.tests) if fault in test.faults]
 
 
 def as_dict(plan: Plan) -> dict[str, Any]:
@@ -102,5 +135,8 @@ def from_dict(data: dict[str, Any]) -> Plan:
     def tuples(values: dict[str, Any]) -> dict[str, Any]:
         return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
-    tests = tuple(Test(**tuples(test)) for test in data["tests"])
-    return Plan(tests, tuple(data["faults"]), tuple(data["told"]))
+    def test(values: dict[str, Any]) -> Test:
+        return Test(**tuples(values) | {"noise": tuple(Noise(*one) for one in values["noise"])})
+
+    tests, meters = (tuple(test(one) for one in data[key]) for key in ("tests", "meters"))
+    return Plan(tests, tuple(data["faults"]), tuple(data["told"]), meters)

@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from gateway.fdi.structure.generator.records import field_name
+from gateway.fdi.structure.generator.records import GAIN, field_name
 from gateway.fdi.structure.generator.sources import module_name
 from gateway.monitors.structural.plan import Plan
 
 
 def fields_of(plan: Plan) -> list[str]:
-    """Return the field of the constants of each test's generator."""
-    return [f"generator_{k}" for k in range(len(plan.tests))]
+    """Return the field of the constants of each generator."""
+    return [f"generator_{k}" for k in range(len(plan.generators))]
+
+
+def sizes_of(plan: Plan) -> list[str]:
+    """Return the field of the state that shows each fault's size, in the order of :attr:`Plan.measured`."""
+    return [f"size_{field_name(fault)}" for fault in plan.measured]
 
 
 def _numbered(plan: Plan, form: str) -> list[str]:
-    """Return a line for each test: ``{k}`` its number, ``{g}`` its field."""
+    """Return a line for each generator: ``{k}`` its number, ``{g}`` its field."""
     return [form.format(k=k, g=g) for k, g in enumerate(fields_of(plan))]
+
+
+def _residuals(plan: Plan) -> list[str]:
+    """Return the lines that step the tests and the meters."""
+    place = {k: j for j, k in enumerate(plan.measured.values())}
+    lines = []
+    for k, field in enumerate(fields_of(plan)):
+        call = f"m{k}.step(s.{field}, c.{field}, s.sample, dt)"
+        if k < len(plan.tests):
+            lines.append(f"s.own.residual[{k}] = {call}")
+        if k in place:
+            j = place[k]
+            lines.append(f"s.own.measured[{j}] = " + (f"s.own.residual[{k}]" if k < len(plan.tests) else call))
+            lines.append(f"s.own.gain[{j}] = s.{field}.{GAIN}")
+    return lines
 
 
 def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
@@ -25,8 +45,8 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
         knowns: known variables of the model, in the order of the inputs.
     """
     names = [f"{field_name(z)}: f8" for z in knowns] + [f"{field_name(z)}: f8" for z in plan.rates]
-    imports = [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.tests)]
-    taken = [f"    s.sample.{field_name(z)} = u.value[{k}]" for k, z in enumerate(knowns)]
+    imports = [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
+    taken = [f"s.sample.{field_name(z)} = s.own.taken[{k}]" for k, z in enumerate(knowns)]
     return "\n".join(
         [
             '"""A monitor made from its model, not by hand."""',
@@ -37,7 +57,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
             "",
             "from gateway.jit import Record, f8, f8s, kernel",
             "from gateway.monitors import contract",
-            "from gateway.monitors.structural import steps",
+            "from gateway.monitors.structural import decision, records, sampling",
             "",
             "",
             "class Inputs(contract.Inputs):",
@@ -49,30 +69,32 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
             "",
             "",
             "class State(Record):",
-            "    own: steps.State",
+            "    own: records.State",
             "    sample: Sample",
             *_numbered(plan, "    {g}: m{k}.State"),
+            *(f"    {name}: f8" for name in sizes_of(plan)),
             "",
             "",
             "class Const(Record):",
-            "    own: steps.Const",
+            "    own: records.Const",
             *_numbered(plan, "    {g}: m{k}.Const"),
             "",
             "",
             "@kernel",
             "def step(s: State, c: Const, u: Inputs, out: Any) -> None:",
             '    """Take a frame or the clock; when a sample is due, step all tests."""',
-            "    what = steps.arrived(s.own, c.own, u, out)",
-            "    if what == steps.NOTHING:",
-            "        return",
-            *taken,
-            "    if what == steps.FIRST:",
-            *_numbered(plan, "        m{k}.reset(s.{g}, c.{g})"),
-            "    if what != steps.GO:",
-            *_numbered(plan, "        m{k}.start(s.{g}, c.{g}, s.sample)"),
-            "    dt = s.own.dt",
-            *_numbered(plan, "    s.own.residual[{k}] = m{k}.step(s.{g}, c.{g}, s.sample, dt)"),
-            "    steps.decide(s.own, c.own, u, out)",
+            "    what = sampling.arrived(s.own, c.own, u, out)",
+            "    while what != sampling.NOTHING:",
+            *(f"        {line}" for line in taken),
+            "        if what == sampling.FIRST:",
+            *_numbered(plan, "            m{k}.reset(s.{g}, c.{g})"),
+            "        if what != sampling.GO:",
+            *_numbered(plan, "            m{k}.start(s.{g}, c.{g}, s.sample)"),
+            "        dt = s.own.dt",
+            *(f"        {line}" for line in _residuals(plan)),
+            "        decision.decide(s.own, c.own, out)",
+            *(f"        s.{name} = s.own.sizes[{j}]" for j, name in enumerate(sizes_of(plan))),
+            "        what = sampling.again(s.own, c.own, u)",
             "",
         ]
     )

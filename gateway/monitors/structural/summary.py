@@ -5,30 +5,50 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gateway.fdi.structure.model import Model
+from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.faults import equations_in_words
+from gateway.monitors.structural.filters import bandwidths
 from gateway.monitors.structural.params import Params
 from gateway.monitors.structural.plan import Plan
 
 
-def notes(model: Model, plan: Plan) -> tuple[str, ...]:
+def notes(model: Model, plan: Plan, p: Params) -> tuple[str, ...]:
     """Return the tests, and the table of what they tell apart."""
-    return (*_tests(model, plan), *_table(plan))
+    return (*_tests(model, plan, p), *_table(model, plan))
 
 
-def _tests(model: Model, plan: Plan) -> Iterator[str]:
-    for test in plan.tests:
+def _tests(model: Model, plan: Plan, p: Params) -> Iterator[str]:
+    many = len(plan.tests) > AS_BITS
+    for k, test in enumerate(plan.tests):
         faults = ", ".join(test.faults) or "no fault"
-        yield f"test {test.name} ({test.causality}) sees {faults}; it checks {equations_in_words(model, test)}"
+        number = f"{k + 1} " if many else ""
+        fitted = bandwidths(test, p).said
+        yield (
+            f"test {number}{test.name} ({test.causality}) sees {faults}; it checks {equations_in_words(model, test)}"
+            f"{f'; {fitted}' if fitted else ''}"
+        )
 
 
-def _table(plan: Plan) -> Iterator[str]:
+def _table(model: Model, plan: Plan) -> Iterator[str]:
     found = plan.isolability
     width = max(map(len, plan.faults), default=0)
+    many = len(plan.faults) > TWO_DIGITS
     for k, fault in enumerate(plan.faults):
         others = [other for j, other in enumerate(plan.faults) if found.confused[k, j] and j != k]
         told = f"cannot be told from {', '.join(others)}" if others else "isolated"
         fired = " ".join(test.name for test in plan.tests if fault in test.faults)
-        yield f"fault {fault:<{width}}  {told}; fires {fired}"
+        size = ""
+        if fault in plan.measured:
+            unit = model.quantities[fault].unit if fault in model.quantities else ""
+            size = f"; size{f' [{unit}]' if unit not in ('', '1') else ''} by {_meter(plan, fault)}"
+        number = f"{k + 1} " if many else ""
+        yield f"fault {number}{fault:<{width}}  {told}; fires {fired}{size}"
+
+
+def _meter(plan: Plan, fault: str) -> str:
+    """Return what measures a fault: a test, or the equation that is checked for it alone."""
+    generator = plan.generators[plan.measured[fault]]
+    return generator.name if generator in plan.tests else generator.consistency
 
 
 def warnings(plan: Plan, p: Params) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ P    the pack's sensor against the sum of all cells' sensors
 
 from __future__ import annotations
 
+from pathlib import Path
+
 
 def battery_model(cells: int) -> str:
     """Return the model of a pack of so many cells as TOML."""
@@ -90,3 +92,62 @@ def tests_of(cells: int) -> tuple[str, ...]:
     """Return the names of the tests that a monitor of so many cells runs."""
     numbers = range(1, cells + 1)
     return (*(f"C{k}" for k in numbers), *(f"P{k}" for k in numbers), "P")
+
+
+#: What a value of each kind is in a frame: factor and unit.
+_CODED = {"y_I": ("0.01", "A"), "y_V": ("0.01", "V")}
+_CELL = ("0.0001", "V")
+
+
+def _sensors(cells: int) -> list[list[str]]:
+    """Return the known variables in each message, four in one."""
+    names = ["y_I", "y_V", *(f"y{k}" for k in range(1, cells + 1))]
+    return [names[k : k + 4] for k in range(0, len(names), 4)]
+
+
+def _database(cells: int) -> str:
+    lines = ['VERSION ""', "NS_ :", "BS_:", "BU_: A"]
+    for number, names in enumerate(_sensors(cells)):
+        lines.append(f"BO_ {256 + number} M{number}: 8 A")
+        for place, name in enumerate(names):
+            factor, unit = _CODED.get(name, _CELL)
+            lines.append(f' SG_ {name} : {16 * place}|16@1+ ({factor},{-300 if name == "y_I" else 0}) [0|0] "{unit}" A')
+    return "\n".join(lines) + "\n"
+
+
+def write_pack(folder: Path, cells: int, *, keys: str = "", seconds: float = 600.0, faults: str = "") -> Path:
+    """Write all that a pack of so many cells takes: model, database, configuration, scenario; no code.
+
+    Args:
+        folder: where.
+        cells: in series.
+        keys: further lines of the monitor's table.
+        seconds: of the scenario.
+        faults: its tables of faults.
+
+    Returns:
+        the configuration; the scenario beside it is ``scenario.toml``.
+    """
+    messages = _sensors(cells)
+    (folder / "pack.toml").write_text(battery_model(cells))
+    (folder / "pack.dbc").write_text(_database(cells))
+    signals = ", ".join(f'{z} = "M{k}.{z}"' for k, names in enumerate(messages) for z in names)
+    config = folder / "gateway.toml"
+    config.write_text(
+        '[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:pack"\ndatabase = ["pack.dbc"]\n'
+        'health = { watched = false }\n[memory]\npath = "faults.sqlite"\n'
+        '[[monitor]]\nname = "pack"\ntype = "structural"\nmodel = "pack.toml"\nperiod_ms = 100.0\nsample = "set"\n'
+        f"settle_s = 1.0\nconfirm_s = 6.0\nsignals = {{ {signals} }}\n{keys}"
+    )
+    noise = ", ".join(["y_I = 0.3", "y_V = 0.004", *(f"y{k} = 0.002" for k in range(1, cells + 1))])
+    lines = [
+        'name = "pack"', f"duration_s = {seconds}", 'config = "gateway.toml"',
+        "[[ecu]]", 'type = "structural"', 'model = "pack.toml"', "rest = true",
+        "inputs = { y_I = { points = [[0, 60], [20, 60], [25, -40], [55, -40], [60, 60]], repeat_s = 60 } }",
+        f"noise = {{ {noise} }}",
+    ]  # fmt: skip
+    for k, names in enumerate(messages):
+        each = ", ".join(f'{z} = "{z}"' for z in names)
+        lines += ["[[ecu.message]]", f'name = "M{k}"', "period_ms = 100", f"signals = {{ {each} }}"]
+    (folder / "scenario.toml").write_text("\n".join(lines) + "\n" + faults)
+    return config

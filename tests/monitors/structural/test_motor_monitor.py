@@ -153,7 +153,12 @@ def test_each_fault_has_its_name(tmp_path, fault, size):
     (ranked,) = [v for k, v in words.items() if k.startswith("faults that explain them")]
     assert ranked == place
     checked = [k for k in words if k.startswith("residual of")]
-    assert len(checked) == 3
+    assert len(checked) == 2
+    ((label, told),) = [(k, v) for k, v in words.items() if k.startswith("size of")]
+    assert label.startswith(f"size of {fault}, ")
+    assert told == pytest.approx(size, rel=0.05)
+    shown = run.gateway.engine.readout()["motor"]
+    assert shown[f"size_{fault}"] == pytest.approx(size, rel=0.05)
     assert all(" = " in k for k in checked)
 
 

@@ -1,7 +1,8 @@
-"""Three tanks of Fault Diagnosis Toolbox, simulated: faults are named as far as its analysis tells them apart."""
+"""Plants of Fault Diagnosis Toolbox, simulated: faults are named as far as its analysis tells them apart."""
 
 import warnings
 
+import induction_data
 import pytest
 from amount import amount
 
@@ -17,6 +18,7 @@ from gateway.runtime.app import Gateway
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     pytest.importorskip("faultdiagnosistoolbox")
+    from faultdiagnosistoolbox.models._induction_motor_model import model as induction_motor
     from faultdiagnosistoolbox.models._three_tank_model import model as three_tanks
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")]
@@ -102,3 +104,45 @@ def test_three_tanks(tmp_path):
         for seed in range(3, 3 + amount(20, 1)):
             assert named(config, frames(tmp_path, 100.0, seed, fault)) == [group], (fault, seed)
     assert together.sum() == 3 + 9  # three are isolated, the last valves and the last leak one group
+
+
+INDUCTION = """
+[clock]
+watched = false
+[[bus]]
+name = "b"
+uri = "virtual:x"
+database = ["motor.dbc"]
+health = { watched = false }
+[memory]
+path = "faults.sqlite"
+[[monitor]]
+name = "motor"
+type = "structural"
+model = "induction_motor.toml"
+period_ms = 1.0
+sample = "set"
+settle_s = 2.0
+confirm_s = 1.0
+signals = { u_a = "Voltages.Ua", u_b = "Voltages.Ub", y1 = "Sensors.Ia", y2 = "Sensors.Ib", y3 = "Sensors.Speed" }
+"""
+
+
+def test_induction_motor(tmp_path):
+    """Its data from SciPy, by equations written down apart from the model."""
+    (tmp_path / "motor.dbc").write_text(induction_data.DBC)
+    config = tmp_path / "gateway.toml"
+    config.write_text(INDUCTION)
+    log = tmp_path / "healthy.log"
+    writer = open_writer(log)
+    writer.write(induction_data.frames_of(induction_data.drive(20.0, seed=1001)))
+    writer.close()
+    write(config, learn(load_config(config), [log], file=config).tables, "healthy log")
+    assert named(config, induction_data.frames_of(induction_data.drive(10.0, seed=2))) == []
+    faults, together = list(induction_motor.f), induction_motor.IsolabilityAnalysis()
+    for fault, row in zip(faults, together, strict=True):
+        group = "_or_".join(g for g, too in zip(faults, row, strict=True) if too)
+        for seed in range(3, 3 + amount(20, 1)):
+            drive = induction_data.drive(8.0, seed=seed, onset=4.0, **{fault: 0.3})
+            assert named(config, induction_data.frames_of(drive)) == [group], (fault, seed)
+    assert together.sum() == 2  # both are isolated

@@ -25,7 +25,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from gateway.fdi.structure.generator.initial import Initial, find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, Statement
-from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, field_name
+from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, field_name
 from gateway.fdi.structure.generator.symbols import Algebra
 from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
@@ -33,6 +33,8 @@ from gateway.fdi.structure.sequence import shown
 
 #: Fields of STATE for (20): the residual, the first variable, and b, of the sample before.
 FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
+#: Field of STATE for the gain of a fault at the sample before, where the residual is filtered.
+GAIN_DRIVE = "gain_drive_"
 
 #: Binding of names and calls, just below which nothing needs parentheses.
 _ATOM = PRECEDENCE["Atom"] - 1
@@ -135,6 +137,7 @@ class Generated:
         knowns: known variables that it reads, names of the fields of ``u``.
         rates: derivatives of known variables that ``start`` reads, as fields of ``u``: ``<known>_rate<order>``.
         states: names of the states that it integrates.
+        fault: whose size is minus the residual over ``gain_`` of its state; empty: none.
     """
 
     name: str
@@ -143,11 +146,13 @@ class Generated:
     knowns: tuple[str, ...]
     rates: tuple[str, ...]
     states: tuple[str, ...]
+    fault: str = ""
 
 
 class _Writer:
-    def __init__(self, name: str, realisation: Realisation) -> None:
+    def __init__(self, name: str, realisation: Realisation, *, sized: bool) -> None:
         self.name, self.r = name, realisation
+        self.sized = sized and bool(realisation.fault) and realisation.branches == 1
         self.initial: Initial = find_initial(realisation)
         self.several = realisation.branches > 1
         self.model, self.of = realisation.model, realisation.symbols.of
@@ -175,14 +180,15 @@ class _Writer:
     # What is read -----------------------------------------------------------------------------------------------------
 
     def used(self) -> set[Algebra]:
+        return {x for e in self.expressions() for x in e.free_symbols}
+
+    def expressions(self) -> list[Algebra]:
         expressions = [self.r.residual, *self.r.transformed.values(), *self.initial.values.values()]
-        expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
-        return {x for e in expressions for x in e.free_symbols}
+        expressions += [self.r.gain] * self.sized
+        return expressions + [e for s in self.r.statements for one in s.solutions for e in one.values()]
 
     def tables(self) -> tuple[str, ...]:
-        expressions = [self.r.residual, *self.r.transformed.values(), *self.initial.values.values()]
-        expressions += [e for s in self.r.statements for one in s.solutions for e in one.values()]
-        called = {type(f).__name__ for e in expressions for f in e.atoms(sympy.Function)}
+        called = {type(f).__name__ for e in self.expressions() for f in e.atoms(sympy.Function)}
         return tuple(name for name in self.model.tables if name in called)
 
     # Lines ------------------------------------------------------------------------------------------------------------
@@ -265,6 +271,8 @@ class _Writer:
             lines.append(f"s.{FILTERED}{self.index} = 0.0  # (25)")
             lines += [f"{self.last(x)} = {self.names[self.of[x]]}" for x in self.r.transformed]
             lines.append(f"s.{DRIVE}{self.index} = 0.0")
+            if self.sized:
+                lines += [f"s.{GAIN} = 0.0", f"s.{GAIN_DRIVE} = 0.0"]
         return self.branched(lines) if lines else ["pass"]
 
     def step(self) -> list[str]:
@@ -280,6 +288,8 @@ class _Writer:
             lines += self.filtered(residual)
         else:
             lines.append(f"r = {residual}  # {self.r.consistency}")
+            if self.sized:
+                lines.append(f"s.{GAIN} = {self.print(self.r.gain)}  # {self.r.fault}")
         if not self.several:
             return [*lines, "return float(r)"]
         best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
@@ -310,6 +320,18 @@ class _Writer:
             f"    {drive} = b",
             "else:",
             "    r = nan",
+            *self.filtered_gain(),
+        ]
+
+    def filtered_gain(self) -> list[str]:
+        """Return the lines for the gain of a fault, filtered as b is."""
+        if not self.sized:
+            return []
+        return [
+            f"s.{GAIN} = keep * s.{GAIN} + (1.0 - keep) * s.{GAIN_DRIVE}",
+            f"b = {self.print(self.r.gain)}  # {self.r.fault}",
+            "if isfinite(b):",
+            f"    s.{GAIN_DRIVE} = b",
         ]
 
     # Module -----------------------------------------------------------------------------------------------------------
@@ -321,6 +343,7 @@ class _Writer:
             first = next(iter(self.r.transformed))
             lasts = [_last(x, first) for x in self.r.transformed]
             states += [f"{name}: {form}" for name in (FILTERED, *lasts, DRIVE)]
+        states += [f"{GAIN}: f8"] * self.sized + [f"{GAIN_DRIVE}: f8"] * (self.sized and bool(self.r.transformed))
         states += [f"low_{field_name(x)}: {form}" for x in self.r.differentiated]
         states += [f"{_shown(v)}: {form}" for v in self.r.outputs]
         used = self.used()
@@ -402,12 +425,18 @@ _KERNELS = {
 _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
 
 
-def write(name: str, realisation: Realisation) -> Generated:
+def write(name: str, realisation: Realisation, *, sized: bool = False) -> Generated:
     """Write a residual generator as code.
+
+    Args:
+        name: of it.
+        realisation: what it does.
+        sized: its state shows the gain of the fault that the residual tells the size of, if there is one.
 
     Raises:
         NotSolvableError: its states cannot begin by (24).
     """
-    writer = _Writer(name, realisation)
+    writer = _Writer(name, realisation, sized=sized)
     rates = tuple(f"{z}_rate{order}" for z, order in writer.initial.rates)
-    return Generated(name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated)
+    fault = realisation.fault if writer.sized else ""
+    return Generated(name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated, fault)

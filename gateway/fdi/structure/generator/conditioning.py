@@ -1,7 +1,8 @@
 """Numbers put into a residual generator: does it forget where its states began, and do they have a beginning at all?
 
 What is asked is where poles lie, and whether an expression is finite, at the model's parameters; known variables and
-states get values drawn around 1 with a fixed seed.
+states get values drawn around 1 with a fixed seed. How noise of the known variables reaches the residual is asked where
+states begin, and known variables are 1.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import sympy
 from gateway.fdi.structure.generator.initial import Initial
 from gateway.fdi.structure.generator.realisation import Realisation
 from gateway.fdi.structure.generator.symbols import Algebra
-from gateway.fdi.structure.model import Table, der
+from gateway.fdi.structure.model import Quantity, Table, der
 
 #: Points that are tried; step of differences; a pole so near the axis, of the farthest one, lies on it.
 _POINTS, _STEP, _SLOW = 3, 1e-6, 1e-6
@@ -111,3 +112,45 @@ def begins(realisation: Realisation, initial: Initial) -> bool:
         except (ArithmeticError, ValueError, KeyError):
             return True  # not to be told here
     return False
+
+
+def noise_gains(realisation: Realisation) -> tuple[tuple[str, float, float], ...]:
+    """Return how noise of known variables reaches a residual: each with the residual by it, and by its derivative [s].
+
+    States that are integrated are held: an integral passes little of what is new with every sample. Nothing is returned
+    where there are no numbers, or nothing is differentiated.
+    """
+    slopes = (*realisation.transformed, *realisation.differentiated)
+    if not slopes:
+        return ()
+    n, model = _Numbers(realisation), realisation.model
+    chain = [(n.of[v], n.function(e)) for s in realisation.statements if s.solutions for v, e in s.solutions[0].items()]
+    residual = n.function(realisation.residual)
+    factors = {x: n.function(factor) for x, factor in realisation.transformed.items()}
+    starts = {x: model.quantities.get(x, Quantity()).value for x in realisation.integrated}
+    point = {n.of[z]: 1.0 for z in model.knowns} | n.drawn(np.random.default_rng(1), ())
+    point |= {n.of[x]: 1.0 if value is None else value for x, value in starts.items()}
+    point |= {n.of[der(x)]: 0.0 for x in realisation.differentiated}
+
+    def values(at: dict[Algebra, float]) -> dict[Algebra, float]:
+        found = dict(at)
+        for symbol, function in chain:
+            found[symbol] = function(found)
+        return found
+
+    def by(function: Callable[[Mapping[Algebra, float]], float], symbol: Algebra) -> float:
+        up, down = (function(values(point | {symbol: point[symbol] + step})) for step in (_STEP, -_STEP))
+        return (up - down) / (2.0 * _STEP)
+
+    try:
+        with np.errstate(all="ignore"):
+            here = values(point)
+            weight = {x: factor(here) for x, factor in factors.items()}
+            weight |= {x: by(residual, n.of[der(x)]) for x in realisation.differentiated}
+            found = []
+            for z in model.knowns:
+                slope = sum(weight[x] * by(n.function(n.of[x]), n.of[z]) for x in slopes)
+                found.append((z, by(residual, n.of[z]), float(slope)))
+    except (ArithmeticError, ValueError, KeyError):
+        return ()
+    return tuple(one for one in found if one[1:] != (0.0, 0.0) and all(map(math.isfinite, one[1:])))

@@ -68,6 +68,8 @@ class Realisation:
         carried: states that begin at a given value, and keep theirs when the generator is started again; of each, the
             value.
         outputs: computed variables that its state shows, beside the residual.
+        fault: the one fault of the consistency relation, if that is linear in it; empty: there is none.
+        gain: the residual (or b) differentiated by that fault, whose size is - r / gain.
     """
 
     model: Model
@@ -81,6 +83,8 @@ class Realisation:
     transformed: Mapping[str, Algebra] = field(default_factory=dict)
     carried: Mapping[str, float] = field(default_factory=dict)
     outputs: tuple[str, ...] = ()
+    fault: str = ""
+    gain: Algebra = None
 
     @property
     def branches(self) -> int:
@@ -149,10 +153,30 @@ def realise(
         if name not in computed:
             raise ValueError(f'"{name}" is not computed on the way to {consistency}')
     ordered = tuple(e.name for e in model.equations if e.name in equations)
+    fault, gain = _measured(model, equations, consistency, avoided)
     return Realisation(
         model, symbols, ordered, consistency, steps, tuple(statements), tuple(integrated),
-        residual, transformed, carried, tuple(outputs),
+        residual, transformed, carried, tuple(outputs), fault, gain,
     )  # fmt: skip
+
+
+def _measured(model: Model, equations: frozenset[str], consistency: str, avoided: Sequence[str]) -> tuple[str, Algebra]:
+    """Return the fault whose size the residual tells, and the residual's derivative by it; none if there is none."""
+    check = model.by_name[consistency]
+    if check.relation is None or len(check.faults) != 1:
+        return "", None
+    (fault,) = check.faults
+    if any(fault in e.faults for e in model.equations if e.name in equations and e.name != consistency):
+        return "", None
+    symbols = Symbols(model, faulty=True)
+    residual = symbols.residual(check.relation)
+    gain = sympy.diff(residual, symbols.of[fault])
+    if avoided:
+        gain = sympy.cancel(gain / sympy.diff(residual, symbols.of[der(avoided[0])]))
+    free = gain.free_symbols
+    if gain == 0 or symbols.of[fault] in free or any(symbols.of[der(x)] in free for x in avoided):
+        return "", None
+    return fault, gain
 
 
 def _start(model: Model, state: str, start: Mapping[str, float] | None) -> float | None:

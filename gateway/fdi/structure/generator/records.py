@@ -13,6 +13,8 @@ from gateway.fdi.structure.relation import identifier
 
 #: Fields of Const for the filters [rad/s].
 FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
+#: Field of State for the gain of a fault, filtered as the residual is, where its size is asked for.
+GAIN = "gain_"
 
 
 def field_name(name: str) -> str:

@@ -57,7 +57,7 @@ class Symbols:
 
     def expression(self, expression: Expression) -> Algebra:
         """Return an expression, without faults unless they are left in."""
-        return self._tree(expression.tree).subs(self.nominal)
+        return self._tree(expression.tree).xreplace(self.nominal)
 
     def residual(self, relation: Relation) -> Algebra:
         """Return left minus right of an equation, without faults unless they are left in."""

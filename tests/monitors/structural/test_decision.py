@@ -1,0 +1,78 @@
+"""What tests say together, where they and the faults need masks of several words: as sets say it."""
+
+import numpy as np
+import pytest
+
+from gateway.fdi.structure.incidence import pack, unpack
+from gateway.jit import COMPILED
+from gateway.monitors import contract
+from gateway.monitors.structural import decision, records
+from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS
+
+TESTS, FAULTS = 150, 140
+PERIOD_NS = 100_000_000
+
+
+def monitor(seed):
+    """A state and constants with random signatures, each fault its own; the signatures as sets of tests."""
+    rng = np.random.default_rng(seed)
+    signatures = [frozenset(map(int, rng.choice(TESTS, size=rng.integers(2, 6), replace=False))) for _ in range(FAULTS)]
+    signatures[7] = frozenset([0, 70, 149])
+    signatures[139] = frozenset([0, 70, 148])
+    s, c = np.zeros(1, records.State.dtype).view(np.recarray)[0], np.zeros(1, records.Const.dtype).view(np.recarray)[0]
+    c.tests, c.faults, c.told = TESTS, FAULTS, FAULTS + 1
+    c.signature[:FAULTS] = pack(signatures, MOST_TESTS)
+    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], MOST_FAULTS)
+    c.shown[:] = records.NOT_USED
+    c.shown[:, 0], c.shown[:, 1], c.shown[:, 2] = records.LISTED, records.RANKED, records.KINDS * 149 + records.NORM
+    decision.prepare_window(c)
+    for k in range(TESTS):
+        decision.prepare(c, k, 1.0, 1.0, 5.0)
+    s.found = -1
+    return s, c, signatures
+
+
+def step(s, c, fired, seconds):
+    """Step it by samples with some residuals large; the results of all of them: fault -> verdict, and evidence."""
+    dtype = contract.results_of(contract.Evidence.dtype, None)
+    results, evidence = {}, {}
+    for _ in range(round(seconds * 1e9 / PERIOD_NS)):
+        s.at_ns += PERIOD_NS
+        s.dt = PERIOD_NS * 1e-9
+        s.residual[:] = 0.0
+        s.residual[list(fired)] = 10.0
+        out = np.zeros(1, dtype).view(np.recarray)[0]
+        decision.decide(s, c, out)
+        assert out.overflow == 0
+        for one in out.results[: out.n]:
+            results[int(one.fault)] = int(one.result)
+            if one.result == contract.FAILED:
+                evidence[int(one.fault)] = one.evidence.value.copy()
+    return results, evidence
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_faults(seed):
+    s, c, signatures = monitor(seed)
+    results, _ = step(s, c, (), 4.0)
+    assert results == dict.fromkeys(range(FAULTS + 1), contract.PASSED)  # all of them, some at a time
+    for fault in (7, 139, 3, 100):
+        results, evidence = step(s, c, signatures[fault], 4.0)
+        alone = [k for k, each in enumerate(signatures) if signatures[fault] <= each] == [fault]
+        expected = fault if alone else FAULTS
+        assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [expected]
+        listed, ranked, norm = evidence[expected][:3]
+        numbers = sorted(signatures[fault])[:5]
+        assert listed == sum((n + 1) * 1000 ** (len(numbers) - 1 - k) for k, n in enumerate(numbers))
+        assert unpack(s.fired[None, :], TESTS)[0].nonzero()[0].tolist() == sorted(signatures[fault])
+        assert (norm > 1) == (149 in signatures[fault])
+        if alone:
+            assert ranked == fault + 1
+        step(s, c, (), 60.0 if COMPILED else 10.0)
+        assert s.found == -1
+
+
+def test_two_faults_at_once_are_not_isolated():
+    s, c, signatures = monitor(1)
+    results, _ = step(s, c, signatures[7] | signatures[139] | signatures[3], 4.0)
+    assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [FAULTS]

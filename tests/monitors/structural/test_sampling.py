@@ -1,0 +1,210 @@
+"""Values between two frames, held or on the line between them; jumps; what the noise makes of the filters."""
+
+import cantools
+import motor_data
+import numpy as np
+import pytest
+from motor_data import B, J, K, R
+from structural_config import configuration
+
+from gateway.bus.frames import empty, put
+from gateway.common.resources import shipped
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
+from gateway.errors import GatewayError
+from gateway.fdi import likelihood
+from gateway.jit import COMPILED
+from gateway.monitors.structural import filters
+from gateway.runtime.app import Gateway
+
+BEGIN = 10**9
+#: Time between frames of the two messages, not in step with each other or the samples [ns].
+DRIVE_NS, SENSORS_NS = 13_000_000, 31_000_000
+
+
+def plant(t):
+    """u, i, w that fulfil the winding's equation exactly, and are straight lines for a second."""
+    u = 4.0 + 5.0 * t
+    w = 20.0 + 40.0 * t
+    return u, (u - K * w) / R, w
+
+
+def ramps(seconds, *, without=(2.0, 2.0)):
+    """Frames of the two messages, each by its own clock; none of the sensors in a span of time [s]."""
+    database = cantools.database.load_file(shipped("dbc/motor.dbc"))
+    rows = [(k * DRIVE_NS, "Drive") for k in range(int(seconds * 1e9 / DRIVE_NS))]
+    rows += [(2_000_000 + k * SENSORS_NS, "Sensors") for k in range(int(seconds * 1e9 / SENSORS_NS))]
+    rows = sorted(r for r in rows if r[1] == "Drive" or not without[0] < r[0] * 1e-9 < without[1])
+    frames = empty(len(rows))
+    for n, (t_ns, name) in enumerate(rows):
+        u, i, w = plant(t_ns * 1e-9)
+        values = {"Voltage": u} if name == "Drive" else {"Current": i, "Speed": w}
+        message = database.get_message_by_name(name)
+        put(frames, n, BEGIN + t_ns, message.frame_id, message.encode(values, strict=False), bus=0)
+    return frames
+
+
+class Fed:
+    """A gateway that is fed frames; what each sample was."""
+
+    def __init__(self, config, frames):
+        gateway = Gateway(load_config(config), None, file=config)
+        gateway.start(BEGIN)
+        self.state = gateway.engine.state_of(0)[0]
+        self.rows = []
+        trace = gateway.engine.state_of(0)[0]
+        before = 0
+        for k in range(len(frames)):
+            gateway.feed(frames[k : k + 1])
+            if trace.own.samples != before:
+                before = int(trace.own.samples)
+                self.rows.append((int(trace.own.last_ns), float(trace.own.residual[0]), before))
+        gateway.close()
+
+    @property
+    def residuals(self):
+        return np.array([r for _, r, _ in self.rows])
+
+
+@pytest.mark.parametrize("period_ms", [10.0, 50.0])
+def test_a_ramp_between_frames(tmp_path, period_ms):
+    """The winding's residual is 0 at every time: interpolated it is, to the signals' resolution; held it is not."""
+    frames = ramps(1.5)
+    keys = f"period_ms = {period_ms}\nsettle_s = 0\n"
+    held = Fed(configuration(tmp_path, keys), frames)
+    line = Fed(configuration(tmp_path, keys + 'between = "interpolated"\n'), frames)
+    resolution = 0.01 + R * 0.01 + K * 0.1
+    assert np.abs(line.residuals).max() < resolution
+    assert np.abs(held.residuals).max() > 3 * resolution
+    assert all(t % int(period_ms * 1e6) == 0 for t, _, _ in line.rows)
+    # every sample of the clock up to the slowest signal's newest frame, several at once where it is slow
+    newest = BEGIN + 2_000_000 + (int(1.5e9 / SENSORS_NS) - 1) * SENSORS_NS
+    first = -(-(BEGIN + 2_000_000) // int(period_ms * 1e6))
+    assert int(line.state.own.samples) == newest // int(period_ms * 1e6) - first + 1
+    assert int(line.state.own.missed) == 0
+
+
+def test_no_line_over_a_gap(tmp_path):
+    """The sensors are silent for 0.5 s: nothing is made up in between; what follows begins anew."""
+    frames = ramps(2.0, without=(0.7, 1.2))
+    keys = 'period_ms = 10\nsettle_s = 0\nmax_age_ms = 100\nbetween = "interpolated"\n'
+    fed = Fed(configuration(tmp_path, keys), frames)
+    times = np.array([t for t, _, _ in fed.rows])
+    inside = (times > BEGIN + 720_000_000) & (times < BEGIN + 1_180_000_000)
+    assert not inside.any()
+    assert (times > BEGIN + 1_300_000_000).any()
+    assert int(fed.state.own.missed) >= 45
+    assert BEGIN + 1_180_000_000 < int(fed.state.own.since_ns) < BEGIN + 1_260_000_000
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ('between = "interpolated"\nsample = "set"\n', "between.*interpolated"),
+        ("noise = { q = 0.1 }\n", r"noise\.q.*known variables are u, i, w"),
+        ("noise = { w = 0.0 }\n", r"noise\.w"),
+        ('decision = "jumps"\n', "decision"),
+    ],
+)
+def test_mistakes(tmp_path, keys, said):
+    path = configuration(tmp_path, keys)
+    with pytest.raises(GatewayError, match=said):
+        Gateway(load_config(path), None, file=path)
+
+
+# Jumps
+# ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ratio_is_that_of_all_beginnings(seed):
+    """Twice the log ratio of a jump of the mean d samples ago: (sum of the last d)^2 / d, in standard deviations."""
+    window = 8
+    weighted, inverse = np.ones((window, 1, 1)), np.zeros((window, 1, 1))
+    inverse[1:, 0, 0] = 1.0 / np.arange(1, window)
+    begun, values = np.zeros((window, 1)), np.random.default_rng(seed).normal(size=60)
+    for n, value in enumerate(values):
+        kept = min(n + 1, window)
+        found = likelihood.largest(begun, weighted, inverse, np.array([value]), n % window, kept, 1, 1)
+        sums = [values[n - d + 1 : n + 1].sum() ** 2 / d for d in range(1, kept)]
+        assert found == pytest.approx(max(sums, default=0.0), rel=1e-12, abs=1e-12)
+
+
+def failures(config, rows):
+    gateway = Gateway(load_config(config), None, file=config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(BEGIN)
+    gateway.feed(motor_data.frames_of(rows))
+    gateway.close()
+    return [
+        ((e["t_ns"] - BEGIN) * 1e-9, e["fault"].split(".")[1])
+        for e in events
+        if e["event"] == "dtc" and e["status"] & 1
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+def test_jumps_of_the_motor(tmp_path):
+    """Calibrated from a healthy drive, a fault that begins at once has its name sooner than by CUSUM; healthy: none."""
+    from gateway.bus.logs import open_writer
+    from gateway.calibration.cusum import learn
+    from gateway.calibration.file import write
+
+    log = tmp_path / "healthy.log"
+    writer = open_writer(log)
+    writer.write(motor_data.frames_of(motor_data.drive(60, seed=11)))
+    writer.close()
+    delay = {}
+    for decision in ("cusum", "jump"):
+        keys = f'decision = "{decision}"\nactive = "omega > 20"\nsettle_s = 3\nconfirm_s = 0.1\n'
+        config = configuration(tmp_path, keys, nu=None)
+        write(config, learn(load_config(config), [log], file=config).tables, "healthy log")
+        assert failures(config, motor_data.drive(40, seed=13)) == []
+        rows = motor_data.drive(20, seed=14, onset=10.0, f_w=12.0)
+        found = failures(config, rows)
+        assert [name for _, name in found][-1] == "f_w"
+        delay[decision] = found[-1][0] - 10.0
+    assert 0.1 <= delay["jump"] < delay["cusum"]
+
+
+# Filters
+# ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bandwidth", [0.5, 5.0, 60.0])
+def test_noise_of_a_slope(bandwidth):
+    """What the formula says is what a low-pass leaves of white noise."""
+    h, rng = 0.01, np.random.default_rng(5)
+    k, low, slopes = 1.0 - np.exp(-bandwidth * h), 0.0, []
+    for value in rng.normal(size=200_000) * 0.3:
+        slopes.append(k * (value - low) / h)
+        low += k * (value - low)
+    assert np.std(slopes[2000:]) == pytest.approx(filters.slope_noise(0.3, bandwidth, h), rel=0.03)
+
+
+def test_the_fitted_bandwidth_balances(tmp_path):
+    for direct, slope in ((0.5, 0.02), (5.0, 0.1), (0.05, 0.002)):
+        found = filters.fitted(direct, slope, 0.01, filtered=False, settle=30.0)
+        assert filters.slope_noise(slope, found, 0.01) == pytest.approx(direct, rel=1e-6)
+    assert filters.fitted(1e-9, 1.0, 0.01, filtered=False, settle=2.0) == pytest.approx(1.5)  # forgets within settle_s
+    assert filters.fitted(1e9, 1.0, 0.01, filtered=False, settle=2.0) == pytest.approx(100.0)  # a sample
+
+
+def test_noise_sets_the_motor_s_filters(tmp_path):
+    """J der(w) = k i - b w, w = (u - R i) / k: noise of i in the slope of w, and in all else, as computed by hand."""
+    keys = 'causality = "mixed"\nsettle_s = 600\nnoise = { i = 0.05, w = 0.3 }\n'
+    path = configuration(tmp_path, keys, nu=None)
+    monitor, params = monitor_of(load_config(path).monitor[0])
+    (line,) = (n for n in monitor.notes(params) if n.startswith("test e3 "))
+    assert "filter_bandwidth" in line
+    assert "fitted to the noise" in line
+    told = float(line.split("filter_bandwidth ")[1].split()[0])
+    assert "by e1, e2, e4" in line  # the speed is that of the winding's equation, with the current's sensor
+    direct, slope = (K + B * R / K) / J * 0.05, R / K * 0.05
+    k = 1 - np.exp(-told * 0.01)
+    assert direct * np.sqrt(k / (2 - k)) == pytest.approx(slope * k / 0.01 * np.sqrt(2 / (2 - k)), rel=0.01)
+    given = configuration(tmp_path, keys + "filter_bandwidth = 2\n", nu=None)
+    monitor, params = monitor_of(load_config(given).monitor[0])
+    assert not any("fitted" in n for n in monitor.notes(params))
