@@ -102,12 +102,19 @@ def _result(row: Any, faults: Any) -> dict[str, Any]:
     }
 
 
+#: Longest array of a state that is shown; histories are longer.
+MOST_NUMBERS = 1000
+
+
 def _plain(value: Any) -> Any:
-    """Return a record, an array or a number as JSON has it; what is no number is None."""
+    """Return a record, an array or a number as JSON has it; what is no number is None, a long array its size."""
     if value.dtype.names is not None and not value.shape:
         return {name: _plain(value[name]) for name in value.dtype.names}
+    if value.size > MOST_NUMBERS:
+        return f"{value.size} numbers"
     if value.shape:
-        return [_plain(item) for item in value]
+        whole = value.dtype.names is None and (value.dtype.kind != "f" or np.isfinite(value).all())
+        return value.tolist() if whole else [_plain(item) for item in value]
     number = value.item()
     return number if not isinstance(number, float) or np.isfinite(number) else None
 

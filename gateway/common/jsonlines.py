@@ -20,4 +20,7 @@ def strict(value: Any) -> Any:
 
 def line(value: Any) -> str:
     """Return a value as one line of JSON, without its end."""
-    return json.dumps(strict(value))
+    try:
+        return json.dumps(value, allow_nan=False)
+    except ValueError:  # rare, and a search for them takes longer than all else
+        return json.dumps(strict(value))

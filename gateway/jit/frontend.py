@@ -119,7 +119,9 @@ class Callee(CPUDispatcher):
 
 def callee(function: Any) -> Any:
     """Return a kernel as kernels call it."""
-    return Callee(function, targetoptions=_OPTIONS | {"forceinline": NOT_INLINED not in vars(function)})
+    return Callee(
+        function, targetoptions=_OPTIONS | {"forceinline": NOT_INLINED not in vars(function) and not BOUNDSCHECK}
+    )
 
 
 def _type_of(form: Form) -> Any:

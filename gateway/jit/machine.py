@@ -15,6 +15,7 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from gateway.errors import KernelError
+from gateway.jit.settings import BOUNDSCHECK
 
 #: Processor for which code is made, by level; those of one architecture, the best last.
 LEVELS = {"x86_64": "x86-64", "x86_64_v3": "x86-64-v3", "aarch64": "generic"}
@@ -64,8 +65,9 @@ def optimise(module: Any) -> bytes:
     module.triple = target.triple
     module.data_layout = str(target.target_data)
     module.verify()
-    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
-    tuning.loop_vectorization = tuning.slp_vectorization = True
+    # With bounds checks it is to be right, and to be there soon.
+    tuning = llvm.create_pipeline_tuning_options(speed_level=1 if BOUNDSCHECK else 3)
+    tuning.loop_vectorization = tuning.slp_vectorization = not BOUNDSCHECK
     builder = llvm.create_pass_builder(target, tuning)
     passes = builder.getModulePassManager()
     passes.add_strip_symbols_pass()  # names of what is inside count what was compiled before

@@ -28,6 +28,8 @@ from gateway.vecu.wire_faults import Wire
 
 #: Steps of a run whose ECUs hear nobody [ns].
 STEP_NS = 10_000_000
+#: Longest of a run whose frames come seldom [ns].
+LONGEST_STEP_NS = 100_000_000
 
 
 def _joined(parts: Sequence[Frames]) -> Frames:
@@ -276,15 +278,25 @@ class Player:
         self._sent = frames.copy() if self._hears else empty(0)
         return frames
 
+    @property
+    def usual_ns(self) -> int:
+        """Length of a step that is short beside the times between frames [ns]: hours of slow plants are played soon."""
+        if self.stepwise:
+            return STEP_NS
+        times = len(np.unique(self.frames["t_ns"]))
+        between_ns = round(self.scenario.duration_s * 1e9) // max(times, 1)
+        return min(max(between_ns // 5, STEP_NS), LONGEST_STEP_NS)
+
     def batches(self, step_ns: int | None = None, *, start_ns: int = 0) -> Iterator[tuple[int, Frames]]:
         """Yield (end of the step [ns], its frames), the time from ``start_ns`` on, empty steps too.
 
         Args:
-            step_ns: length of a step; default: 10 ms, or how often an ECU is to hear; never longer than that.
+            step_ns: length of a step, never longer than how often an ECU is to hear; default: 10 ms, or longer where
+                frames come less often (:attr:`usual_ns`).
             start_ns: added to every time stamp.
         """
-        step_ns = STEP_NS if step_ns is None else step_ns
-        step_ns = min(step_ns, self.loop_ns)
+        step_ns = self.usual_ns if step_ns is None else step_ns
+        step_ns = min(step_ns, self.loop_ns) if self.stepwise else step_ns
         end = round(self.scenario.duration_s * 1e9)
         first = 0
         for until in range(step_ns, end + step_ns, step_ns):

@@ -53,7 +53,7 @@ def test_a_structural_monitor_tells_what_will_run(tmp_path, capsys):
     assert check(path, schema_wanted=False, json=False) == 0
     said = capsys.readouterr().out
     assert "motor:\n  test e1 (S) sees f_R, f_i, f_w; it checks e1 (winding): u = R * (1 + f_R) * I + k * omega" in said
-    assert "  fault f_b  isolated; fires e1_2 e5 e5_2\n" in said
+    assert "  fault f_b  isolated; fires e1_2 e5 e5_2; size by e3\n" in said
     assert "P1B11-64  motor.f_b: the bearing's friction" in said
     assert check(path, schema_wanted=False, json=True) == 0
     assert len(json.loads(capsys.readouterr().out)["told"]["motor"]) == 8

@@ -177,7 +177,7 @@ def test_a_signal_of_no_bus_is_named(tmp_path, second, match):
     config = config_of(tmp_path, ["chassis", "other"], "chassis.", second)
     with pytest.raises((InputError, InputErrors), match=match) as error:
         Gateway(config)
-    assert 'monitor[0].signals."' in str(error.value)
+    assert "monitor[0].channel[1].signal" in str(error.value), "where the file has it"
     assert "PED_Brake.Ch2" in str(error.value)
 
 

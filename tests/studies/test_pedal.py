@@ -151,7 +151,11 @@ def test_stuck_and_offset_channels(score, kind):
 
 
 def test_an_offset_beside_impulses_does_not_isolate_the_healthy_channel(score):
-    """In less than 1 % of 2000 runs each; the rest are offsets that begin where the pedal turns."""
+    """In less than 0.1 % of 2000 runs each.
+
+    Of two channels one is named only if it jumped and the other did not: beside impulses that is so in 55 to 76 % of
+    the offsets (it was in 98 %, with up to 1 % wrong names); the others are told as drift or correlation.
+    """
     print("seeds 110000 to 111999")
     case = Case("offset + impulses")
     for environment in ENVIRONMENTS:
@@ -159,8 +163,8 @@ def test_an_offset_beside_impulses_does_not_isolate_the_healthy_channel(score):
         for seed in range(110_000, 112_000):
             isolated = follow("tracking", environment, make(case, environment, seed)).isolated
             wrong += bool((isolated >> 1 & 1).any())
-        assert wrong < 0.01 * 2000, environment
-        assert score(environment, case).isolations > 0.98 * RUNS, environment
+        assert wrong <= 0.001 * 2000, environment
+        assert score(environment, case).isolations > 0.4 * RUNS, environment
     assert score(NOISY, case).iae <= 3 * score(NOISY, case).oracle
 
 

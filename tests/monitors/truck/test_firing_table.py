@@ -85,8 +85,9 @@ def test_one_test_alone_is_an_ambiguity_group_and_the_second_isolates(system, bi
 @pytest.mark.long
 def test_a_fault_that_goes_heals():
     """T does not grow beyond a limit, so that it comes down again; T7 follows the truth."""
-    for kind, dtc in (("machine_voltage_sensor", "P1A14-64"), ("machine_efficiency", "P1A12-64")):
-        fault = TruckFault(kind=kind, from_s=430.0, to_s=520.0)
+    # T7 is not tested behind gear changes for as long as a clutch may creep: it takes two minutes of this drive.
+    for kind, dtc, to_s in (("machine_voltage_sensor", "P1A14-64", 520.0), ("machine_efficiency", "P1A12-64", 620.0)):
+        fault = TruckFault(kind=kind, from_s=430.0, to_s=to_s)
         events = run(drive(TRUCK, (fault,), 1100.0), 4)[2]
         last = {code: now for _, code, now in events}
         assert dtc in {code for _, code, now in events if now}

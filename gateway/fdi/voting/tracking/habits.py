@@ -81,7 +81,7 @@ def _leap(h: State, i: int, raw: float, straight: float, speed: float) -> None:
 
     Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
     """
-    bend = raw - 2.0 * h.raw[i] + h.before[i]
+    bend = raw - 2.0 * h.raw[i] + h.before[i] if np.isfinite(raw) and np.isfinite(h.raw[i]) else np.nan
     large = abs(bend) > straight
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
     h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
