@@ -102,7 +102,7 @@ class Control:
             for name, number in value.items():
                 if not isinstance(number, int | float | str):
                     raise InputError("a number, or a text of the database", key=str(name), value=number)
-                self._player.overrides.set(str(name), number)
+            self._player.overrides.set(value)
         elif word == "release" and isinstance(value, Sequence) and not isinstance(value, str):
             for name in value or [None]:
                 self._player.overrides.release(name)

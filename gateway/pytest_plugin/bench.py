@@ -152,7 +152,7 @@ class Bench:
         done = False
         for sender in self._senders:
             try:
-                sender.player.overrides.set(signal, value)
+                sender.player.overrides.set({signal: value})
                 done = True
             except InputError as error:
                 wrong = wrong or error

@@ -38,16 +38,18 @@ class Overrides:
         """Signals that are set, with their values."""
         return {name: one.value for (_, name), one in self._set.items()}
 
-    def set(self, name: str, value: float | str) -> None:
-        """Give a signal a value from its next frame on.
+    def set(self, values: Mapping[str, float | str]) -> None:
+        """Give signals values from their next frames on: all of them, or, if one is wrong, none.
 
         Args:
-            name: "Message.Signal", or "bus.Message.Signal".
-            value: in the signal's unit, or its text in the database.
+            values: "Message.Signal", or "bus.Message.Signal", -> in the signal's unit, or its text in the database.
 
         Raises:
             InputError: no such signal, or a value that it cannot carry.
         """
+        self._set.update([self._made(name, value) for name, value in values.items()])
+
+    def _made(self, name: str, value: float | str) -> tuple[tuple[int, str], _Set]:
         sender, own = self._sender(name)
         made = _Set(sender.message(own.rpartition(".")[0]), sender.signal(own), 0.0)
         made.value = _number(value, sender, own)
@@ -55,7 +57,7 @@ class Overrides:
         slack = abs(float(made.signal.row.scale)) / 2
         if not low - slack <= made.value <= high + slack:
             raise InputError(f"it can carry {low:g} to {high:g}", key=own, value=value)
-        self._set[sender.bus, own] = made
+        return (sender.bus, own), made
 
     def release(self, name: str | None = None) -> None:
         """Let a signal go its course again; None: all of them.

@@ -137,6 +137,13 @@ def test_mistakes_are_told(words, asked):
     assert asked.speeds() == {50}, "nothing has changed"
 
 
+def test_of_several_values_one_that_is_wrong_leaves_all_as_they_were(asked):
+    with pytest.raises(InputError, match="it can carry"):
+        asked.ask("set", "Drive.Gear=4", "Drive.Speed=400")
+    assert asked.ask()["set"] == {}
+    assert asked.speeds() == {50}
+
+
 def test_the_command(asked, tmp_path):
     found = []
     thread = threading.Thread(
