@@ -42,7 +42,7 @@ from gateway.bus.readers.scan import (
     skip,
     word_end,
 )
-from gateway.bus.readers.text import shown
+from gateway.bus.readers.text import Lines, shown
 from gateway.errors import InputError
 from gateway.jit import kernel
 
@@ -254,19 +254,15 @@ def date_ns(text: str) -> int:
     return int(date.timestamp()) * 10**9 + int((part or "0").ljust(9, "0")[:9])
 
 
-class Asc:
+class Asc(Lines):
     """Lines of ASC.
 
     Args:
         path: for errors.
     """
 
-    numbered = True
-
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over: list[str] = []
-        self.origin_ns = 0
+        super().__init__(path)
         self._base = 16
         self._marks = np.frombuffer(b"errorframecanfd", np.uint8).copy()
         self._clock = np.zeros(2, np.int64)

@@ -35,7 +35,7 @@ from gateway.bus.readers.scan import (
     skip,
     word_end,
 )
-from gateway.bus.readers.text import shown
+from gateway.bus.readers.text import Lines, shown
 from gateway.errors import InputError
 from gateway.jit import kernel
 
@@ -178,7 +178,7 @@ def cut_short(frame: np.void, before: Frames) -> bool:
     return bool(len(same) and frame["length"] < same[-1]["length"])
 
 
-class Candump:
+class Candump(Lines):
     """Lines of candump.
 
     Args:
@@ -188,9 +188,7 @@ class Candump:
     numbered = False
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over: list[str] = []
-        self.origin_ns = 0
+        super().__init__(path)
         self._names = np.zeros((8, _LONGEST), np.uint8)
         self._lengths = np.full(8, -1, np.int64)
 
@@ -220,7 +218,3 @@ class Candump:
         """Tell whether the last line is cut: it is no frame, or one that is shorter than its like."""
         del line
         return frame is None or cut_short(frame, before)
-
-    def unfinished(self) -> str:
-        """Return nothing: a candump log has no end of its own."""
-        return ""

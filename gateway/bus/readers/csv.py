@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames, nanoseconds
-from gateway.bus.readers.batch import NO_CHANNEL, Batch, Names
+from gateway.bus.readers.batch import NO_CHANNEL, Batch
 from gateway.bus.readers.scan import BAD, DONE, HEX, begin_frame, byte, decimal, line_end, number, set_length
-from gateway.bus.readers.text import shown
+from gateway.bus.readers.text import Lines, shown
 from gateway.errors import InputError
 from gateway.jit import kernel
 
@@ -132,19 +132,15 @@ def scan_csv(
     return at, lines, k, DONE
 
 
-class Csv:
+class Csv(Lines):
     """Lines of CSV.
 
     Args:
         path: for errors.
     """
 
-    numbered = True
-
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over: list[str] = []
-        self.origin_ns = 0
+        super().__init__(path)
         self._header = True
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
@@ -166,10 +162,6 @@ class Csv:
         assert at > begin or status == BAD
         return at, lines, status
 
-    def asked(self, line: bytes, names: Names) -> bool:
-        """Nothing is asked."""
-        raise NotImplementedError
-
     def bad(self, line: bytes, number: int) -> InputError:
         """Return the error of a bad line."""
         text = "a line is timestamp,arbitration_id,extended,remote,error,dlc,data"
@@ -182,10 +174,6 @@ class Csv:
             return not line.startswith(b"timestamp,")
         words = line.split(b",")
         return not int(frame["can_id"]) & REMOTE and int(frame["length"]) != int(words[5])
-
-    def unfinished(self) -> str:
-        """Return nothing: such a log has no end of its own."""
-        return ""
 
 
 def _plain(line: bytes) -> bytes | None:

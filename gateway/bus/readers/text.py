@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,26 @@ BLOCK = 1 << 20
 SHOWN = 60
 
 
-class Lines(Protocol):
-    """A format of lines."""
+class Lines(ABC):
+    """A format of lines.
 
-    passed_over: list[str]
-    origin_ns: int
+    Args:
+        path: for errors.
+
+    Attributes:
+        passed_over: what was no frame that can be read, one text each.
+        origin_ns: what makes stamps wall time [ns].
+    """
+
     #: Whether channels are numbers, and not places of names.
-    numbered: bool
+    numbered = True
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.passed_over: list[str] = []
+        self.origin_ns = 0
+
+    @abstractmethod
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines into a batch until one of both ends.
 
@@ -42,11 +55,14 @@ class Lines(Protocol):
         """
 
     def asked(self, line: bytes, names: Names) -> bool:
-        """Look at a line at which the kernel stopped; returns whether that was all of it."""
+        """Look at a line at which the kernel stopped with ASK; returns whether that was all of it."""
+        raise AssertionError(f"the kernel of {type(self).__name__} asks of no line, but did of {shown(line)!r}")
 
+    @abstractmethod
     def bad(self, line: bytes, number: int) -> InputError:
         """Return the error of a line that cannot be read."""
 
+    @abstractmethod
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Tell whether a log ends within its last line, which has no end.
 
@@ -57,7 +73,8 @@ class Lines(Protocol):
         """
 
     def unfinished(self) -> str:
-        """Return what is missing at the log's end, "" if nothing is."""
+        """Return what is missing at the log's end, "" if nothing is: most formats have no end of their own."""
+        return ""
 
 
 def shown(line: bytes) -> str:

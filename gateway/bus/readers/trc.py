@@ -35,7 +35,7 @@ from gateway.bus.readers.scan import (
     skip,
     word_end,
 )
-from gateway.bus.readers.text import shown
+from gateway.bus.readers.text import Lines, shown
 from gateway.errors import InputError
 from gateway.jit import kernel
 
@@ -191,19 +191,15 @@ def scan_trc(
     return at, lines, k, DONE
 
 
-class Trc:
+class Trc(Lines):
     """Lines of TRC.
 
     Args:
         path: for errors.
     """
 
-    numbered = True
-
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over: list[str] = []
-        self.origin_ns = 0
+        super().__init__(path)
         self._start = 0
         self._version, self._columns = "1.0", ""
         self._place = np.zeros(8, np.int64)
@@ -262,7 +258,3 @@ class Trc:
         """Tell whether the last line is cut: it is no frame where it should be one."""
         del before
         return frame is None and not line.strip().startswith(b";")
-
-    def unfinished(self) -> str:
-        """Return nothing: a TRC log has no end of its own."""
-        return ""
