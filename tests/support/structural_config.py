@@ -1,6 +1,9 @@
 """Configurations with a monitor of models/motor.toml, or of another model on its messages."""
 
 from gateway.common.resources import shipped
+from gateway.config.load import load_config
+from gateway.faults.status import Status
+from gateway.runtime.app import Gateway
 
 #: What healthy drives give (test_calibration.py), rounded up.
 NU = {"e1": 0.065, "e1_2": 0.072, "e5": 0.95, "e5_2": 0.8}
@@ -22,3 +25,14 @@ def configuration(folder, more="", *, model="motor.toml", nu=NU, signals=None, n
         + more
     )
     return path
+
+
+def named(config, drive):
+    """Return the faults whose DTCs a drive sets, in order."""
+    gateway = Gateway(load_config(config), None, file=config)
+    found = []
+    gateway.listen(found.append)
+    gateway.start(int(drive[0]["t_ns"]))
+    gateway.feed(drive)
+    gateway.close()
+    return [e["fault"].split(".")[1] for e in found if e["event"] == "dtc" and e["status"] & Status.TEST_FAILED]

@@ -3,6 +3,7 @@
 import pytest
 from amount import FULL, amount
 from gateway_studies.structure import battery
+from structural_config import named
 
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
@@ -10,9 +11,7 @@ from gateway.calibration.file import write
 from gateway.cli.simulate import _open
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.faults.status import Status
 from gateway.jit import COMPILED
-from gateway.runtime.app import Gateway
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not (COMPILED and FULL), reason="a minute of algebra")]
 CELLS = 64
@@ -25,16 +24,6 @@ FAULT = '[[fault]]\nkind = "value"\nname = "{name}"\nfrom_s = 60\nsize = {size}\
 def frames(folder, seconds, seed, faults=""):
     config = battery.write_pack(folder, CELLS, keys=KEYS, seconds=seconds, faults=faults)
     return config, _open(folder / "scenario.toml", seed)[2].frames
-
-
-def named(config, drive):
-    gateway = Gateway(load_config(config), None, file=config)
-    found = []
-    gateway.listen(found.append)
-    gateway.start(int(drive[0]["t_ns"]))
-    gateway.feed(drive)
-    gateway.close()
-    return [e["fault"].split(".")[1] for e in found if e["event"] == "dtc" and e["status"] & Status.TEST_FAILED]
 
 
 def test_64_cells(tmp_path):

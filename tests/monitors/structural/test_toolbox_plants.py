@@ -5,15 +5,14 @@ import warnings
 import induction_data
 import pytest
 from amount import amount
+from structural_config import named
 
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.cli.simulate import _open
 from gateway.config.load import load_config
-from gateway.faults.status import Status
 from gateway.jit import COMPILED
-from gateway.runtime.app import Gateway
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -76,16 +75,6 @@ def frames(folder, seconds, seed, fault=""):
     path = folder / "scenario.toml"
     path.write_text(SCENARIO.format(seconds=seconds) + (FAULT.format(name=fault) if fault else ""))
     return _open(path, seed)[2].frames
-
-
-def named(config, drive):
-    gateway = Gateway(load_config(config), None, file=config)
-    found = []
-    gateway.listen(found.append)
-    gateway.start(int(drive[0]["t_ns"]))
-    gateway.feed(drive)
-    gateway.close()
-    return [e["fault"].split(".")[1] for e in found if e["event"] == "dtc" and e["status"] & Status.TEST_FAILED]
 
 
 def test_three_tanks(tmp_path):
