@@ -394,3 +394,44 @@ def test_what_is_exported_is_json_and_whole(make):
     did, trace = told["identifiers"]
     assert (trace["id"], trace["name"]) == ("0xFD10", "interventions")
     assert (did["id"], did["signal"], did["length"]) == ("0x4000", "M0.Value", 4)
+
+
+def test_results_outside_the_operation_cycle_do_not_count(make):
+    rig = make(
+        extra=DRIVING,
+        faults={
+            0: 'cycle = "driving"\nconfirm_cycles = 2\n',
+            1: 'caused_by = ["b.M0.length"]\n',
+        },
+    )
+    rig.fail(0)
+    assert rig.status(0) == 0x50, "before the first drive"
+    assert rig.gateway.engine.fault_detection_counter(0) == 0
+    rig.fail(1)
+    assert rig.status(1) == 0x2F, "what is not tested holds nothing back"
+    rig.value(2, 20.0)
+    rig.fail(0)
+    assert rig.status(0) == 0x27, "the first trip"
+    rig.value(2, 0.5)
+    rig.heal(0)
+    rig.fail(0)
+    assert rig.status(0) == 0x27, "engine stopped"
+    rig.value(2, 20.0)
+    rig.fail(0)
+    assert rig.status(0) == 0x2F, "the second trip"
+
+
+def test_a_time_debounce_does_not_ripen_after_its_cycle(make):
+    rig = make(
+        extra=DRIVING,
+        faults={0: 'cycle = "driving"\ndebounce = { failed_ms = 100.0, passed_ms = 100.0 }\n'},
+    )
+    rig.value(2, 20.0)
+    rig.fail(0)
+    rig.value(2, 0.5)
+    rig.wait(1000)
+    assert rig.status(0) == 0x50
+    rig.value(2, 20.0)
+    rig.fail(0)
+    rig.wait(200)
+    assert rig.status(0) == 0x2F

@@ -1,0 +1,145 @@
+"""A memory's file that is damaged: what can be read is recovered, the rest is said, and the file is put aside."""
+
+import os
+import random
+import sqlite3
+
+import pytest
+from fault_examples import event, nothing
+from stored_memories import fill, kept, listed
+
+from gateway.errors import InputError
+from gateway.faults import service
+from gateway.faults.kept import KeptStore
+from gateway.faults.outage import FIRST_NS
+from gateway.faults.salvage import salvage
+from gateway.faults.store import DamagedError
+
+S = 1_000_000_000
+
+
+def damaged(path, rng):
+    """Damage one place of a file in one of many ways; returns what was done."""
+    content = bytearray(path.read_bytes())
+    way = rng.choice(["bits", "page", "cut", "zero", "text", "header"])
+    if way == "bits":
+        for _ in range(30):
+            content[rng.randrange(100, len(content))] ^= 1 << rng.randrange(8)
+    elif way == "page":
+        at = 4096 * rng.randrange(1, len(content) // 4096)
+        content[at : at + 4096] = rng.randbytes(4096)
+    elif way == "cut":
+        del content[rng.randrange(1, len(content)) :]
+    elif way == "zero":
+        content.clear()
+    elif way == "text":
+        content[:] = b"nothing of the kind\n" * 50
+    else:
+        content[:100] = rng.randbytes(100)
+    path.write_bytes(content)
+    return way
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_any_damage_is_survived_and_said(tmp_path, seed):
+    """Whatever has happened to a file, a gateway starts, and either nothing is missing or it says what it did."""
+    rng = random.Random(seed)
+    print("seed", seed)
+    path = tmp_path / "f.sqlite"
+    fill(path, 9)
+    way = damaged(path, rng)
+    store, memory = kept(path, 9)
+    memory.start_cycle(10)
+    memory.apply(event(3, True, 11), nothing)
+    assert memory.commit(11) is True
+    mishaps = store.mishaps()
+    found = {e.fault: e for e in memory.entries()}
+    print(way, mishaps, sorted(found))
+    if not mishaps:
+        assert len(found) == 9
+        assert all(len(found[f"m.f{k}"].freeze_frames) >= 1 for k in range(9))
+    else:
+        assert mishaps[0].kind == "damaged"
+        assert mishaps[0].aside.exists()
+        assert mishaps[0].lost or mishaps[0].recovered
+    assert "m.f3" in listed(path), "and it keeps what comes"
+    store.close()
+    again = KeptStore(path)
+    assert again.mishaps() == []
+    again.close()
+
+
+def test_what_can_be_read_of_a_damaged_file_is_recovered(tmp_path):
+    """One page of many is destroyed: most of the records come through, with their freeze frames and recordings."""
+    path = tmp_path / "f.sqlite"
+    fill(path, 90)
+    db = sqlite3.connect(path)
+    (root,) = db.execute("SELECT rootpage FROM sqlite_schema WHERE name = 'fault'").fetchone()
+    (size,) = db.execute("PRAGMA page_size").fetchone()
+    db.close()
+    content = bytearray(path.read_bytes())
+    leaf = int.from_bytes(content[(root - 1) * size + 12 : (root - 1) * size + 14], "big")
+    child = int.from_bytes(content[(root - 1) * size + leaf :][:4], "big")
+    content[(child - 1) * size : child * size] = b"\xa5" * size
+    path.write_bytes(content)
+    found = salvage(path)
+    assert 40 < len(found.records) < 90
+    assert found.lost >= 1
+    assert all(r.freeze_frames for r in found.records)
+    assert found.identifiers == {0xF190: b"VIN"}
+    with pytest.raises(DamagedError, match=r"f\.sqlite: a damaged fault memory.*puts it aside"):
+        service.list_entries(path)
+    with pytest.raises(DamagedError):
+        service.clear(path)
+    store, memory = kept(path, 90)
+    assert len(memory.entries()) == len(found.records)
+    (mishap,) = store.mishaps()
+    assert mishap.recovered == found.recovered
+    assert ".damaged-20" in mishap.aside.name
+    assert len(store.recordings()) == len(found.records)
+    store.close()
+
+
+def test_a_name_that_one_flipped_bit_has_changed_is_damage_not_a_traceback(tmp_path):
+    path = tmp_path / "f.sqlite"
+    fill(path)
+    db = sqlite3.connect(path)
+    db.execute("UPDATE fault SET id = 'm.f8' WHERE id = 'm.f1'")
+    db.commit()
+    db.close()
+    with pytest.raises(DamagedError, match="freeze"):
+        service.list_entries(path)
+    store, memory = kept(path)
+    assert len(store.mishaps()) == 1
+    assert {e.fault for e in memory.entries()} == {"m.f0", "m.f2", "m.f8"}
+    store.close()
+
+
+def test_a_file_damaged_while_it_is_open_is_begun_anew_with_everything(tmp_path):
+    path = tmp_path / "f.sqlite"
+    fill(path)
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    store._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    with path.open("r+b") as file:
+        file.seek(100)
+        file.write(os.urandom(path.stat().st_size - 100))
+    store._db.execute("PRAGMA cache_size = 0")  # else SQLite goes on with what it has read
+    memory.apply(event(0, False, 6), nothing)
+    t_ns = 6
+    while not memory.commit(t_ns):
+        t_ns += FIRST_NS
+        assert t_ns < 10 * S
+    assert listed(path) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
+    assert [m.kind for m in store.mishaps()] == ["damaged"]
+    store.close()
+
+
+def test_a_file_that_was_never_a_fault_memory_is_not_touched(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("mine\n" * 100)
+    with pytest.raises(InputError, match="no SQLite file"):
+        KeptStore(path)
+    assert path.read_text() == "mine\n" * 100
+    with pytest.raises(InputError, match="folder"):
+        KeptStore(tmp_path)
