@@ -76,5 +76,6 @@ def prune(tr: Tracker, made: int) -> float:
             tr.banks[first + kept].cost -= least
             kept += 1
     tr.count = kept
-    tr.open = tr.open + 1 if kept > 1 else 0
+    tr.took = tr.open + 1
+    tr.open = tr.took if kept > 1 else 0
     return float(least)

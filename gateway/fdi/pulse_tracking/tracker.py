@@ -31,7 +31,8 @@ class Tracker(Record):
     ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance`` of
     an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2]; ``residual`` of
     the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of a pulse lately [nat]; ``open`` pulses
-    since there was one hypothesis only; ``steady`` regular pulses over one pitch in a row, from which on the gains
+    since there was one hypothesis only, ``took`` the same without this pulse's pruning: so long has what is decided
+    now been open; ``steady`` regular pulses over one pitch in a row, from which on the gains
     ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of the steady state.
     """
 
@@ -45,6 +46,7 @@ class Tracker(Record):
     last: f8
     mean_cost: f8
     open: i8
+    took: i8
     pitches: Annotated[f8s, MOST_TEETH]
     slack: Annotated[f8s, MOST_TEETH]
     steady: i4
@@ -142,6 +144,7 @@ def begin(tr: Tracker, index: int, period: float, growth: float, variance: float
     tr.bank = 0
     tr.count = 1
     tr.open = 0
+    tr.took = 0
     tr.mean_cost = 0.0
     tr.last = 0.0
     tr.variance = min(max(variance, FIRST_VARIANCE), MOST_VARIANCE)
@@ -198,18 +201,26 @@ def shift(tr: Tracker, pulses: int, number: int) -> None:
 
 
 @kernel
-def transfer_ripple(tr: Tracker, before: float, after: float) -> None:
+def transfer_ripple(tr: Tracker, before: float, after: float, span: float) -> None:
     """Transfer ripple from the motion of every hypothesis into the learned pitches, or back: what is predicted stays.
+
+    The motion follows a ripple that is not learned with a lag as large as the ripple, and the lag is not transferred
+    with it: speed and growth are as uncertain as what they lose. Without this a filter that has just been told that
+    the engine turns evenly takes the lag for a speed, and holds to it.
 
     Args:
         tr: record of Tracker.
         before: what ln(pitch) of the slot before the last tooth lost.
         after: what that of the slot behind it lost.
+        span: pitches from the middle of the one slot to the middle of the other.
     """
     first = tr.bank * MOST
-    factor = exp((before + after) / 2)
-    growth = 2.0 * (before - after)
+    change = (before + after) / 2
+    growth = 2.0 * (before - after) / span
+    factor, scale = exp(change), 1.0 / tr.variance
     for k in range(tr.count):
         h = tr.banks[first + k]
         h.period *= factor
         h.growth = min(max(h.growth + growth, -MOST_GROWTH), MOST_GROWTH)
+        h.p22 += change * change * scale
+        h.p33 += growth * growth * scale

@@ -209,7 +209,13 @@ def _follow(s: State, c: Const, behind: int) -> None:
     profile.follow(pr, c.wheel, best(tr).period, tr.pitches)
     new_behind, new_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
     if new_behind != old_behind or new_ahead != old_ahead:
-        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, behind + 1))
+
+
+@kernel
+def _apart(c: Const, one: int, next_one: int) -> float:
+    """Return the pitches from the middle of a slot to the middle of the next one."""
+    return float(0.5 * (c.wheel.nominal[one] + c.wheel.nominal[next_one]))
 
 
 @kernel
@@ -316,6 +322,6 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_behind = profile.smooth(s.profile, behind)
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
-        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead)
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, s.index))
     if s.phase == TENTATIVE and s.hole == 0 and agreed(tr):
         prove(s, c, out)

@@ -128,7 +128,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
-    if s.phase == CONFIRMED and s.tracker.open > LATE:
+    if s.phase == CONFIRMED and s.tracker.took > LATE:
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         search(s, c)
