@@ -32,11 +32,21 @@ class EcuParams(StrictModel):
         return self.type
 
 
+#: What the key ``when`` of a fault is.
+WHEN = 'only while this holds of signals on the bus: "Drive.Speed > 50"'
+
+
 class EcuFault(StrictModel):
-    """Base of a fault of a virtual ECU; ``kind`` says which."""
+    """Base of a fault of a virtual ECU; ``kind`` says which.
+
+    ``when`` is resolved for an ECU whose frames are made beforehand: it gets the fault once for each time that the
+    condition holds, with ``from_s`` and ``to_s``, which its model must have. One that hears declares it again if it
+    minds it.
+    """
 
     kind: str
     ecu: str = Field(description="name of the ECU")
+    when: str | None = Field(None, min_length=1, description=WHEN)
 
 
 @dataclass(frozen=True)
