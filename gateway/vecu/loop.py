@@ -292,7 +292,7 @@ def messages(params: LoopParams, database: Database, *, tell: bool = True) -> li
             message=params.message,
             cycle_ms=params.cycle_ms,
             protection=params.protection,
-        ),
+        ).told(params.checked),
         database,
         tell=tell,
     )
