@@ -94,8 +94,7 @@ def replay(
         if report is not None:
             report.write_log(log, [found.event(), summary], injections)
         if junit is not None:
-            files = [log] if html is None else [log, html]
-            _write_junit(junit, gateway, failures, found, files, seconds, injections)
+            _write_junit(junit, gateway, failures, found, [log, *([] if html is None else [html])], seconds, injections)
     finally:
         gateway.close()
     if found.wrong:

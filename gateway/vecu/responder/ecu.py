@@ -17,6 +17,7 @@ from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
+from gateway.signals.decode import SIGNED, UNSIGNED
 from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
@@ -51,6 +52,14 @@ def _named(key: str, make: Callable[[], T]) -> T:
         return make()
     except InputError as error:
         raise InputError(error.message, key=key, value=error.value) from error
+
+
+def _raw(value: float, signal: ChangedSignal, size: int) -> bytes:
+    """Return what a frame has of a signal, big-endian."""
+    raw = (value - float(signal.row.offset)) / float(signal.row.scale)
+    if int(signal.row.kind) not in (SIGNED, UNSIGNED):  # floating-point, as IEEE 754 has it
+        return np.array(raw, f">f{size}").tobytes()
+    return (round(raw) & ((1 << 8 * size) - 1)).to_bytes(size, "big")
 
 
 class _Replier:
@@ -177,9 +186,7 @@ class _Responder:
             for k in np.flatnonzero(message.among(heard))[::-1][:1]:
                 value = signal.value(words_of(heard[k]), int(heard[k]["length"]))
                 if not np.isnan(value):
-                    raw = round((value - float(signal.row.offset)) / float(signal.row.scale))
-                    size = len(self._bytes[name])
-                    self._bytes[name] = (raw & ((1 << 8 * size) - 1)).to_bytes(size, "big")
+                    self._bytes[name] = _raw(value, signal, len(self._bytes[name]))
 
     def step(self, end_ns: int, heard: Frames) -> Frames:
         """Answer what was heard, and send what is due until a time [ns]."""
