@@ -212,3 +212,38 @@ def test_a_long_gap_says_of_the_clock_what_its_windows_say_one_by_one(passes, tm
     assert told[0] == told[1]
     healed = [e["t_ns"] for e in told[0] if e["event"] == "dtc" and not e["status"] & 1]
     assert healed == [1002 * MS + passes * 10_000 * MS]
+
+
+def test_what_was_sent_while_a_tester_had_reception_switched_off_is_missed_by_nobody(tmp_path):
+    at_once = '\n[fault."chassis.Beat.counter"]\ndebounce = { failed_after = 1 }\n'
+    gateway = gateway_of(tmp_path, lambda text: text + at_once)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    for t_ms in range(0, 5000, 200):  # each 200 ms, missing after 300 ms
+        if t_ms in (1000, 3000):
+            gateway.controls.set_communication(receive=t_ms == 3000, send=True, by="tester")
+            gateway.advance((t_ms + 100) * MS)
+        gateway.feed(frame(t_ms + 190, 0x300, beat(t_ms // 200)))
+    assert [event for event in events if event["event"] == "dtc"] == []
+    gateway.advance(6000 * MS)
+    assert dtcs(gateway) == ["U0100-87"], "it is supervised again"
+
+
+@pytest.mark.parametrize("ends", [c.RESTARTED, None])
+def test_after_bus_off_the_first_frames_accuse_nobody(ends, tmp_path):
+    at_once = '\n[fault."chassis.Beat.counter"]\ndebounce = { failed_after = 1 }\n'
+    gateway = gateway_of(tmp_path, lambda text: text + at_once)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    for t_ms in range(0, 5000, 200):
+        if t_ms == 1000:
+            gateway.feed(frame(t_ms, ERROR | c.BUS_OFF, bytes(8)))
+        if t_ms == 3000 and ends is not None:
+            gateway.feed(frame(t_ms, ERROR | ends, bytes(8)))
+        if not 1000 <= t_ms < 3000:
+            gateway.feed(frame(t_ms + 190, 0x300, beat(t_ms // 200)))
+    assert {event["dtc"] for event in events if event["event"] == "dtc"} == {"U0001-88"}
+    gateway.advance(6000 * MS)
+    assert dtcs(gateway) == ["U0100-87"], "it is supervised again"

@@ -73,7 +73,7 @@ class Control:
         heard[:] = rest
         try:
             for text in lines:
-                peer.send(line(self._answer(text)).encode() + b"\n")
+                peer.sendall(line(self._answer(text)).encode() + b"\n")
         except OSError:  # it does not take its answers
             self._drop(peer)
 
@@ -86,7 +86,7 @@ class Control:
                 )
             [(word, value)] = asked.items()
             self._do(word, value)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return {"error": f"no JSON: {error}"}
         except GatewayError as error:
             return {"error": str(error)}
@@ -104,6 +104,9 @@ class Control:
                     raise InputError("a number, or a text of the database", key=str(name), value=number)
             self._player.overrides.set(value)
         elif word == "release" and isinstance(value, Sequence) and not isinstance(value, str):
+            wrong = [name for name in value if not isinstance(name, str)]
+            if wrong:
+                raise InputError("names of signals", key="release", value=wrong[0])
             for name in value or [None]:
                 self._player.overrides.release(name)
         elif word == "inject" and isinstance(value, Mapping):

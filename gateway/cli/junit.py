@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree as Xml
 
+from gateway.common.attachments import attachments
 from gateway.errors import InputError
 
 #: What XML 1.0 cannot have, written in any way.
@@ -36,7 +37,12 @@ class Case:
 
 
 def write_junit(
-    path: Path, suite: str, cases: Iterable[Case], seconds: float, properties: Iterable[tuple[str, object]] = ()
+    path: Path,
+    suite: str,
+    cases: Iterable[Case],
+    seconds: float,
+    properties: Iterable[tuple[str, object]] = (),
+    files: Iterable[Path] = (),
 ) -> None:
     """Write the file; a folder that is not there is made.
 
@@ -46,6 +52,7 @@ def write_junit(
         cases: what was judged; of those with one name the later ones get a number.
         seconds: how long it took [s].
         properties: name, value; names may come several times.
+        files: recording, report, ... that belong to each case that failed.
 
     Raises:
         InputError: it cannot be written.
@@ -59,17 +66,22 @@ def write_junit(
         "skipped": counts["skipped"],
         "time": f"{seconds:.3f}",
     }
-    root = Xml.Element("testsuites", numbers)
+    # Jenkins' schema of what holds all suites knows no "skipped".
+    root = Xml.Element("testsuites", {name: value for name, value in numbers.items() if name != "skipped"})
     top = Xml.SubElement(root, "testsuite", {"name": _plain(suite), **numbers})
     entries = Xml.SubElement(top, "properties")
     for name, value in properties:
         Xml.SubElement(entries, "property", {"name": name, "value": _plain(str(value))})
+    left = attachments(files)
     seen: dict[str, int] = {}
     for case in cases:
         seen[case.name] = number = seen.get(case.name, 0) + 1
         name = case.name if number == 1 else f"{case.name} ({number})"
         keys = {"classname": _plain(suite), "name": _plain(name), "time": f"{seconds / len(cases):.3f}"}
-        _tell(Xml.SubElement(top, "testcase", keys), case)
+        entry = Xml.SubElement(top, "testcase", keys)
+        _tell(entry, case)
+        if left and case.outcome in ("failure", "error"):
+            Xml.SubElement(entry, "system-out").text = _plain(left)
     Xml.indent(root)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

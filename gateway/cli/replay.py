@@ -94,7 +94,7 @@ def replay(
         if report is not None:
             report.write_log(log, [found.event(), summary], injections)
         if junit is not None:
-            _write_junit(junit, gateway, failures, found, log, seconds, injections)
+            _write_junit(junit, gateway, failures, found, [log, *([] if html is None else [html])], seconds, injections)
     finally:
         gateway.close()
     if found.wrong:
@@ -130,17 +130,17 @@ def _write_junit(
     gateway: Gateway,
     failures: _Failures,
     found: Contents,
-    log: Path,
+    files: Sequence[Path],
     seconds: float,
     injected: Sequence[str],
 ) -> None:
-    """Write a test case for each fault, and one for the log itself."""
+    """Write a test case for each fault, and one for the log itself, the first of the files."""
     faults = [(definition.id, str(definition.dtc)) for definition in gateway.catalogue]
     open_ones = [name for name, _ in faults if gateway.memory.status_now(name) & Status.NOT_COMPLETED_THIS_CYCLE]
     wrong = "\n".join(str(error) for error in found.wrong)
     cases = [Case("log is whole", wrong, "error" if wrong else "passed"), *of_faults(faults, failures.told, open_ones)]
-    properties = [("log", log.name), *(("injected", text) for text in injected)]
-    write_junit(path, gateway.config.name, cases, seconds, properties)
+    properties = [("log", files[0].name), *(("injected", text) for text in injected)]
+    write_junit(path, gateway.config.name, cases, seconds, properties, files)
 
 
 def _notes(found: Contents, config: Config, summary: Mapping[str, Any], injected: Mapping[str, Injector]) -> list[str]:

@@ -6,7 +6,7 @@ import os
 import select
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -220,7 +220,7 @@ def simulate(
     check = check or junit is not None
     if check and bus == INSIDE:
         judgeable(scenario, config, file=find_scenario(scenario_name))
-    junit_file = _JunitFile(junit, scenario, player)
+    junit_file = _JunitFile(junit, scenario, player, [file for file in (record, html) if file is not None])
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
     with ExitStack() as stack:
         writer = None if record is None else stack.enter_context(open_writer(record))
@@ -303,10 +303,11 @@ class _JunitFile:
         path: of the file; None: none is.
         scenario: that is played.
         player: of the scenario.
+        files: that belong to it: recording, report.
     """
 
-    def __init__(self, path: Path | None, scenario: Scenario, player: Player) -> None:
-        self._path, self._scenario, self._player = path, scenario, player
+    def __init__(self, path: Path | None, scenario: Scenario, player: Player, files: Sequence[Path]) -> None:
+        self._path, self._scenario, self._player, self._files = path, scenario, player, files
         self._begun = time.monotonic()
 
     def write(self, judge: Judge | None, why: str = "") -> None:
@@ -321,7 +322,7 @@ class _JunitFile:
             ("injected", f"{fact.kind.replace('_', ' ')} at {fact.t_ns / 1e9:.3f} s, {fact.count}")
             for fact in self._player.truth
         ]
-        write_junit(self._path, scenario.name, cases, time.monotonic() - self._begun, properties)
+        write_junit(self._path, scenario.name, cases, time.monotonic() - self._begun, properties, self._files)
 
 
 def _stopped(scenario: Scenario, stop: Ending, report: _JunitFile) -> int:

@@ -17,6 +17,7 @@ from gateway.engine.debounce import all_detection_counters, fault_detection_coun
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
+from gateway.engine.timers import note_all
 from gateway.jit import Same, bound
 from gateway.monitors.contract import FAILED, NOT_TESTED
 from gateway.signals.tables import DecodePlan, SignalRef
@@ -216,6 +217,15 @@ class Engine:
     def hold_results(self, held: bool) -> None:
         """Let no test result count (True), or let them count again."""
         self.tables.clock[0]["held"] = held
+
+    def hear_again(self) -> None:
+        """Begin anew with the supervision of all messages: frames of theirs were not given to the engine."""
+        checks, now_ns = self.tables.checks, self.now_ns
+        watched = checks["timeout_ns"] > 0
+        checks["seen"] = 0
+        checks["deadline_ns"][watched] = now_ns + checks["timeout_ns"][watched]
+        checks["silent_ns"][watched] = 0
+        note_all(self.tables)
 
     def fold_statistics(self, fault: int) -> tuple[int, int]:
         """Return a fault's near misses and greatest detection counter since the last call."""

@@ -17,9 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.checks.bus_health import on_frame_received, on_timer, watch_clock
+from gateway.bus.conditions import LOSS
+from gateway.engine.checks.bus_health import on_timer, tells_loss, watch_clock
 from gateway.engine.checks.bus_health_steps import (
     on_error_frame,
+    on_sign_of_life,
     report_bus_results,
     skip_settled_windows,
 )
@@ -27,6 +29,7 @@ from gateway.engine.checks.communication import ACCEPT, REJECT
 from gateway.engine.checks.communication_steps import (
     check_message,
     report_timeout,
+    restart_supervision,
     skip_settled_timeouts,
 )
 from gateway.engine.debounce import qualify_by_time
@@ -167,9 +170,6 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
     if can_id & _ERROR:
         on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
         return
-    if bus < T.health.shape[0] - 1 and T.health[bus].bad != 0:
-        on_frame_received(T.health[bus])
-        report_bus_results(T, t_ns, T.health[bus])
     if can_id & _REMOTE:
         clock.remote += 1
         return
@@ -280,6 +280,9 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
             if frame["t_ns"] < clock.now_ns:
                 clock.late += 1
             else:
+                if frame["can_id"] & _ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
+                    # Before the deadlines that lie in what was not heard: it is told behind the gap.
+                    restart_supervision(T, frame["t_ns"], frame["bus"], LOSS)
                 advance(T, frame["t_ns"])
                 if clock.stop == 1:
                     return i
@@ -295,6 +298,8 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
         else:
             return count
         decoded = clock.decoded
+        if own == 0 and frame["can_id"] & _ERROR == 0:  # what we say ourselves proves nothing
+            on_sign_of_life(T, frame["t_ns"], frame["bus"])
         dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
         if own == 1:  # what we say ourselves is no traffic
             clock.decoded = decoded

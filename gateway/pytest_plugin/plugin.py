@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import GatewayError
+from gateway.pytest_plugin.attached import attach
 from gateway.pytest_plugin.can_log import CanLog
 from gateway.pytest_plugin.fixtures import buses_of, can_log, dtcs, gateway_bench, uds, virtual_ecu
 from gateway.pytest_plugin.scenarios import ScenarioFile, is_scenario
@@ -68,10 +69,21 @@ def pytest_runtest_makereport(
     log = getattr(item, "funcargs", {}).get("can_log")
     if report.when == "call" and report.failed and isinstance(log, CanLog):
         try:
-            report.sections.append(("CAN log", str(log.write())))
+            file = log.write()
+            report.sections.append(("CAN log", str(file)))
+            item.user_properties.append(("recording", str(file)))
         except (GatewayError, OSError) as error:
             report.sections.append(("CAN log", f"could not be written: {error}"))
     return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
+    """Name the files that failed tests have left where continuous integration looks for them in the JUnit file."""
+    yield
+    path = session.config.getoption("xmlpath", None)
+    if path and not hasattr(session.config, "workerinput"):
+        attach(Path(path))
 
 
 def _mistake(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:

@@ -142,7 +142,10 @@ class Controls:
 
     def set_communication(self, *, receive: bool, send: bool, by: str = "") -> None:
         """Switch normal communication; it is on when no tester has it off. Without reception no result counts."""
+        before = bool(self._deaf)
         _switch(self._deaf, receive, by)
+        if before and not self._deaf:
+            self._engine.hear_again()
         _switch(self._mute, send, by)
         self._hold()
 

@@ -6,6 +6,7 @@ from gateway.config.model import Config
 from gateway.config.resolve import protections
 from gateway.vecu.message_faults import MessageFault
 from gateway.vecu.player import Player
+from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import Scenario
 
 
@@ -23,5 +24,7 @@ def player_of(scenario: Scenario, config: Config, *, seed: int | None = None, st
     """
     buses = {bus.name: index for index, bus in enumerate(config.bus)}
     databases = {index: bus.database for index, bus in enumerate(config.bus)}
-    known = protections(config) if any(isinstance(fault, MessageFault) for fault in scenario.fault) or stepwise else {}
+    wanted = stepwise or any(isinstance(fault, MessageFault) for fault in scenario.fault)
+    wanted = wanted or any(VIRTUAL_ECUS[ecu.type].sends is not None for ecu in scenario.ecu)
+    known = protections(config) if wanted else {}
     return Player(scenario, buses, seed=seed, databases=databases, protections=known, stepwise=stepwise)

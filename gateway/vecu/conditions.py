@@ -79,6 +79,39 @@ class Condition:
             if present[place]:
                 self._values[k] = values[place]
 
+    @property
+    def messages(self) -> list[str]:
+        """Messages that its signals are in."""
+        return [name for _, name in self._plan.message_names]
+
+    def spans(self) -> list[tuple[int, int | None]]:
+        """Return from when until when it holds among the frames taken last [ns]; None: beyond the last of them."""
+        edges = np.flatnonzero(self._true[1:] != self._true[:-1])
+        times: list[int | None] = [int(self._times[k]) for k in edges]
+        if self._true[0]:
+            times.insert(0, 0)
+        begins = [t for t in times[::2] if t is not None]
+        return list(zip(begins, [*times[1::2], None], strict=False))
+
     def holds(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell whether it holds at some times [ns], which lie not before the frames taken last."""
         return np.asarray(self._true[np.searchsorted(self._times, t_ns, side="right")], np.bool_)
+
+
+def within(
+    t_ns: NDArray[np.int64], from_s: float | None, to_s: float | None, condition: Condition | None
+) -> NDArray[np.bool_]:
+    """Tell at which of some times a fault is there: between two times, while its condition holds.
+
+    Args:
+        t_ns: times [ns].
+        from_s: its begin [s]; None: 0.
+        to_s: its end [s]; None: never.
+        condition: None: always.
+    """
+    hit = t_ns >= round((from_s or 0.0) * 1e9)
+    if to_s is not None:
+        hit &= t_ns < round(to_s * 1e9)
+    if condition is not None:
+        hit &= condition.holds(t_ns)
+    return np.asarray(hit, np.bool_)

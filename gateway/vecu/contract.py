@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from gateway.bus.frames import Frames
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import InputError
+from gateway.signals.protection.params import ProtectionParams
 from gateway.signals.protection.protection import Protection
 
 #: Version of this contract. A virtual ECU says for which it was written.
@@ -25,6 +26,18 @@ class EcuParams(StrictModel):
     type: str
     name: str
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    _checked: Mapping[str, ProtectionParams] = PrivateAttr(default_factory=dict)
+
+    @property
+    def checked(self) -> Mapping[str, ProtectionParams]:
+        """How the configuration's checks say that messages of its bus are protected, by name."""
+        return self._checked
+
+    def told(self, checked: Mapping[str, ProtectionParams]) -> Self:
+        """Return parameters that know how messages of their bus are checked."""
+        copy = self.model_copy()
+        copy._checked = checked
+        return copy
 
     @property
     def summary(self) -> str:
@@ -32,11 +45,21 @@ class EcuParams(StrictModel):
         return self.type
 
 
+#: What the key ``when`` of a fault is.
+WHEN = 'only while this holds of signals on the bus: "Drive.Speed > 50"'
+
+
 class EcuFault(StrictModel):
-    """Base of a fault of a virtual ECU; ``kind`` says which."""
+    """Base of a fault of a virtual ECU; ``kind`` says which.
+
+    ``when`` is resolved for an ECU whose frames are made beforehand: it gets the fault once for each time that the
+    condition holds, with ``from_s`` and ``to_s``, which its model must have. One that hears declares it again if it
+    minds it.
+    """
 
     kind: str
     ecu: str = Field(description="name of the ECU")
+    when: str | None = Field(None, min_length=1, description=WHEN)
 
 
 @dataclass(frozen=True)

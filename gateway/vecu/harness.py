@@ -23,7 +23,7 @@ from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
-from gateway.vecu.conditions import Condition
+from gateway.vecu.conditions import Condition, within
 from gateway.vecu.contract import Truth
 from gateway.vecu.databases import database_of
 from gateway.vecu.message_faults import EcuKind, Effect, MessageFault, SignalKind
@@ -104,13 +104,7 @@ class _Fault(ABC):
 
     def active(self, t_ns: NDArray[np.int64]) -> Mask:
         """Return at which of some times it is active."""
-        fault = self.fault
-        hit = t_ns >= round((fault.from_s or 0.0) * 1e9)
-        if fault.to_s is not None:
-            hit &= t_ns < round(fault.to_s * 1e9)
-        if self.condition is not None:
-            hit &= self.condition.holds(t_ns)
-        return np.asarray(hit, np.bool_)
+        return within(t_ns, self.fault.from_s, self.fault.to_s, self.condition)
 
     def end(self, now_ns: int) -> None:
         """End it now, if it has not ended yet."""

@@ -20,6 +20,7 @@ from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
+from gateway.vecu.conditions import Condition, within
 from gateway.vecu.contract import Run, Truth
 from gateway.vecu.databases import database_of
 from gateway.vecu.loop_params import ACTUATOR, LoopFault, LoopParams
@@ -91,6 +92,66 @@ class _Out:
         return made
 
 
+class _Actuator:
+    """A fault of an actuator: what the model gets of an input is not what the bus says.
+
+    Args:
+        fault: of the scenario.
+        run: what is asked for.
+        database: of its bus.
+        key: of its condition, for errors.
+
+    Raises:
+        InputError: a condition that is none.
+    """
+
+    def __init__(self, fault: LoopFault, run: Run, database: Database, key: str) -> None:
+        self._fault, self._run, self.input = fault, run, fault.input
+        self._effect = Effect(ACTUATOR[fault.kind], fault.size or 0.0, run.rng)
+        self._condition = None
+        if fault.when is not None:
+            try:
+                self._condition = Condition(fault.when, run.bus, database)
+            except InputError as error:
+                raise InputError(error.message, key=key, value=error.value or fault.when) from error
+        self._first_ns, self._count, self._noted = -1, 0, False
+
+    def hear(self, frames: Frames) -> None:
+        """Take what was on the buses before the next step."""
+        if self._condition is not None:
+            self._condition.take(frames)
+
+    def __call__(self, value: float, t_ns: int, step_ns: int) -> float:
+        """Return what the model gets at a time [ns], for a step [ns]."""
+        active = bool(within(np.array([t_ns]), self._fault.from_s, self._fault.to_s, self._condition)[0])
+        if self._condition is None:
+            self._note_once(t_ns, step_ns, active=active)
+        else:
+            self._count_steps(t_ns, step_ns, active=active)
+        return self._effect(value, t_ns, active=active)
+
+    def _note_once(self, t_ns: int, step_ns: int, *, active: bool) -> None:
+        """Note when it begins; how long it is there is known."""
+        if active and not self._noted:
+            self._noted = True
+            last = self._run.duration_s if self._fault.to_s is None else min(self._fault.to_s, self._run.duration_s)
+            self._run.note(Truth(t_ns, self._fault.kind, round((last * 1e9 - t_ns) / step_ns)))
+
+    def _count_steps(self, t_ns: int, step_ns: int, *, active: bool) -> None:
+        """Note it when its condition holds no longer: each time."""
+        if active:
+            self._first_ns = t_ns if self._first_ns < 0 else self._first_ns
+            self._count += 1
+        if not active or t_ns + step_ns >= self._run.duration_s * 1e9:
+            self.end()
+
+    def end(self) -> None:
+        """Note what it did, if it did something since the last time."""
+        if self._count:
+            self._run.note(Truth(self._first_ns, self._fault.kind, self._count))
+        self._first_ns, self._count = -1, 0
+
+
 class Loop:
     """A running model.
 
@@ -112,8 +173,7 @@ class Loop:
         self._values = {name: params.start.get(name, 0.0) for name in params.names}
         _check(params, database)
         self._out = [_Out(one, database, params, run.bus) for one in messages(params, database)]
-        self._faults = [(f, Effect(ACTUATOR[f.kind], f.size or 0.0, run.rng)) for f in faults]
-        self._noted: set[int] = set()
+        self._faults = [_Actuator(fault, run, database, f"faults[{k}].when") for k, fault in enumerate(faults)]
         self._next_ns = 0
         self._model = model()
 
@@ -136,6 +196,8 @@ class Loop:
     def step(self, end_ns: int, heard: Frames) -> Frames:
         """Go on until a time [ns], after what was heard; returns what it sends."""
         self._hear(heard)
+        for fault in self._faults:
+            fault.hear(heard)
         made = [empty(0)]
         while self._next_ns < end_ns:
             t_ns, self._next_ns = self._next_ns, self._next_ns + self.step_ns
@@ -161,14 +223,8 @@ class Loop:
     def _driven(self, t_ns: int) -> dict[str, float]:
         """Return the inputs with the faults of the actuators in them."""
         values = dict(self._values)
-        for place, (fault, effect) in enumerate(self._faults):
-            end = np.inf if fault.to_s is None else fault.to_s * 1e9
-            active = fault.from_s * 1e9 <= t_ns < end
-            values[fault.input] = effect(values[fault.input], t_ns, active=active)
-            if active and place not in self._noted:
-                self._noted.add(place)
-                last = min(end, self._run.duration_s * 1e9)
-                self._run.note(Truth(t_ns, fault.kind, round((last - t_ns) / self.step_ns)))
+        for fault in self._faults:
+            values[fault.input] = fault(values[fault.input], t_ns, self.step_ns)
         return values
 
     def _checked(self, said: Mapping[str, float], t_ns: int) -> dict[str, float]:
@@ -192,6 +248,8 @@ class Loop:
 
     def close(self) -> None:
         """End the model."""
+        for fault in self._faults:
+            fault.end()
         self._model.close()
 
 
@@ -234,7 +292,7 @@ def messages(params: LoopParams, database: Database, *, tell: bool = True) -> li
             message=params.message,
             cycle_ms=params.cycle_ms,
             protection=params.protection,
-        ),
+        ).told(params.checked),
         database,
         tell=tell,
     )

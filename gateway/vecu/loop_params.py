@@ -6,7 +6,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.vecu.contract import EcuFault, EcuParams
+from gateway.vecu.contract import WHEN, EcuFault, EcuParams
+from gateway.vecu.message_faults import begins
 from gateway.vecu.restbus.params import RestbusMessage
 
 
@@ -74,14 +75,14 @@ class LoopFault(EcuFault):
         "actuator_stuck", "actuator_offset", "actuator_gain", "actuator_drift", "actuator_noise", "actuator_value"
     ]
     input: str = Field(description="of the model")
-    from_s: float = Field(ge=0, description="[s]")
+    from_s: float | None = Field(None, ge=0, description="[s]; may be left out where there is a condition")
     to_s: float | None = Field(None, gt=0, description="[s]; default: the end")
+    when: str | None = Field(None, min_length=1, description=WHEN)
     size: float | None = Field(None, allow_inf_nan=False, description="as of a signal's fault, the input's unit")
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
+        begins(self)
         if self.kind != "actuator_stuck" and self.size is None:
             raise ValueError(f"{self.kind} wants a size")
         return self

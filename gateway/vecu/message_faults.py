@@ -2,18 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self, get_args
+from typing import Literal, Protocol, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from gateway.vecu.contract import EcuFault
+from gateway.vecu.contract import WHEN, EcuFault
 
 SignalKind = Literal["stuck", "offset", "gain", "drift", "noise", "value", "out_of_range", "sna"]
 MessageKind = Literal["counter", "checksum", "lost", "late", "doubled", "short", "babbling"]
 EcuKind = Literal["bus_off"]
 #: Of these, those that want a size.
 SIZED = ("offset", "gain", "drift", "noise", "value")
+
+
+class Timed(Protocol):
+    """A fault by time, by a condition, or by both."""
+
+    @property
+    def from_s(self) -> float | None:
+        """Its begin [s]."""
+
+    @property
+    def to_s(self) -> float | None:
+        """Its end [s]."""
+
+    @property
+    def when(self) -> str | None:
+        """Its condition."""
+
+
+def begins(fault: Timed) -> None:
+    """Refuse a fault of which nobody knows when it begins, or that ends before it does.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if fault.from_s is None and fault.when is None:
+        raise ValueError("when does it begin? Give from_s, or a condition when")
+    if fault.to_s is not None and fault.to_s <= (fault.from_s or 0.0):
+        raise ValueError("to_s must lie after from_s")
 
 
 class MessageFault(EcuFault):
@@ -27,9 +55,7 @@ class MessageFault(EcuFault):
     message: str | None = Field(None, description="name of a message, for a fault of its frames")
     from_s: float | None = Field(None, ge=0, description="[s]; may be left out where there is a condition")
     to_s: float | None = Field(None, gt=0, description="[s]; default: the end")
-    when: str | None = Field(
-        None, min_length=1, description='only while this holds of signals on the bus: "Drive.Speed > 50"'
-    )
+    when: str | None = Field(None, min_length=1, description=WHEN)
     size: float | None = Field(
         None,
         allow_inf_nan=False,
@@ -53,10 +79,7 @@ class MessageFault(EcuFault):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        if self.from_s is None and self.when is None:
-            raise ValueError("when does it begin? Give from_s, or a condition when")
-        if self.to_s is not None and self.to_s <= (self.from_s or 0.0):
-            raise ValueError("to_s must lie after from_s")
+        begins(self)
         if self.kind in get_args(EcuKind):
             if self.signal is not None or self.message is not None:
                 raise ValueError(f"{self.kind} is a fault of the ECU: give no signal, and no message")

@@ -109,9 +109,13 @@ class Overrides:
 
 def _number(value: float | str, sender: Sender, name: str) -> float:
     if not isinstance(value, str):
-        if isinstance(value, bool) or not np.isfinite(value):
+        try:
+            number = float("nan") if isinstance(value, bool) else float(value)
+        except OverflowError:  # an int of many digits
+            number = float("inf")
+        if not np.isfinite(number):
             raise InputError("a number, or a text of the database", key=name, value=value)
-        return float(value)
+        return number
     message, _, own = name.rpartition(".")
     signal = sender.database.signal(message, own)
     texts = {str(text): float(raw * signal.scale + signal.offset) for raw, text in (signal.choices or {}).items()}

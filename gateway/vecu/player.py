@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -17,6 +18,7 @@ from gateway.signals.database import Database
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
+from gateway.vecu.conditional import Placed, plant_faults, resolved
 from gateway.vecu.contract import EcuParams, Run, Running, Truth
 from gateway.vecu.databases import database_of
 from gateway.vecu.harness import Harness, Sender
@@ -57,23 +59,30 @@ class _Source:
         self.ecu, self.sender, self.harness, self.bus = ecu, sender, harness, run.bus
         self.truth: list[Truth] = []
         self.running: Running | None = None
-        self._frames, self._taken = empty(0), 0
+        self.frames, self._taken = empty(0), 0
 
-    def begin(self, scenario: Scenario, run: Run) -> None:
+    def begin(self, faults: Sequence[Placed], run: Run) -> None:
         """Make its frames, or start it.
+
+        Args:
+            faults: of plants, with their places in the scenario: its own are taken.
+            run: what is asked for.
 
         Raises:
             InputError: messages that cannot carry what it sends, ...
         """
-        mine = [f for f in scenario.fault if f.ecu == self.ecu.name and not isinstance(f, MessageFault)]
-        type_ = VIRTUAL_ECUS[self.ecu.type]
+        mine = [(k, fault) for k, fault in faults if fault.ecu == self.ecu.name]
+        type_, found = VIRTUAL_ECUS[self.ecu.type], [fault for _, fault in mine]
         if type_.begin is not None:
-            self.running = type_.begin(self.ecu, mine, run)
+            try:
+                self.running = type_.begin(self.ecu, found, run)
+            except InputError as error:
+                raise _of_scenario(error, [k for k, _ in mine]) from error
             return
         assert type_.frames is not None
-        frames, truth = type_.frames(self.ecu, mine, run)
+        frames, truth = type_.frames(self.ecu, found, run)
         self.truth += truth
-        self._frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        self.frames = frames[np.argsort(frames["t_ns"], kind="stable")]
 
     @property
     def step_ns(self) -> int:
@@ -81,12 +90,12 @@ class _Source:
         return VIRTUAL_ECUS[self.ecu.type].step_ns if self.running is None else self.running.step_ns
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self.frames)
 
     @property
     def end_ns(self) -> int:
         """Until when it has frames that are known [ns]."""
-        return int(self._frames["t_ns"][-1]) + 1 if len(self._frames) else 0
+        return int(self.frames["t_ns"][-1]) + 1 if len(self.frames) else 0
 
     def take(self, end_ns: int, heard: Frames) -> Frames:
         """Return its frames until a time [ns], without faults."""
@@ -96,9 +105,18 @@ class _Source:
             except InputError as error:
                 key = f"{self._key}.{error.key}" if error.key else self._key
                 raise InputError(error.message, key=key, value=error.value) from error
-        last = int(np.searchsorted(self._frames["t_ns"], end_ns))
-        frames, self._taken = self._frames[self._taken : last], last
+        last = int(np.searchsorted(self.frames["t_ns"], end_ns))
+        frames, self._taken = self.frames[self._taken : last], last
         return frames
+
+
+def _of_scenario(error: InputError, places: Sequence[int]) -> InputError:
+    """Return a mistake in a fault of an ECU ("faults[2].when") as one of the scenario ("fault[7].when")."""
+    found = re.match(r"faults\[(\d+)\](.*)", error.key or "")
+    if found is None:
+        return error
+    key = f"fault[{places[int(found[1])]}]{found[2]}"
+    return InputError(error.message, file=error.file, line=error.line, key=key, value=error.value)
 
 
 class Player:
@@ -138,7 +156,10 @@ class Player:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         self._files, self._protections = databases or {}, protections or {}
-        self._sources = [self._source(k, ecu, buses) for k, ecu in enumerate(scenario.ecu)]
+        faults, waiting = plant_faults(scenario)
+        self._sources = [self._source(k, ecu, buses, faults) for k, ecu in enumerate(scenario.ecu)]
+        if waiting:
+            self._wait_no_longer(faults, waiting, buses)
         self.step_ns = min(source.step_ns for source in self._sources)
         self.loop_ns = min((s.step_ns for s in self._sources if s.running is not None), default=STEP_NS)
         by_name = any(fault.message != "*" for fault in scenario.wire)
@@ -152,6 +173,16 @@ class Player:
         self._told: Counter[tuple[int, str, int]] = Counter()
         self.overrides = Overrides([source.sender for source in self._sources], buses)
         self.frames = empty(0) if self.stepwise else self._all()
+
+    def _wait_no_longer(self, faults: Sequence[Placed], waiting: Sequence[Placed], buses: Mapping[str, int]) -> None:
+        """Make those anew that have faults by a condition: what it is of is known now."""
+        of = {source.ecu.name: source.bus for source in self._sources}
+        known = {bus: database_of(self._files.get(bus, ())) for bus in {of[fault.ecu] for _, fault in waiting}}
+        frames = _joined([source.frames for source in self._sources])
+        every = [*faults, *resolved(waiting, of, frames, known)]
+        for k, ecu in enumerate(self.scenario.ecu):
+            if any(fault.ecu == ecu.name for _, fault in waiting):
+                self._sources[k] = self._source(k, ecu, buses, every)
 
     def _find_conditions(self) -> None:
         self._conditions = [condition for source in self._sources for condition in source.harness.conditions]
@@ -181,7 +212,7 @@ class Player:
         end = max(round(self.scenario.duration_s * 1e9), *(source.end_ns for source in self._sources))
         return _joined([self.take(end), self._late])
 
-    def _source(self, k: int, ecu: EcuParams, buses: Mapping[str, int]) -> _Source:
+    def _source(self, k: int, ecu: EcuParams, buses: Mapping[str, int], faults: Sequence[Placed]) -> _Source:
         """Return an ECU of the scenario.
 
         Raises:
@@ -194,7 +225,8 @@ class Player:
         else:
             raise InputError(f"the buses are {', '.join(buses)}", key=f"ecu[{k}].bus", value=ecu.bus or "")
         files = self._files.get(bus, ())
-        faults = [
+        ecu = ecu.told({name: asked for (of, name), asked in self._protections.items() if of == bus})
+        of_messages = [
             (place, fault)
             for place, fault in enumerate(self.scenario.fault)
             if fault.ecu == ecu.name and isinstance(fault, MessageFault)
@@ -206,10 +238,10 @@ class Player:
         try:
             sends = None if type_.sends is None else partial(type_.sends, ecu, files)
             sender = Sender(bus, files, sends, partial(self._known, bus))
-            harness = Harness(faults, sender, np.random.default_rng([self.seed, k, 1]))
+            harness = Harness(of_messages, sender, np.random.default_rng([self.seed, k, 1]))
             source = _Source(f"ecu[{k}]", ecu, sender, harness, run)
             source.truth = truth
-            source.begin(self.scenario, run)
+            source.begin(faults, run)
         except InputError as error:
             if error.key is None or error.key.startswith("fault["):
                 raise

@@ -2,7 +2,9 @@
 
 import itertools
 import json
+import socket
 import threading
+from contextlib import suppress
 
 import cantools
 import pytest
@@ -135,6 +137,33 @@ def test_mistakes_are_told(words, asked):
         asked.ask(*words)
     assert WRONG[words] in str(told.value)
     assert asked.speeds() == {50}, "nothing has changed"
+
+
+REQUESTS = {  # not what our own command sends
+    b'{"release": [5]}': "names of signals",
+    b'{"set": {"Drive.Speed": 1' + 400 * b"0" + b"}}": "a number",
+    b'{"set": {"Drive.Speed": NaN}}': "a number",
+    b'{"set": {"Drive.Speed": true}}': "a number",
+    b'{"set": [1]}': "not what it wants",
+    b"[" * 50_000: "no JSON",
+    b"\xff": "no JSON",
+    b'{"inject": {"kind": ["lost"]}}': "kind",
+}
+
+
+@pytest.mark.parametrize("request_", REQUESTS, ids=range(len(REQUESTS)))
+def test_what_anybody_writes_does_not_end_the_simulation(request_, asked):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as peer:
+        peer.connect(str(asked.path))
+        peer.sendall(request_ + b"\n")
+        peer.setblocking(False)
+        heard = b""
+        while not heard.endswith(b"\n"):
+            asked.control.turn()
+            with suppress(BlockingIOError):
+                heard += peer.recv(65536)
+    assert REQUESTS[request_] in json.loads(heard)["error"]
+    assert asked.speeds() == {50}
 
 
 def test_of_several_values_one_that_is_wrong_leaves_all_as_they_were(asked):

@@ -1,6 +1,7 @@
 """The JUnit files of simulate and replay, as junitparser reads them."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from junitparser import Error, Failure, JUnitXml, Skipped
@@ -121,6 +122,48 @@ def test_a_damaged_log_is_an_error(scenario, tmp_path):
     suite, cases = read(tmp_path / "out.xml")
     assert isinstance(cases["log is whole"].result[0], Error)
     assert suite.errors == 1
+
+
+def test_files_of_what_failed_are_attached(scenario, tmp_path, monkeypatch):
+    monkeypatch.delenv("CI_PROJECT_DIR", raising=False)
+    log, report = tmp_path / "drive.log", tmp_path / "report.html"
+    wrong = scenario(BATTERY.replace("by_s = 6.0", "by_s = 5.2"))
+    assert simulated(wrong, tmp_path / "out.xml", record=log, html=report) == 1
+    _, cases = read(tmp_path / "out.xml")
+    told = {name: case.system_out for name, case in cases.items() if case.result}
+    assert told == {"P0562-16 set after 5 s by 5.2 s": f"[[ATTACHMENT|{log}]]\n[[ATTACHMENT|{report}]]"}
+    assert "ATTACHMENT" not in str([case.system_out for case in cases.values() if not case.result])
+    # GitLab wants paths in its project.
+    monkeypatch.setenv("CI_PROJECT_DIR", str(tmp_path))
+    assert replayed(log, tmp_path / "gateway.toml", tmp_path / "out.xml") == 0
+    _, cases = read(tmp_path / "out.xml")
+    assert [case.system_out for case in cases.values() if case.system_out] == ["[[ATTACHMENT|drive.log]]"]
+
+
+#: What Jenkins' plugin xunit allows (its junit-10.xsd, version of 2024): attributes, and what stands in it.
+ALLOWED = {
+    "testsuites": ({"name", "time", "tests", "failures", "errors"}, {"testsuite"}),
+    "testsuite": (
+        {"name", "tests", "failures", "errors", "time", "skipped", "timestamp", "hostname", "id", "package", "file"},
+        {"properties", "testcase", "system-out", "system-err"},
+    ),
+    "properties": (set(), {"property"}),
+    "property": ({"name", "value"}, set()),
+    "testcase": ({"name", "time", "classname"}, {"skipped", "error", "failure", "system-out", "system-err"}),
+    **{name: ({"type", "message"}, set()) for name in ("skipped", "error", "failure")},
+    "system-out": (set(), set()),
+}
+
+
+def test_it_has_what_jenkins_allows_and_no_more(tmp_path):
+    cases = [Case("a", "seen"), *(Case(outcome, "why", outcome) for outcome in ("failure", "error", "skipped"))]
+    write_junit(tmp_path / "out.xml", "x", cases, 1.5, [("p", 1)], [tmp_path / "drive.log"])
+    entries = list(ElementTree.parse(tmp_path / "out.xml").iter())
+    assert {entry.tag for entry in entries} == ALLOWED.keys()
+    for entry in entries:
+        attributes, inside = ALLOWED[entry.tag]
+        assert set(entry.keys()) <= attributes, entry.tag
+        assert {child.tag for child in entry} <= inside, entry.tag
 
 
 def test_any_text_is_xml(tmp_path):

@@ -8,8 +8,10 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.bus.frames import CYCLIC, empty, payload, put
+from gateway.bus import conditions
+from gateway.bus.frames import CYCLIC, ERROR, empty, payload, put
 from gateway.engine.build import build_engine
+from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError, InputErrors
 from gateway.jit import Record, f8, i8, kernel
@@ -195,3 +197,29 @@ def test_a_message_without_the_signal_is_refused(tmp_path):
             [MonitorInstance("d", DOUBLE, Params(), emission=database.message("Output"))],
             [],
         )
+
+
+@kernel
+def _tick(s, c, u, out):
+    s.steps += 1
+    out.values.double = 2.0 * u.value
+    out.send = 1
+    out.wake_ns = u.t_ns + 1_000_000
+
+
+def test_what_the_gateway_says_itself_does_not_prove_that_it_hears(tmp_path):
+    (tmp_path / "a.dbc").write_text(DBC)
+    database = load_database([tmp_path / "a.dbc"])
+    ticking = monitor("tick", _tick, "Input", "Value", Emission("Output", {"double": "Double"}))
+    instance = MonitorInstance("t", ticking, Params(), emission=database.message("Output"))
+    engine = build_engine([(0, database)], [instance], [], buses=[BusInstance("a")])
+    off = [slot.id for slot in engine.faults].index("a.bus_off")
+    failed = empty(1)
+    put(failed, 0, 500_000, ERROR | conditions.BUS_OFF, bytes(8))
+    engine.process(np.concatenate([frames_of([1.0]), failed]), lambda events: None)
+    assert len(engine.advance(5_500_000, lambda events: None)) == 5
+    assert engine.fault_detection_counter(off) == 127
+    again = frames_of([1.0])
+    again["t_ns"] = 6_000_000
+    engine.process(again, lambda events: None)
+    assert engine.fault_detection_counter(off) == -128

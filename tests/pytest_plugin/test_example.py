@@ -54,6 +54,7 @@ def test_its_broken_scenario_fails_and_says_what_was_seen(project, workers):
     assert len(log.read_text().splitlines()) > 1000
     assert "P0480-64" in report.read_text()
     assert f"recording: {log}" in said
+    assert failure.system_out.splitlines() == [f"[[ATTACHMENT|{log}]]", f"[[ATTACHMENT|{report}]]"]
     # What is left can be replayed, and shows the same.
     _, replayed = gateway(project, "replay", str(log), "-c", "gateway.toml", "--map", "can0=can")
     assert "P0480-64" in replayed

@@ -147,7 +147,7 @@ def test_a_broken_scenario_fails(project, workers):
 @pytest.mark.long
 def test_what_fails_says_what_was_seen(project):
     (project / "tests" / "test_battery.py").write_text(FAILING)
-    code, said = run(project)
+    code, said = run(project, "--junitxml=out.xml", "-o", "junit_logging=system-out")
     assert (code, "5 failed" in said) == (1, True), said
     for text in (
         "P0562-16 not set by 5.1 s (set so far: none; now 5.100 s)",
@@ -161,6 +161,9 @@ def test_what_fails_says_what_was_seen(project):
     assert "gateway/pytest_plugin/" not in said  # the way through our own code helps nobody
     [log] = [line for line in said.splitlines() if line.strip().endswith("can.log")]
     assert Path(log.strip()).stat().st_size > 1000
+    cases = {case.name: case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite}
+    assert f"[[ATTACHMENT|{log.strip()}]]" in cases["test_too_early"].system_out.splitlines()
+    assert not any("ATTACHMENT" in (case.system_out or "") for name, case in cases.items() if name != "test_too_early")
 
 
 def test_who_does_not_ask_gets_nothing(project):

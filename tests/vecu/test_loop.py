@@ -246,3 +246,36 @@ def test_what_is_no_fmu_is_told(folder, fmus):
         file = write(folder, fmus["plant"], "Controller")
         file.write_text(file.read_text().replace("k = 10.0", "kk = 10.0"))
         play(file)
+
+
+CONDITIONS = [  # when, more -> the first time that it holds, and the last [s]: each other 1.5 s it is asked for more
+    ("Meas.W > 2.5", "", 1.5, 6.0),
+    ("Meas.W > 2.5 and Meas.I > -100", "from_s = 3.5", 4.5, 6.0),
+    ("Meas.W > 2.5", "from_s = 0.0\nto_s = 3.0", 1.5, 3.01),
+]
+
+
+@pytest.mark.parametrize(("when", "more", "after_s", "before_s"), CONDITIONS)
+def test_a_fault_of_an_actuator_by_a_condition(when, more, after_s, before_s, folder):
+    _, _, healthy = play(write(folder, "Motor", "Controller"))
+    fault = ACTUATOR.replace("from_s = 3.0\nto_s = 4.5", f'when = "{when}"\n{more}')
+    found, truth, frames = play(write(folder, "Motor", "Controller", fault))
+    assert {name for _, name in found} == {"P1A30-64"}, "seen by its DTC, and by no other"
+    assert {fact.kind for fact in truth} == {"actuator_offset"}
+    differs = frames["t_ns"][(frames["data"] != healthy["data"]).any(axis=1)]
+    assert after_s <= truth[0].t_ns / 1e9 < differs[0] / 1e9, "what it does is seen after it"
+    assert truth[-1].t_ns / 1e9 + truth[-1].count * 0.01 <= before_s + 0.01
+    # While it holds, by what the bus says: in the step after the frame that says so.
+    speed = frames[frames["can_id"] == 257]
+    value = speed["data"][:, 4:6].copy().view("<i2")[:, 0] * 0.0005
+    first = speed["t_ns"][np.flatnonzero((value > 2.5) & (speed["t_ns"] >= (after_s - 0.5) * 1e9))[0]]
+    assert 0 < truth[0].t_ns - first <= 20_000_000
+
+
+def test_a_condition_of_an_actuator_that_is_none_is_refused(folder):
+    wrong = SENSOR + ACTUATOR.replace("from_s = 3.0", 'from_s = 3.0\nwhen = "Meas.V > 2"')
+    with pytest.raises(GatewayError, match=r"fault\[1\]\.when.*no signal 'V' in message 'Meas'") as told:
+        play(write(folder, "Motor", "Controller", wrong))
+    assert len(str(told.value).splitlines()) == 1
+    with pytest.raises(GatewayError, match="when does it begin"):
+        play(write(folder, "Motor", "Controller", ACTUATOR.replace("from_s = 3.0\n", "")))

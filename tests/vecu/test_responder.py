@@ -1,5 +1,7 @@
 """Stubs of ECUs that answer: UDS to can-isotp and udsoncan, messages to messages."""
 
+import struct
+
 import cantools
 import isotp
 import numpy as np
@@ -23,8 +25,11 @@ BO_ 257 Answer: 8 B
  SG_ COUNTER : 56|4@1+ (1,0) [0|15] "" A
 BO_ 258 State: 8 B
  SG_ Volts : 0|16@1+ (0.01,0) [0|60] "V" A
+ SG_ Depth : 16|16@1- (1,0) [-32768|32767] "m" A
+ SG_ Share : 32|32@1- (1,0) [0|0] "" A
 BA_DEF_ BO_ "GenMsgCycleTime" INT 0 10000;
 BA_DEF_DEF_ "GenMsgCycleTime" 0;
+SIG_VALTYPE_ 258 Share : 1;
 """
 ECU = """
 [[ecu]]
@@ -34,7 +39,12 @@ name = "abs"
 request = 0x7E1
 response = 0x7E9
 functional = 0x7DF
-identifiers = { F190 = "WVWZZZ1JZXW000001", F187 = "0x0102FF", 0100 = "State.Volts" }
+[ecu.uds.identifiers]
+F190 = "WVWZZZ1JZXW000001"
+F187 = "0x0102FF"
+0100 = "State.Volts"
+0101 = "State.Depth"
+0102 = "State.Share"
 [ecu.uds.answers]
 "3E 00" = "7E 00"
 "10 03" = "50 03 00 32 01 F4"
@@ -130,9 +140,11 @@ def test_uds(tester):
 
 
 def test_an_identifier_that_is_a_signal_follows_it(tester):
-    tester.send(258, DATABASE.encode_message("State", {"Volts": 12.34}))
+    tester.send(258, DATABASE.encode_message("State", {"Volts": 12.34, "Depth": -2, "Share": 0.1}))
     tester.step()
     assert tester.ask("22 01 00") == "62 01 00 04 D2"
+    assert tester.ask("22 01 01") == "62 01 01 FF FE"
+    assert tester.ask("22 01 02") == f"62 01 02 {struct.pack('>f', 0.1).hex(' ').upper()}"
 
 
 def test_a_request_to_all_is_answered_and_what_is_not_known_is_not(tester):

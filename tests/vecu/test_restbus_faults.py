@@ -5,8 +5,8 @@ import pytest
 from gateway.config.load import load_config
 from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
+from gateway.runtime.playing import player_of
 from gateway.vecu.message_faults import KINDS
-from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 
 SEED = 7
@@ -117,15 +117,15 @@ TABLE = [
 ]
 
 
-def run(folder, fault="", config=CONFIG):
+def run(folder, fault="", config=CONFIG, scenario=SCENARIO):
     """Return the events of DTCs that a gateway tells of the scenario, and what was injected."""
     (folder / "car.dbc").write_text(DBC)
     (folder / "gateway.toml").write_text(config)
     file = folder / "scenario.toml"
-    file.write_text(SCENARIO + fault)
+    file.write_text(scenario + fault)
     scenario = load_scenario(file)
     config = load_config(scenario.config)
-    player = Player(scenario, {"can": 0}, databases={0: config.bus[0].database})
+    player = player_of(scenario, config)
     gateway, events = Gateway(config), []
     gateway.listen(events.append)
     gateway.start(0)
@@ -147,6 +147,21 @@ def test_healthy_nothing_is_said(tmp_path):
     assert run(tmp_path) == ([], [])
 
 
+def test_what_the_configuration_checks_is_sent_so(tmp_path):
+    """No name tells the data id; the scenario need not repeat it. What it says goes before all the same."""
+    tables = [f'[[ecu.message]]\nname = "{name}"\n{PROTECTION}\n' for name in ("Drive", "Other")]
+    silent = SCENARIO
+    for table in tables:
+        assert table.strip() in silent
+        silent = silent.replace(table.strip(), "")
+    assert run(tmp_path, scenario=silent) == ([], [])
+    events, _ = run(tmp_path, toml("checksum", DRIVE, 2.0, 3.0), scenario=silent)
+    assert {event["dtc"] for event in events if event["status"] & 1} == {"U0410-83"}
+    other = silent.replace("[ecu.signals]", tables[0].replace("0x1234", "0x1235") + "[ecu.signals]")
+    events, _ = run(tmp_path, scenario=other)
+    assert {event["dtc"] for event in events if event["status"] & 1} == {"U0410-56"}, "another rule than the check's"
+
+
 @pytest.mark.parametrize(("kind", "keys", "dtc", "to_s", "within_s"), TABLE)
 def test_each_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path):
     events, truth = run(tmp_path, toml(kind, keys, 2.0, to_s))
@@ -159,6 +174,20 @@ def test_each_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path
         assert not events[-1]["status"] & 1
 
 
+@pytest.mark.parametrize(("kind", "keys", "dtc", "to_s", "within_s"), TABLE)
+def test_each_by_a_condition_is_seen_by_its_dtc_alone(kind, keys, dtc, to_s, within_s, tmp_path):
+    begins_s = 1.5  # until 3 s: 100 sin(2 pi t / 3), as it is without the fault
+    when, from_s = "Drive.Swing < 0", None
+    if kind == "late":  # at its end late frames and others cross each other
+        when, from_s = "Drive.Level > 50", begins_s
+    events, truth = run(tmp_path, toml(kind, keys | {"when": when}, from_s, None))
+    failed = [event for event in events if event["status"] & 1]
+    assert {event["dtc"] for event in failed} == set(dtc.split())
+    assert begins_s - 0.05 <= failed[0]["t_ns"] / 1e9 <= begins_s + 0.05 + within_s
+    assert {fact.kind for fact in truth} == {kind}
+    assert truth[0].t_ns == pytest.approx(begins_s * 1e9, abs=200e6 if "probability" in keys else 50e6)
+
+
 def test_the_table_has_every_kind():
     kinds = KINDS
     assert {row[0] for row in TABLE} == set(kinds)
@@ -166,7 +195,7 @@ def test_the_table_has_every_kind():
 
 def test_the_gateways_own_controller_is_bus_off(tmp_path):
     """Told by the bus itself: the messages that do not come then have a cause, and are nobody's fault."""
-    watched = CONFIG.replace("health = { watched = false }", "").partition("[fault.")[0]  # counters debounced as ever
+    watched = CONFIG.replace("health = { watched = false }", "")
     events, truth = run(tmp_path, toml("bus_off", {}, 2.0, 3.0).replace("[[fault]]", "[[wire]]"), watched)
     assert {event["dtc"] for event in events if event["status"] & 1} == {"U0001-88"}
     assert [fact.kind for fact in truth] == ["bus_off"]

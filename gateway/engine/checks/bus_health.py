@@ -208,7 +208,8 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
         word: the first 8 bytes of its data, little endian.
 
     Returns:
-        the condition it tells, 0: it is the kernel's.
+        the condition that it tells; of the kernel's RUNNING: after bus off it hears again, LOSS: the controller had no
+        room for what came, 0: neither.
     """
     h.failed = h.passed = 0
     classes = can_id & 0x1FFFFFFF
@@ -218,6 +219,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
     for k in range(_CLASSES.shape[0]):
         if classes & _CLASSES[k]:
             h.counts[k] += 1
+    heard = 0
     controller = (word >> 8) & 0xFF
     transmit, receive = (word >> 48) & 0xFF, (word >> 56) & 0xFF
     h.evidence[0], h.evidence[1] = transmit, receive
@@ -225,6 +227,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
     if classes & RESTARTED:
         h.passed |= 1 << OFF | 1 << PASSIVE
         h.bad = 0
+        heard = RUNNING
     if classes & CONTROLLER:
         if controller & (RX_PASSIVE | TX_PASSIVE):
             h.failed |= 1 << PASSIVE
@@ -233,6 +236,11 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
             h.passed |= 1 << PASSIVE  # both are below error passive
         if controller & ACTIVE:
             h.passed |= 1 << OFF
+            if h.bad & (1 << OFF):
+                h.bad &= ~(1 << OFF)
+                heard = RUNNING
+        if controller & RX_OVERFLOW and heard == 0:
+            heard = LOSS
         if controller & (RX_OVERFLOW | TX_OVERFLOW):
             h.failed |= 1 << OVERFLOW
             _wait(h, OVERFLOW, t_ns)
@@ -240,6 +248,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
         h.failed |= 1 << OFF
         h.bad |= 1 << OFF
         h.limit = 255.0
+        heard = 0
     if classes & _WRONG:
         if h.count == 0 or t_ns - h.since_ns > h.window_ns:
             h.since_ns = t_ns
@@ -251,7 +260,21 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
             h.evidence[0], h.evidence[1] = classes, (word >> 16) & 0xFF
             h.evidence[2] = (word >> 24) & 0xFF
             _wait(h, ERRORS, t_ns)
-    return 0
+    return heard
+
+
+@kernel
+def tells_loss(can_id: int, word: int) -> bool:
+    """Tell whether an error frame says that frames were lost on our side before it.
+
+    Args:
+        can_id: its identifier with flags.
+        word: the first 8 bytes of its data, little endian.
+    """
+    classes = can_id & 0x1FFFFFFF
+    if classes == 0:
+        return word & 0xFF == LOSS
+    return classes & CONTROLLER != 0 and (word >> 8) & RX_OVERFLOW != 0
 
 
 @kernel

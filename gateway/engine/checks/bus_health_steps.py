@@ -7,7 +7,7 @@ from typing import Any
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
 from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
-from gateway.engine.checks.bus_health import note, note_step
+from gateway.engine.checks.bus_health import note, note_step, on_frame_received
 from gateway.engine.checks.communication_steps import restart_supervision
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
@@ -73,3 +73,14 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
         restart_supervision(T, t_ns, bus, condition)
     report_bus_results(T, t_ns, h)
     arm(T, h.timer, h.deadline_ns)
+
+
+@kernel
+def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
+    """Take a frame that was received: a bus that was said to be off or lost is not, and what it missed is over."""
+    if bus >= T.health.shape[0] - 1 or T.health[bus].bad == 0:
+        return
+    h = T.health[bus]
+    on_frame_received(h)
+    restart_supervision(T, t_ns, bus, RUNNING)
+    report_bus_results(T, t_ns, h)

@@ -93,6 +93,8 @@ FAULTS = (
 MISFITS = 20
 #: Of these so many are kept, to try other rules on.
 SAMPLES = 4
+#: So often the time of a message that does not come starts anew since frames were lost on our side.
+MOST_LOSSES = 10
 
 
 #: Base codes of the DTCs of checks that give none, on a bus whose messages have none of their own.
@@ -151,6 +153,7 @@ class CheckState(Record):
 
     deadline_ns: i8 = means(unit="ns")
     silent_ns: i8 = means(unit="ns")
+    losses: i4 = means("how often its time has started anew since frames were lost on our side")
     last_counter: i8
     passed: i8 = means("frames whose checksum was right")
     unread: i4 = means("frames rejected since the counter was last read")

@@ -13,6 +13,7 @@ from gateway.engine.checks.communication import (
     CRC,
     LENGTH,
     MISFITS,
+    MOST_LOSSES,
     REJECT,
     RULE,
     SAMPLES,
@@ -60,16 +61,27 @@ def skip_settled_timeouts(T: Any, t_ns: int, c: Any) -> None:
 
 @kernel
 def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
-    """Forget what a gap in the frames of a bus would make look like a fault of the senders."""
+    """Forget what a gap in the frames of a bus would make look like a fault of the senders.
+
+    Args:
+        T: the tables.
+        t_ns: when it ends.
+        bus: whose frames were not heard.
+        condition: RUNNING: there was nothing to hear; LOSS: some were lost here, so that a message that is not there
+            again and again is missing all the same (:data:`MOST_LOSSES`). Told twice it is as told once.
+    """
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus:
             continue
         c.seen = 0
-        if condition == RUNNING and c.timeout_ns > 0:
-            c.deadline_ns = t_ns + c.timeout_ns
-            c.silent_ns = 0
-            arm(T, c.timer, c.deadline_ns)
+        deadline_ns = t_ns + c.timeout_ns
+        if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
+            continue
+        c.losses = 0 if condition == RUNNING else c.losses + 1
+        c.deadline_ns = deadline_ns
+        c.silent_ns = 0
+        arm(T, c.timer, c.deadline_ns)
 
 
 @kernel
@@ -228,6 +240,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
     if c.timeout_ns > 0:
         c.deadline_ns = t_ns + c.timeout_ns
         c.silent_ns = 0
+        c.losses = 0
         arm(T, c.timer, c.deadline_ns)
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:

@@ -5,7 +5,8 @@ further, nor remembered; one beyond what its circuit can give is not tested for 
 fault.
 
 The scatter is that of second differences: d_k = x_k - 2 x_(k-1) + x_(k-2) of a course without corners is noise alone,
-with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided by 6.
+with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided by 6. They want values of one rhythm:
+after a gap (frames lost, rejected, or not heard by the gateway) it begins anew.
 
 A multiplexed signal is looked at in the frames that have it.
 """
@@ -37,6 +38,9 @@ from gateway.monitors.signal.faults import (
 from gateway.monitors.signal.params import MOST_LEVELS, MOST_SIGNALS, Params, PartParams
 from gateway.monitors.signal.parts import parts
 from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One, State
+
+#: So many times as long as from value to value is a gap: then the scatter begins anew.
+GAP = 4.0
 
 
 @kernel
@@ -90,15 +94,28 @@ def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool
 
 
 @kernel
+def follow_rhythm(s: Course, seconds: float) -> None:
+    """Count the values that have come without a gap: what a signal did meanwhile is not known, and no scatter."""
+    if s.valid == 0:
+        s.even, s.usual_s = 0, 0.0
+        return
+    if s.valid == 1:
+        s.usual_s = seconds
+    elif seconds > GAP * s.usual_s:
+        s.even = 0
+    s.usual_s += (min(seconds, GAP * s.usual_s) - s.usual_s) / 8.0  # a message that now comes seldom is soon usual
+
+
+@kernel
 def scatter(p: One, s: Course, x: float) -> float:
     """Return a signal's standard deviation around its course, 0 until there are samples enough."""
-    if s.valid < 2:
+    if s.even < 2:
         s.variance = 0.0
         return 0.0
     second = x - 2.0 * s.before + s.second
-    weight = max(p.weight, 1.0 / (s.valid - 1))
+    weight = max(p.weight, 1.0 / (s.even - 1))
     s.variance += weight * (second * second / 6.0 - s.variance)
-    return sqrt(s.variance) if s.valid > p.samples else 0.0
+    return sqrt(s.variance) if s.even > p.samples else 0.0
 
 
 @kernel
@@ -127,9 +144,11 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
         evidence = report(out, p.fault[STUCK], stuck, still, p.moving_by if moved else p.stuck_s)
         evidence.value, evidence.before = x, s.before
     if p.fault[NOISE] >= 0:
+        follow_rhythm(s, seconds)
         deviation = scatter(p, s, x)
-        if s.valid > p.samples:
+        if s.even > p.samples:
             tell(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation)
+        s.even += 1
     s.second, s.before, s.before_ns = s.before, x, t_ns
     s.valid += 1
 

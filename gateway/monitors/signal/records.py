@@ -66,6 +66,8 @@ class Course(Record):
     still_s: f8 = means("how long it has been there while it should move", "s")
     other: f8 = means("what the other signal was then")
     variance: f8 = means("mean of the squared scatter")
+    usual_s: f8 = means("mean time from one value to the next", "s")
+    even: i8 = means("values so far, since the last that was none, or came after a gap")
     frame_ns: i8 = means("when its message last came; 0: never", "ns")
     away_s: f8 = means("how long its message has come without it", "s")
     beyond: Annotated[i4s, len(KINDS)] = means("1: beyond a limit, until it is back by the hysteresis")

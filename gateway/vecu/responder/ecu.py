@@ -17,14 +17,16 @@ from gateway.signals.bits import mask_of
 from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
+from gateway.signals.decode import SIGNED, UNSIGNED
 from gateway.signals.protection.auto import automatic
-from gateway.signals.protection.params import protection_for
+from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway.vecu.conditions import Condition
 from gateway.vecu.contract import EcuFault, Run, Running, VirtualEcu
 from gateway.vecu.databases import database_of
 from gateway.vecu.responder.params import Reply, ResponderParams
 from gateway.vecu.responder.uds import UdsResponder
+from gateway.vecu.restbus.selection import usual
 from gateway.vecu.restbus.signals import start_value
 
 if TYPE_CHECKING:
@@ -35,10 +37,13 @@ T = TypeVar("T")
 STEP_NS = 1_000_000
 
 
-def _protection(reply: Reply, message: Message, database: Database) -> Protection:
-    given = any(getattr(reply, name) is not None for name in ("crc", "checksum", "e2e", "counter"))
-    asked = reply if given else automatic(message, database.file_of(message.name))[0]
-    return protection_for(message, asked)
+def _protection(
+    reply: Reply, message: Message, database: Database, checked: Mapping[str, ProtectionParams]
+) -> Protection:
+    given = any(getattr(reply, name) is not None for name in ("crc", "checksum", "e2e", "protection", "counter"))
+    if given and reply.protection == "auto":
+        return protection_for(message, automatic(message, database.file_of(message.name))[0])
+    return protection_for(message, reply if given else usual(checked, message, database))
 
 
 def _named(key: str, make: Callable[[], T]) -> T:
@@ -49,17 +54,25 @@ def _named(key: str, make: Callable[[], T]) -> T:
         raise InputError(error.message, key=key, value=error.value) from error
 
 
+def _raw(value: float, signal: ChangedSignal, size: int) -> bytes:
+    """Return what a frame has of a signal, big-endian."""
+    raw = (value - float(signal.row.offset)) / float(signal.row.scale)
+    if int(signal.row.kind) not in (SIGNED, UNSIGNED):  # floating-point, as IEEE 754 has it
+        return np.array(raw, f">f{size}").tobytes()
+    return (round(raw) & ((1 << 8 * size) - 1)).to_bytes(size, "big")
+
+
 class _Replier:
     """One message that answers another."""
 
-    def __init__(self, reply: Reply, bus: int, database: Database) -> None:
+    def __init__(self, reply: Reply, bus: int, database: Database, checked: Mapping[str, ProtectionParams]) -> None:
         self._delay_ns, self._bus = round(reply.delay_ms * 1e6), bus
         self._asked = _named("on", partial(ChangedMessage, bus, database, reply.on, Protection()))
         message = _named("send", partial(database.message, reply.send))
         self._condition = None
         if reply.when is not None:
             self._condition = _named("when", partial(Condition, reply.when, bus, database))
-        self.message = ChangedMessage(bus, database, reply.send, _protection(reply, message, database))
+        self.message = ChangedMessage(bus, database, reply.send, _protection(reply, message, database, checked))
         self._words = np.zeros(8, np.uint64)
         rows = {s.name: ChangedSignal(bus, database, reply.send, s.name) for s in message.signals if s.length <= 64}
         starts = {s.name: start_value(s) for s in message.signals if s.length <= 64}
@@ -128,7 +141,7 @@ class _Responder:
         self._repliers = []
         for k, reply in enumerate(params.reply):
             try:
-                self._repliers.append(_Replier(reply, run.bus, database))
+                self._repliers.append(_Replier(reply, run.bus, database, params.checked))
             except InputError as error:
                 key = f"reply[{k}].{error.key}" if error.key else f"reply[{k}]"
                 raise InputError(error.message, key=key, value=error.value) from error
@@ -173,9 +186,7 @@ class _Responder:
             for k in np.flatnonzero(message.among(heard))[::-1][:1]:
                 value = signal.value(words_of(heard[k]), int(heard[k]["length"]))
                 if not np.isnan(value):
-                    raw = round((value - float(signal.row.offset)) / float(signal.row.scale))
-                    size = len(self._bytes[name])
-                    self._bytes[name] = (raw & ((1 << 8 * size) - 1)).to_bytes(size, "big")
+                    self._bytes[name] = _raw(value, signal, len(self._bytes[name]))
 
     def step(self, end_ns: int, heard: Frames) -> Frames:
         """Answer what was heard, and send what is due until a time [ns]."""
@@ -215,7 +226,9 @@ def _begin(params: ResponderParams, _faults: Sequence[EcuFault], run: Run) -> Ru
 
 def _sends(params: ResponderParams, databases: Sequence[Path]) -> dict[str, Protection]:
     database = database_of(databases)
-    return {reply.send: _protection(reply, database.message(reply.send), database) for reply in params.reply}
+    return {
+        reply.send: _protection(reply, database.message(reply.send), database, params.checked) for reply in params.reply
+    }
 
 
 ECU = VirtualEcu(

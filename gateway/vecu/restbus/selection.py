@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ _log = get_logger(__name__)
 
 #: As many messages are named in a line of the log.
 _NAMED = 8
+#: Keys of which a protection with a checksum has one.
+_CHECKSUMS = ("crc", "checksum", "e2e")
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,22 @@ def _chosen(params: RestbusParams, database: Database) -> dict[str, Message]:
     }
 
 
+def usual(checked: Mapping[str, ProtectionParams], message: Message, database: Database) -> ProtectionParams:
+    """Return how a message is protected of which the scenario says nothing.
+
+    Args:
+        checked: what the configuration's checks say, by message; it goes before the database, which may not say all.
+        message: of the database.
+        database: of its bus.
+    """
+    given = checked.get(message.name)
+    if given is not None and any(getattr(given, name) is not None for name in _CHECKSUMS):
+        return given
+    found, _ = automatic(message, database.file_of(message.name))
+    says = any(getattr(found, name) is not None for name in (*_CHECKSUMS, "counter"))
+    return found if says or given is None else given
+
+
 def _protection(
     params: RestbusParams, table: RestbusMessage | None, k: int, message: Message, database: Database, *, tell: bool
 ) -> Protection:
@@ -123,8 +142,10 @@ def _protection(
     """
     own = table is not None and table.protected
     asked: ProtectionParams | None = table if own else None
-    if (own and table is not None and table.protection == "auto") or (not own and params.protection == "auto"):
+    if own and table is not None and table.protection == "auto":
         asked, _ = automatic(message, database.file_of(message.name))
+    elif not own and params.protection == "auto":
+        asked = usual(params.checked, message, database)
     if asked is None:
         return Protection()
     try:

@@ -222,3 +222,71 @@ def test_any_error_frame_in_any_batch_gives_the_same(build, tools, rows, cut):
         verdicts[fault] = kind
     errors = [slot.id for slot in engine.faults].index("a.bus_errors")
     assert verdicts.get(errors) != FAILED, "two silent seconds heal it"
+
+
+HEARS_AGAIN = {
+    "the controller restarted": lambda tools: [error(310, c.RESTARTED)],
+    "it is active": lambda tools: [error(310, c.CONTROLLER, controller=c.ACTIVE)],
+    "another message came": lambda tools: [tools.beta(310, 0)],
+}
+
+
+@pytest.mark.parametrize("how", HEARS_AGAIN)
+def test_what_was_sent_while_the_gateway_was_bus_off_is_missed_by_nobody(how, rig, tools):
+    """A healthy sender counts on; its next frame comes when it is due, not at once."""
+    check = {"message": "Alpha", "timeout_ms": 100.0, "counter": {"signal": "Count"}}
+    gates = {"comm.Alpha.timeout": Gate(roots=("a.bus_off", "a.bus_lost"))}
+    bus = rig(checks=[check], gates=gates)
+    bus.feed(*[tools.alpha(50 * k, 0, count=k) for k in range(5)])
+    assert bus.feed(error(205, c.BUS_OFF)) == [(205, "a.bus_off", FAILED)]
+    again = HEARS_AGAIN[how](tools)
+    # The last deadline that was put off lies at 300 ms and the next at 400 ms: the first frame after that is healthy.
+    found = bus.feed(*again, tools.alpha(405, 0, count=8))
+    assert [name for _, name, verdict in found if verdict == FAILED] == []
+    for kind in ("counter", "timeout"):
+        assert bus.engine.fault_detection_counter(bus.names.index(f"comm.Alpha.{kind}")) < 0, "not one failed result"
+    # Who is still silent is told, a whole timeout later.
+    silent = rig(checks=[check], gates=gates)
+    silent.feed(tools.alpha(150, 0), error(205, c.BUS_OFF))
+    found = silent.feed(*again, until=1000)
+    assert [row for row in found if row[2] == FAILED] == [(410, "comm.Alpha.timeout", FAILED)]
+
+
+LOST = {
+    "in our queue": lambda t: condition(t, c.LOSS, 40),
+    "in the controller": lambda t: error(t, c.CONTROLLER, controller=c.RX_OVERFLOW),
+}
+
+
+@pytest.mark.parametrize("where", LOST)
+def test_frames_that_were_lost_here_are_missed_by_nobody(where, rig, tools):
+    """The loss is told with the first frame after it: the deadlines before that lie in what was not heard."""
+    check = {"message": "Alpha", "timeout_ms": 30.0, "counter": {"signal": "Count"}}
+    told = []
+    for cut in (1, 2, 9):
+        bus = rig(checks=[check])
+        rows = [tools.alpha(10 * k, 0, count=k) for k in range(6)]
+        rows += [LOST[where](131), *[tools.alpha(max(t, 131), 0, count=t // 10 & 15) for t in (130, 140, 150, 160)]]
+        found = []
+        for k in range(0, len(rows), cut):
+            found += bus.feed(*rows[k : k + cut])
+        assert [name for _, name, verdict in found if verdict == FAILED] == ["a.bus_overflow"]
+        told.append(found)
+        counter = bus.names.index("comm.Alpha.counter")
+        assert bus.engine.fault_detection_counter(counter) < 0, "not one failed result"
+        # Who is silent after it is told.
+        assert bus.feed(until=1000)[0] == (190, "comm.Alpha.timeout", FAILED)
+    assert told[0] == told[1] == told[2]
+
+
+def test_losses_without_end_do_not_hide_a_dead_sender(rig, tools):
+    check = {"message": "Alpha", "timeout_ms": 100.0}
+    bus = rig(checks=[check])
+    found = bus.feed(tools.alpha(0, 0), *[condition(50 * k, c.LOSS, 1) for k in range(1, 41)])
+    assert [row for row in found if row[1] == "comm.Alpha.timeout" and row[2] == FAILED] == [
+        (600, "comm.Alpha.timeout", FAILED)  # ten times its time began anew, the last time at 500 ms
+    ]
+    # Each frame of it is a beginning.
+    bus = rig(checks=[check])
+    rows = [tools.alpha(t, 0) if t % 500 == 0 else condition(t, c.LOSS, 1) for t in range(0, 5000, 50)]
+    assert not [row for row in bus.feed(*rows) if row[1] == "comm.Alpha.timeout" and row[2] == FAILED]

@@ -88,6 +88,22 @@ def scatter(x, samples, deviation):
     return told
 
 
+def test_a_gap_in_a_smooth_course_is_no_noise(tmp_path):
+    """Frames that nobody heard: the course has gone on; and noise after a gap is told all the same."""
+    asked = f'signal = "Wheel.Speed", noise = {{ deviation = 2.0, samples = 20 }}, {NOW}'
+    t = np.arange(1000) * 0.01
+    smooth = np.round(50 * np.sin(2 * np.pi * t / 4), 2)
+    made = car(tmp_path, asked)
+    made.feed(frames(smooth[t < 1.5]))
+    made.t_ns += 1_500_000_000
+    made.feed(frames(smooth[t >= 3.0]))
+    assert made.failed() == []
+    made.t_ns += 1_500_000_000
+    rough = np.round(smooth + np.random.default_rng(3).normal(0, 6, len(smooth)), 2)
+    made.feed(frames(rough[:100]))
+    assert made.failed() == ["Speed.noise"]
+
+
 def test_a_broken_wire_is_one_fault(tmp_path):
     made = car(tmp_path, f'signal = "Wheel.Speed", electrical = [-250, 250], plausible = [-200, 200], {NOW}')
     made.feed(frames([10.0] * 20 + [300.0] * 20))
