@@ -434,6 +434,7 @@ def test_a_lost_frame_does_not_disturb():
     assert int(s["isolated"]) == 0
 
 
+@pytest.mark.costly
 def test_of_two_that_part_smoothly_the_one_that_moves_is_not_named():
     """One stands still, with noise, the other moves as a foot does: the track may be either's."""
     for seed in range(amount(40, 6)):

@@ -139,6 +139,7 @@ def test_names_that_c_has(tmp_path):
     assert code == 0, said
 
 
+@pytest.mark.costly
 def test_the_command(tmp_path, capsys, monkeypatch):
     out = tmp_path / "t1.c"
     ended = command(capsys, monkeypatch, "structure", "truck", "--residual", "T1", "--export", "c", "-o", out)

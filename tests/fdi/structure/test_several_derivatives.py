@@ -73,6 +73,7 @@ def driven(servo, leak=1.0, samples=4000):
     return rows
 
 
+@pytest.mark.costly
 def test_residuals_that_run(servo):
     """Each generator that can be written is zero on healthy data, to rounding or the filter's step; and sees a leak."""
     healthy, leaking = driven(servo), driven(servo, leak=3.0)
