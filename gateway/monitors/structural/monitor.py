@@ -38,7 +38,7 @@ from gateway.monitors.rule.text import compile_text, is_relation
 from gateway.monitors.structural import decision, filters, kept, records, source, summary
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
-from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan
+from gateway.monitors.structural.plan import Plan
 
 TYPE, API = "structural", 2
 #: Rate at which what has no filter forgets [rad/s].
@@ -92,7 +92,7 @@ class _Made:
                 ),
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
-                Readout(tuple(source.sizes_of(plan))),
+                Readout((*source.sizes_of(plan), *source.COUNTS)),
                 Warnings(lambda p: summary.warnings(plan, p)),
             ),
         )
@@ -163,8 +163,9 @@ class _Made:
         program = _condition(self.model, p)
         if program is not None:
             load(s.own.active, own.active, program, self.model.knowns)
-        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], MOST_TESTS)
-        self._fill_told(own)
+        size = max(own.tests, own.faults)  # of the masks
+        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], size)
+        self._fill_told(own, size)
         own.jumps = p.decision == "jump"
         decision.prepare_window(own)
         for k, test in enumerate(plan.tests):
@@ -186,11 +187,11 @@ class _Made:
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         s.own.found = -1
 
-    def _fill_told(self, own: Any) -> None:
+    def _fill_told(self, own: Any, size: int) -> None:
         diagnoses = self.plan.diagnoses
         own.told = len(diagnoses) + 1
         place = {fault: k for k, fault in enumerate(self.plan.faults)}
-        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], MOST_FAULTS)
+        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], size)
         own.shown[:] = records.NOT_USED
         for k, one in enumerate(shown(self.plan)):
             cells = [records.KINDS * test + kind for test in one.tests for kind in (records.RESIDUAL, records.NORM)]
@@ -248,6 +249,9 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     if p.between == "interpolated" and p.sample == "set":
         text = 'a set has its values from one time: sample = "clock", or between = "held"'
         raise InputError(text, key="between", value=p.between)
+    if p.between == "interpolated" and p.max_age_ms is not None and p.max_age_ms > p.most_between_ms:
+        text = f"with period_ms = {p.period_ms:g} at most {p.most_between_ms:g} can be interpolated over"
+        raise InputError(text, key="max_age_ms", value=f"{p.max_age_ms:g}")
     path = find_model(p.model, folder, beside="the configuration", key="model")
     model = load_own_model(path, key="model")
     asked = {

@@ -18,6 +18,8 @@ Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
 
 #: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
 OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
+#: Periods that can be interpolated over, at most: samples wait in a ring that has room for one more.
+MOST_BETWEEN = 63
 
 
 class Params(MonitorParams):
@@ -99,7 +101,14 @@ class Params(MonitorParams):
     def oldest_ns(self) -> int:
         """Greatest age of a value that a sample takes [ns]."""
         default = 0.5 * self.period_ms if self.sample == "set" else max(OLDEST_MS, OLDEST_PERIODS * self.period_ms)
+        if self.between == "interpolated":
+            default = min(default, self.most_between_ms)
         return round((default if self.max_age_ms is None else self.max_age_ms) * 1e6)
+
+    @property
+    def most_between_ms(self) -> float:
+        """Longest time that can be interpolated over [ms]."""
+        return MOST_BETWEEN * self.period_ms
 
 
 class PartParams(Params):
