@@ -63,13 +63,12 @@ class Record:
 
     A field is a number (``f8``), an array (``Annotated[f8s, 3]``), another record, or an array of these
     (``Annotated[list[Other], 3]``). With ``class Union(Record, overlay=True)`` all fields lie in the same place: only
-    one of them is in use at a time. A length may be a name, ``Annotated[f8s, "cells"]``, which ``lengths={"cells": 16}``
-    says: a class derived from it may say another.
+    one of them is in use at a time. A length may be a name, ``Annotated[f8s, "cells"]``, with ``class State(Record,
+    lengths={"cells": 16})``: a class derived from it may say another length.
 
     Attributes:
         dtype: of NumPy, aligned as in C.
         meanings: of the fields that say one.
-        lengths: of arrays, by the names that annotations have for them.
 
     Raises:
         TypeError: an annotation that is no field, or a length that nobody says.
@@ -78,10 +77,10 @@ class Record:
 
     dtype: ClassVar[np.dtype[np.void]]
     meanings: ClassVar[Mapping[str, Meaning]]
-    lengths: ClassVar[Mapping[str, int]] = {}
+    _lengths: ClassVar[Mapping[str, int]] = {}
 
     def __init_subclass__(cls, *, overlay: bool = False, lengths: Mapping[str, int] | None = None) -> None:
-        cls.lengths = {**cls.lengths, **(lengths or {})}
+        cls._lengths = {**cls._lengths, **(lengths or {})}
         hints = get_type_hints(cls, include_extras=True)
         for base in cls.__bases__:
             for other in cls.__bases__:
@@ -119,10 +118,10 @@ def _form(cls: type[Record], name: str, hint: Any) -> Any:
         base, first, *shape = get_args(hint)
         of_records = get_origin(base) is list
         sizes = [first, *shape] if of_records else shape
-        unknown = [size for size in sizes if isinstance(size, str) and size not in cls.lengths]
+        unknown = [size for size in sizes if isinstance(size, str) and size not in cls._lengths]
         if unknown:
             raise TypeError(f"{cls.__module__}.{cls.__qualname__}.{name}: lengths say no {', '.join(unknown)}")
-        form = tuple(cls.lengths[size] if isinstance(size, str) else size for size in sizes)
+        form = tuple(cls._lengths[size] if isinstance(size, str) else size for size in sizes)
         if of_records:
             return get_args(base)[0].dtype, form
         return (first, form) if form else first

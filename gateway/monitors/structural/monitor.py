@@ -35,7 +35,7 @@ from gateway.monitors.contract import (
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.structural import decision, filters, kept, records, source, summary
+from gateway.monitors.structural import decision, filters, identity, kept, records, source, summary
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan
@@ -85,6 +85,7 @@ class _Made:
                     floors={},
                     sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
                     peaks=lambda s: s["own"]["cusum"]["peak"][:count],
+                    digests=self._digests,
                 ),
                 Quantities(
                     lambda _: tuple(self._quantities()),
@@ -96,6 +97,9 @@ class _Made:
                 Warnings(lambda p: summary.warnings(plan, p)),
             ),
         )
+
+    def _digests(self, p: Any) -> dict[str, str]:
+        return {test.name: identity.digest(self.model, test, p) for test in self.plan.tests}
 
     def _quantities(self) -> Iterator[Quantity]:
         for test in self.plan.tests:
@@ -277,6 +281,7 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
     assert calibration is not None
     tests = [name for name, _ in calibration.quantities]
     for key, names, known in (
+        ("digests", p.digests, tests),
         ("nu", p.nu, tests),
         ("thresholds", p.thresholds, tests),
         ("parameters", p.parameters, model.parameters),
@@ -287,6 +292,15 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
                 what = {"parameters": "parameters", "noise": "known variables"}.get(key, "tests")
                 text = f"the {what} are {', '.join(known)}"
                 raise InputError(f"{text}{nearest(name, known)}", key=f"{key}.{name}", value=name)
+    assert calibration.digests is not None
+    now = calibration.digests(p)
+    for name, digest in p.digests.items():
+        if digest != now[name] and (name in p.nu or name in p.thresholds):
+            text = (
+                f"nu and thresholds are of another test of this name, this one is {now[name]}: its equations,"
+                " causality, filter or decision have changed since; gateway calibrate --write finds new ones"
+            )
+            raise InputError(text, key=f"digests.{name}", value=digest)
 
 
 FAMILY = Family(type=TYPE, api=API, params=Params, made=made)

@@ -86,6 +86,11 @@ class Params(MonitorParams):
         default_factory=dict,
         description="J of each test: of cusum in units of its nu, of jump twice a logarithm of the likelihood ratio",
     )
+    digests: dict[str, str] = Field(
+        default_factory=dict,
+        description="of each test, what nu and its threshold were found for; gateway calibrate writes it. A model or a"
+        " choice of tests that has changed since is refused",
+    )
     limit: float = Field(cusum.MOST, gt=1, description="of a test quantity, in units of J: it comes down again")
     codes: dict[str, Code] = Field(
         default_factory=dict, description="fault, or group -> base code of its DTC; default: its own, U1xxx, U2xxx"

@@ -161,9 +161,7 @@ def _sample(s: State, c: Const) -> int:
     apart = s.at_ns - s.last_ns
     if c.sets == 1:  # frames come a little early and late; the sender's samples do not
         whole = (2 * apart + c.period_ns) // (2 * c.period_ns)
-        apart = (
-            whole * c.period_ns if whole > 0 else apart
-        )  # far too early: it follows a late one, or period_ms is wrong
+        apart = whole * c.period_ns if whole > 0 else apart  # behind a late one, or period_ms is wrong
     what = GO if s.running == 1 and apart <= c.gap_ns else BEGIN if s.begun == 1 else FIRST
     s.dt = apart * 1e-9 if what == GO else 0.0
     if what != GO:
