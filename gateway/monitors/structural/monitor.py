@@ -177,7 +177,7 @@ class _Made:
         own.meters, own.forgets[:] = len(plan.measured), AT_ONCE
         place = {k: j for j, k in enumerate(plan.measured.values())}
         for k, (test, field) in enumerate(zip(plan.generators, source.fields_of(plan), strict=True)):
-            fitted = filters.bandwidths(test, p)
+            fitted = filters.bandwidths(test, p) if k < own.tests else filters.of_meter(p)
             if k in place and test.filtered:
                 own.forgets[place[k]] = fitted.filter
             fill(
@@ -290,8 +290,10 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
         for name in names:
             if name not in known:
                 what = {"parameters": "parameters", "noise": "known variables"}.get(key, "tests")
-                text = f"the {what} are {', '.join(known)}"
-                raise InputError(f"{text}{nearest(name, known)}", key=f"{key}.{name}", value=name)
+                text = f"the {what} are {', '.join(known)}{nearest(name, known)}"
+                if what == "tests" and p.digests:
+                    text += "; the model, or which tests are chosen, has changed since: gateway calibrate --write"
+                raise InputError(text, key=f"{key}.{name}", value=name)
     assert calibration.digests is not None
     now = calibration.digests(p)
     for name, digest in p.digests.items():
