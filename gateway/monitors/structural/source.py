@@ -46,6 +46,43 @@ def _residuals(plan: Plan) -> list[str]:
     return lines
 
 
+def _records(plan: Plan, knowns: tuple[str, ...]) -> list[str]:
+    """Return the lines of the module's records."""
+    return [
+        f"ROOM = {lengths(plan, len(knowns))}",
+        "",
+        "",
+        "class OwnState(records.State, lengths=ROOM):",
+        "    pass",
+        "",
+        "",
+        "class OwnConst(records.Const, lengths=ROOM):",
+        "    pass",
+        "",
+        "",
+        "class Inputs(contract.Inputs):",
+        f"    value: Annotated[f8s, {len(knowns)}]",
+        "",
+        "",
+        "class Sample(Record):",
+        *(f"    {field_name(z)}: f8" for z in (*knowns, *plan.rates)),
+        "",
+        "",
+        "class State(Record):",
+        "    own: OwnState",
+        "    sample: Sample",
+        *_numbered(plan, "    {g}: m{k}.State"),
+        *(f"    {name}: f8" for name in (*sizes_of(plan), *COUNTS)),
+        "",
+        "",
+        "class Const(Record):",
+        "    own: OwnConst",
+        *_numbered(plan, "    {g}: m{k}.Const"),
+        "",
+        "",
+    ]
+
+
 def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
     """Return the source of a monitor's module.
 
@@ -53,7 +90,6 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
         plan: its tests; their modules are to be loaded before this one.
         knowns: known variables of the model, in the order of the inputs.
     """
-    names = [f"{field_name(z)}: f8" for z in knowns] + [f"{field_name(z)}: f8" for z in plan.rates]
     imports = [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
     taken = [f"s.sample.{field_name(z)} = s.own.taken[{k}]" for k, z in enumerate(knowns)]
     return "\n".join(
@@ -70,37 +106,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...]) -> str:
             "from gateway.monitors.structural import decision, records, sampling",
             "",
             "",
-            f"ROOM = {lengths(plan, len(knowns))}",
-            "",
-            "",
-            "class OwnState(records.State, lengths=ROOM):",
-            "    pass",
-            "",
-            "",
-            "class OwnConst(records.Const, lengths=ROOM):",
-            "    pass",
-            "",
-            "",
-            "class Inputs(contract.Inputs):",
-            f"    value: Annotated[f8s, {len(knowns)}]",
-            "",
-            "",
-            "class Sample(Record):",
-            *(f"    {name}" for name in names),
-            "",
-            "",
-            "class State(Record):",
-            "    own: OwnState",
-            "    sample: Sample",
-            *_numbered(plan, "    {g}: m{k}.State"),
-            *(f"    {name}: f8" for name in (*sizes_of(plan), *COUNTS)),
-            "",
-            "",
-            "class Const(Record):",
-            "    own: OwnConst",
-            *_numbered(plan, "    {g}: m{k}.Const"),
-            "",
-            "",
+            *_records(plan, knowns),
             "@kernel",
             "def step(s: State, c: Const, u: Inputs, out: Any) -> None:",
             '    """Take a frame or the clock; when a sample is due, step all tests."""',

@@ -10,6 +10,8 @@ from gateway.monitors.structural import decision, records
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS
 
 TESTS, FAULTS = 150, 140
+#: Of the masks.
+SIZE = max(MOST_TESTS, MOST_FAULTS)
 PERIOD_NS = 100_000_000
 
 
@@ -21,8 +23,8 @@ def monitor(seed):
     signatures[139] = frozenset([0, 70, 148])
     s, c = np.zeros(1, records.State.dtype).view(np.recarray)[0], np.zeros(1, records.Const.dtype).view(np.recarray)[0]
     c.tests, c.faults, c.told = TESTS, FAULTS, FAULTS + 1
-    c.signature[:FAULTS] = pack(signatures, MOST_TESTS)
-    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], MOST_FAULTS)
+    c.signature[:FAULTS] = pack(signatures, SIZE)
+    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], SIZE)
     c.shown[:] = records.NOT_USED
     c.shown[:, 0], c.shown[:, 1], c.shown[:, 2] = records.LISTED, records.RANKED, records.KINDS * 149 + records.NORM
     decision.prepare_window(c)
