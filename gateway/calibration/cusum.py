@@ -38,6 +38,7 @@ class Quantity:
         largest: healthy T, in units of the nu found.
         threshold: found, in units of nu.
         floored: the floor decides.
+        digest: of what it is, empty: it never changes.
     """
 
     monitor: str
@@ -50,6 +51,7 @@ class Quantity:
     largest: float
     threshold: float
     floored: bool
+    digest: str = ""
 
     @property
     def margin(self) -> float:
@@ -72,9 +74,9 @@ class Found:
     failed: tuple[str, ...]
 
     @property
-    def tables(self) -> dict[str, dict[str, dict[str, float]]]:
-        """What a configuration is to hold: monitor -> ``nu`` and ``thresholds``."""
-        tables: dict[str, dict[str, dict[str, float]]] = {}
+    def tables(self) -> dict[str, dict[str, dict[str, float | str]]]:
+        """What a configuration is to hold: monitor -> ``nu``, ``thresholds``, and ``digests`` where there are any."""
+        tables: dict[str, dict[str, dict[str, float | str]]] = {}
         for row in self.rows:
             mine = tables.setdefault(row.monitor, {"nu": {}, "thresholds": {}})
             if row.residual and row.nu is None:
@@ -82,6 +84,8 @@ class Found:
             mine["thresholds"][row.name] = row.threshold
             if row.nu is not None:
                 mine["nu"][row.residual] = row.nu
+            if row.digest:
+                mine.setdefault("digests", {})[row.name] = row.digest
         return tables
 
 
@@ -137,6 +141,7 @@ def _rows(
     """Say what logs did to a monitor's quantities when its thresholds were out of reach."""
     rows = []
     calibration, now = chosen.calibration, cast(Any, chosen.params)
+    digests = {} if calibration.digests is None else calibration.digests(chosen.params)
     peaks = np.max([calibration.peaks(s) for s in states], axis=0) * _NEVER
     samples = sum(calibration.sums(s)["samples"] for s in states)
     for place, (quantity, residual) in enumerate(calibration.quantities):
@@ -154,6 +159,7 @@ def _rows(
                 largest=largest,
                 threshold=threshold(largest, margin, least),
                 floored=largest < least,
+                digest=digests.get(quantity, ""),
             )
         )
     return rows

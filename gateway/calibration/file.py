@@ -10,11 +10,11 @@ import tomlkit
 from tomlkit.items import AoT, Table
 
 #: Monitor -> table of its parameters -> key -> value.
-Found = Mapping[str, Mapping[str, Mapping[str, float]]]
+Found = Mapping[str, Mapping[str, Mapping[str, float | str]]]
 
 
 def write(path: Path, found: Found, source: str) -> None:
-    """Put numbers into the tables of a configuration's monitors.
+    """Put numbers, and what they are of, into the tables of a configuration's monitors.
 
     Args:
         path: of the configuration.
@@ -29,7 +29,7 @@ def write(path: Path, found: Found, source: str) -> None:
         for key, values in tables.items():
             table = tomlkit.inline_table()
             for name, value in values.items():
-                table[name] = float(f"{value:.4g}")
+                table[name] = value if isinstance(value, str) else float(f"{value:.4g}")
             entry[key] = table
         entry["calibrated"] = source
     path.write_text(tomlkit.dumps(document))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import isnan
@@ -17,7 +18,10 @@ from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
 from gateway.cli.present import print_json, wide_console
+from gateway.common.log import get_logger
 from gateway.config.load import load_config
+from gateway.config.model import Config
+from gateway.errors import InputErrors
 from gateway.fdi.stopping import assured
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 
@@ -182,13 +186,37 @@ class _Learned:
         return tuple(sorted({dtc for part in parts for dtc in part.failed}))
 
 
+log = get_logger(__name__)
+
+#: A key of what a calibration has found before, for tests that may be others now.
+_FOUND_BEFORE = re.compile(r"monitor\[(\d+)\]\.(?:nu|thresholds|digests)\..*")
+
+
+def _load(path: Path) -> Config:
+    """Read a configuration that is to be calibrated; what was found for tests that are no longer there does not count.
+
+    Raises:
+        InputError, InputErrors: anything else is wrong.
+    """
+    try:
+        return load_config(path)
+    except InputErrors as errors:
+        places = [_FOUND_BEFORE.fullmatch(error.key or "") for error in errors.errors]
+        if not all(places):
+            raise
+        for error in errors.errors:
+            log.warning("found for another test, and left out", key=error.key, value=error.value)
+        stale = {int(found[1]) for found in places if found}
+        return load_config(path, [(k, key) for k in stale for key in ("nu", "thresholds", "digests")])
+
+
 def _learn(asked: _Asked) -> _Learned:
     """Run the logs through a gateway, and propose thresholds.
 
     Raises:
         InputError: the configuration has nothing to calibrate.
     """
-    config = load_config(asked.config)
+    config = _load(asked.config)
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     models = of_kind(config, Refinement)
     redundant = of_kind(config, SensorCalibration)

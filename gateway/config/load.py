@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -107,14 +108,20 @@ def _overridden(data: dict[str, Any], path: Path) -> Config:
         raise InputError(text, file=path) from error
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; relative database paths become relative to its folder.
+
+    Args:
+        path: of the file.
+        without: keys of monitors that are taken as if they were not there: the monitor's place, the key.
 
     Raises:
         InputError: the file cannot be read, or is not TOML.
         InputErrors: every key that is wrong.
     """
     data: dict[str, Any] = read_toml(path)
+    for place, key in without:
+        data["monitor"][place].pop(key, None)
     try:
         config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:

@@ -6,18 +6,32 @@ from collections.abc import Mapping
 
 from gateway.config.model import Config
 from gateway.engine.gate import Condition
-from gateway.errors import InputError
+from gateway.errors import InputError, nearest
 from gateway.faults.settings import ConditionSettings
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 
 
 class Names:
-    """Finds the signals that names in a configuration stand for."""
+    """Finds the signals that names in a configuration stand for, and the live values of monitors.
 
-    def __init__(self, config: Config, databases: Mapping[int, Database]) -> None:
+    Args:
+        config: the configuration.
+        databases: by bus.
+        readouts: monitor -> what it shows of its state.
+
+    Attributes:
+        found: signal by each name.
+        live: monitor and value by each name that stands for a live value.
+    """
+
+    def __init__(
+        self, config: Config, databases: Mapping[int, Database], readouts: Mapping[str, tuple[str, ...]] | None = None
+    ) -> None:
         self._config = config
         self._databases = databases
+        self._readouts = readouts or {}
+        self.live: dict[str, tuple[str, str]] = {}
         self._identifiers = {did.name: did for did in config.did}
         self.found: dict[str, SignalRef] = {}
 
@@ -33,6 +47,26 @@ class Names:
             except InputError as error:
                 raise InputError(error.message, key=key, value=name) from error
         return self.found[name]
+
+    def find_shown(self, name: str, key: str) -> None:
+        """Find what an identifier reads, or a freeze frame keeps: a signal, or a live value, ``monitor:value``.
+
+        Raises:
+            InputError: there is no such thing; names the key.
+        """
+        did = self._identifiers.get(name)
+        monitor, colon, value = (name if did is None or did.signal is None else did.signal).partition(":")
+        if not colon:
+            self.find(name, key)
+            return
+        for what, one, known in (
+            ("monitors are", monitor, tuple(self._readouts)),
+            (f"live values of {monitor} are", value, self._readouts.get(monitor, ())),
+        ):
+            if one not in known:
+                text = f"the {what} {', '.join(known) or 'none'}{nearest(one, known)}"
+                raise InputError(text, key=key, value=name)
+        self.live[name] = (monitor, value)
 
     def _resolve(self, name: str) -> SignalRef:
         did = self._identifiers.get(name)

@@ -54,9 +54,10 @@ class Resolved:
         debounces: fault id -> settings of its debounce that are not its monitor's.
         gates: fault id -> when its test results count.
         cycles: operation cycles by name, in the engine's order.
-        freeze_frames: fault id -> names of the signals that its freeze frame asks for.
+        freeze_frames: fault id -> names of the signals and live values that its freeze frame asks for.
         shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
         signals: each name outside of the engine that stands for a signal -> that signal.
+        live: each name that stands for a live value of a monitor -> monitor, value.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
         notes: what was taken where the configuration leaves it to the databases, one line each.
@@ -74,6 +75,7 @@ class Resolved:
     freeze_frames: Mapping[str, tuple[str, ...]]
     shown: tuple[str, ...]
     signals: Mapping[str, SignalRef]
+    live: Mapping[str, tuple[str, str]]
     security: Security
     authentication: Authentication
     notes: tuple[str, ...]
@@ -87,14 +89,15 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         InputError, InputErrors: a database, message, signal or key function that is wrong.
     """
     databases = load_databases(config)
-    names = Names(config, dict(enumerate(databases)))
+    types = [monitor_of(entry) for entry in config.monitor]
+    readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
+    names = Names(config, dict(enumerate(databases)), readouts)
     uds = config.output.uds
     _find_access(config, names)
     _find_usage(config, names)
     for name in extra:
         names.find(name, "--signal")
     notes: list[str] = []
-    types = [monitor_of(entry) for entry in config.monitor]
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
     codes = network_codes(config, (fault for type_ in whole for fault in checked_faults(*type_)))
     monitors = tuple(each for at, type_ in enumerate(types) for each in _monitors(config, at, *type_, databases, codes))
@@ -120,6 +123,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
             for name, cycle in config.cycle.items()
         },
         signals=names.found,
+        live=names.live,
         security=Security(() if uds is None else uds.security),
         authentication=Authentication(None if uds is None else uds.authentication),
     )
@@ -256,7 +260,7 @@ def _freeze_frames(config: Config, names: Names) -> dict[str, tuple[str, ...]]:
     asked = {fault: settings.freeze_frame for fault, settings in config.fault.items() if settings.freeze_frame}
     for fault, wanted in asked.items():
         for k, name in enumerate(wanted):
-            names.find(name, f'fault."{fault}".freeze_frame[{k}]')
+            names.find_shown(name, f'fault."{fault}".freeze_frame[{k}]')
     return asked
 
 
@@ -264,7 +268,7 @@ def _shown(config: Config, names: Names) -> tuple[str, ...]:
     """Return what OBD and J1939 show of freeze frames; finds what identifiers read, too."""
     for k, did in enumerate(config.did):
         if did.signal is not None:
-            names.find(did.signal, f"did[{k}].signal")
+            names.find_shown(did.signal, f"did[{k}].signal")
     shown = {}
     if config.output.obd is not None:
         for k, pid in enumerate(config.output.obd.pid):

@@ -276,6 +276,13 @@ class Engine:
         counts = {name: int(count) for name, count in zip(COUNTED, row["counts"], strict=True)}
         return {**counts, "lost": int(row["lost"])}
 
+    def live_value(self, monitor: str, name: str) -> float:
+        """Return a number of a monitor's readout now, NaN if there is none; of one in several parts the first's."""
+        for instance, state in zip(self.monitors, self._states, strict=True):
+            if instance.name == monitor:
+                return float(state[0][name])
+        return float("nan")
+
     def readout(self) -> dict[str, dict[str, float]]:
         """Return what each monitor shows to people: {monitor: {name: value}}."""
         shown: dict[str, dict[str, float]] = {}

@@ -142,7 +142,8 @@ class FaultOverride(StrictModel):
     )  # fmt: skip
     freeze_frame: tuple[str, ...] = Field(
         (),
-        description='signals ("Message.Signal", "bus.Message.Signal") or names of identifiers stored at a failure',
+        description='signals ("Message.Signal", "bus.Message.Signal"), live values ("monitor:value") or names of'
+        " identifiers stored at a failure",
     )
     freeze_frames: int = Field(2, ge=1, le=16, description="records kept: the first failure, then the latest ones")
     freeze_frame_at: Literal["failed", "pending", "confirmed"] | int = Field(

@@ -63,21 +63,24 @@ class Record:
 
     A field is a number (``f8``), an array (``Annotated[f8s, 3]``), another record, or an array of these
     (``Annotated[list[Other], 3]``). With ``class Union(Record, overlay=True)`` all fields lie in the same place: only
-    one of them is in use at a time.
+    one of them is in use at a time. A length may be a name, ``Annotated[f8s, "cells"]``, with ``class State(Record,
+    lengths={"cells": 16})``: a class derived from it may say another length.
 
     Attributes:
         dtype: of NumPy, aligned as in C.
         meanings: of the fields that say one.
 
     Raises:
-        TypeError: an annotation that is no field.
+        TypeError: an annotation that is no field, or a length that nobody says.
         ValueError: a field has the name of an attribute that records of NumPy have: plain Python would not reach it.
     """
 
     dtype: ClassVar[np.dtype[np.void]]
     meanings: ClassVar[Mapping[str, Meaning]]
+    _lengths: ClassVar[Mapping[str, int]] = {}
 
-    def __init_subclass__(cls, *, overlay: bool = False) -> None:
+    def __init_subclass__(cls, *, overlay: bool = False, lengths: Mapping[str, int] | None = None) -> None:
+        cls._lengths = {**cls._lengths, **(lengths or {})}
         hints = get_type_hints(cls, include_extras=True)
         for base in cls.__bases__:
             for other in cls.__bases__:
@@ -107,15 +110,21 @@ def _names(cls: type) -> tuple[str, ...]:
     return () if dtype is None else dtype.names or ()
 
 
-def _form(cls: type, name: str, hint: Any) -> Any:
+def _form(cls: type[Record], name: str, hint: Any) -> Any:
     """Return a field as NumPy takes it: a dtype, or (dtype, shape)."""
     if isinstance(hint, type) and hasattr(hint, "dtype"):
         return hint.dtype
     if get_origin(hint) is Annotated:
         base, first, *shape = get_args(hint)
-        if get_origin(base) is list:
-            return get_args(base)[0].dtype, (first, *shape)
-        return (first, tuple(shape)) if shape else first
+        of_records = get_origin(base) is list
+        sizes = [first, *shape] if of_records else shape
+        unknown = [size for size in sizes if isinstance(size, str) and size not in cls._lengths]
+        if unknown:
+            raise TypeError(f"{cls.__module__}.{cls.__qualname__}.{name}: lengths say no {', '.join(unknown)}")
+        form = tuple(cls._lengths[size] if isinstance(size, str) else size for size in sizes)
+        if of_records:
+            return get_args(base)[0].dtype, form
+        return (first, form) if form else first
     raise TypeError(f"{cls.__module__}.{cls.__qualname__}.{name}: {hint!r} is no field of a record")
 
 

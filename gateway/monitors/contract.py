@@ -287,12 +287,15 @@ class CusumCalibration:
         floors: of these, the largest T that a healthy drive is thought to reach at least.
         sums: state record -> ``samples``, ``total`` and ``squares`` of the moduli that updated each quantity.
         peaks: state record -> largest T of each quantity over its threshold.
+        digests: parameters -> what each quantity is, kept in a table ``digests`` beside what was found for it; None:
+            its quantities never change.
     """
 
     quantities: tuple[tuple[str, str], ...]
     floors: Mapping[str, float]
     sums: Callable[[np.void], Any]
     peaks: Callable[[np.void], Any]
+    digests: Callable[[Any], Mapping[str, str]] | None = None
 
 
 @dataclass(frozen=True)

@@ -117,6 +117,7 @@ class Gateway:
             self._before_clear,
             self._after_clear,
             self._note_intervention,
+            live=self._parts.live,
         )
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
@@ -455,10 +456,9 @@ class Gateway:
         return own + waiting[: may.changes]
 
     def _observe(self, definition: FaultDefinition) -> Observed:
-        slots = self._parts.slots
         inputs = self.engine.inputs_of(self._index[definition.id])
         return Observed(
-            {name: self.engine.value(slots[name]) for name in self._parts.frozen[definition.id]},
+            {name: self.controls.value(name) for name in self._parts.frozen[definition.id]},
             {f"{ref.message}.{ref.signal}": value for ref, value in inputs.items()},
         )
 

@@ -49,6 +49,7 @@ class Parts:
         catalogue: the faults, in the engine's order.
         frozen: fault id -> signals of its freeze frame, by the names they are stored under.
         slots: mailbox slots of all signals that a name outside the engine stands for.
+        live: monitor and value of all names that stand for a live value.
         cycles: names of the operation cycles, in the engine's order.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
@@ -62,6 +63,7 @@ class Parts:
     catalogue: Catalogue
     frozen: dict[str, tuple[str, ...]]
     slots: dict[str, int]
+    live: Mapping[str, tuple[str, str]]
     cycles: tuple[str, ...]
     security: Security
     authentication: Authentication
@@ -119,6 +121,7 @@ def assemble(resolved: Resolved) -> Parts:
             for definition in catalogue
         },
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
+        resolved.live,
         tuple(resolved.cycles),
         resolved.security,
         resolved.authentication,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 from gateway.engine.core import Engine
 from gateway.faults.interventions import Intervention
@@ -28,6 +29,7 @@ class Controls:
         stale_ns: a signal that is older meets no condition.
         before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
         noted: takes what a tester did, to be kept and told.
+        live: monitor and value of names that stand for a live value.
     """
 
     def __init__(
@@ -41,12 +43,14 @@ class Controls:
         before_clear: Callable[[], None] = lambda: None,
         after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
         noted: Callable[[Intervention], None] = lambda intervention: None,
+        *,
+        live: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     ) -> None:
         self._engine = engine
         self._memory = memory
         self._store = store
         self._recorder = recorder
-        self._slots = slots
+        self._slots, self._live = slots, live
         self._stale_ns = stale_ns
         self._noted = noted
         self._before_clear, self._after_clear = before_clear, after_clear
@@ -76,7 +80,9 @@ class Controls:
         return None if found is None else LatestResult(*found)
 
     def value(self, name: str) -> float:
-        """Return a signal's value now in its unit, NaN before the first."""
+        """Return a signal's value now in its unit, NaN before the first; or a live value of a monitor."""
+        if name in self._live:
+            return self._engine.live_value(*self._live[name])
         slot = self._slots.get(name)
         return math.nan if slot is None else self._engine.value(slot)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
@@ -38,7 +39,7 @@ class DidParams(StrictModel):
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]+$")] = Field(
         description="how freeze frames refer to it"
     )
-    signal: str | None = Field(None, description='"Message.Signal" or "bus.Message.Signal"')
+    signal: str | None = Field(None, description='"Message.Signal", "bus.Message.Signal" or "monitor:value"')
     type: Literal["u8", "u16", "u32", "i8", "i16", "i32", "f32", "f64"] = Field(
         "f32", description="how a signal's value is coded, high byte first"
     )
@@ -122,7 +123,7 @@ class Identifiers:
         self._by_source |= {did.name: did for did in params}
         free = (number for number in range(FIRST_OWN, 0xF000) if number not in self.table)
         for number, signal in zip(free, sorted(set(frozen) - self._by_source.keys()), strict=False):
-            name = signal.replace(".", "_").replace("-", "_")
+            name = re.sub(r"[^A-Za-z0-9_]", "_", signal)
             did = DidParams(id=number, name=name, signal=signal)
             self.table[number] = self._by_source[signal] = did
 

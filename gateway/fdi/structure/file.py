@@ -161,14 +161,13 @@ class _Reader:
         for name in names:
             state = name.removeprefix("der(").removesuffix(")")
             if state != name and state not in data.unknown:
-                self.wrong(f'"{state}" is no unknown', key)
-            elif state == name and not any(
-                name in kind for kind in (data.unknown, data.known, data.fault, data.parameter)
-            ):
-                self.wrong(f'"{name}" is no unknown, known, fault or parameter', key)
+                self.wrong(f'"{state}" is no unknown{nearest(state, data.unknown)}', key)
+            elif state == name and name not in (all_ := [*data.unknown, *data.known, *data.fault, *data.parameter]):
+                self.wrong(f'"{name}" is no unknown, known, fault or parameter{nearest(name, all_)}', key)
         for name in functions:
             if name not in data.table:
-                self.wrong(f'there is no function or table "{name}"', key)
+                near = nearest(name, [*FUNCTIONS, *data.table])
+                self.wrong(f'there is no function or table "{name}"{near}', key)
         return len(self.errors) == before
 
     def equation(self, name: str, given: _Equation) -> Equation | None:

@@ -3,6 +3,9 @@
 A set of tests does it if it hits, for each fault that can be detected and each pair that can be told apart, a test that
 does so: a minimum hitting set, solved as an integer program (HiGHS, by SciPy). A very large one is chosen greedily:
 always the test that does most of what is missing, and in the end none that the others make superfluous.
+
+The fewest tests may be poor ones: each equation brings the errors of its parameters and its sensors. Where it is said
+how many equations each test has, nothing hangs on a test with far more of them than another one that would do.
 """
 
 from __future__ import annotations
@@ -14,18 +17,23 @@ from gateway.fdi.structure.incidence import Sets
 
 #: Requirements times tests, up to which the choice is an integer program: some seconds' work there.
 MOST_EXACT = 100_000
+#: Equations of a test that a fault, or a pair, may hang on: times those of the smallest that would do, and beyond that.
+MOST_TIMES, MOST_BEYOND = 1.5, 8
 
 
-def requirements(signature: Sets) -> Sets:
+def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None) -> Sets:
     """Return which test fulfils which requirement, shape (requirements, tests).
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
+        sizes: equations of each test, shape (tests,): those with far more than need be do not count.
     """
     tests, faults = signature.shape
     rows = [signature[:, i] for i in range(faults)]
     rows += [signature[:, i] & ~signature[:, j] for i in range(faults) for j in range(faults) if i != j]
     possible = [row for row in rows if row.any()]
+    if sizes is not None:
+        possible = [row & (sizes <= MOST_TIMES * sizes[row].min() + MOST_BEYOND) for row in possible]
     return np.unique(np.array(possible), axis=0) if possible else np.zeros((0, tests), np.bool_)
 
 
@@ -57,19 +65,22 @@ def _greedy(wanted: Sets, weight: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.sort(np.array(chosen, np.int64))
 
 
-def fewest_tests(signature: Sets, cost: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
+def fewest_tests(
+    signature: Sets, cost: NDArray[np.float64] | None = None, sizes: NDArray[np.int64] | None = None
+) -> NDArray[np.int64]:
     """Return the fewest tests that detect and isolate as much as all of them do.
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
         cost: what decides between choices of as many tests, shape (tests,), not negative; for instance the number of
             equations of each.
+        sizes: equations of each, shape (tests,); see :func:`requirements`.
 
     Returns:
         the numbers of the tests, rising.
     """
     tests = signature.shape[0]
-    wanted = requirements(signature)
+    wanted = requirements(signature, sizes)
     if wanted.size > MOST_EXACT:
         wanted = _needed(wanted)
     if not len(wanted):

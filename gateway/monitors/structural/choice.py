@@ -25,7 +25,7 @@ from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
 from gateway.fdi.structure.incidence import Sets
 from gateway.fdi.structure.isolability import isolability_of_model
-from gateway.fdi.structure.model import Model, Quantity, ResidualChoice
+from gateway.fdi.structure.model import Model, Quantity, ResidualChoice, state_of
 from gateway.fdi.structure.selection import fewest_tests, requirements
 from gateway.fdi.structure.sensors import place_sensors
 from gateway.fdi.structure.sequence import shown
@@ -73,7 +73,7 @@ def _meters(model: Model, p: Params, tests: Sequence[Test], faults: Sequence[str
 
     Its set is that of a test that sees the fault: what else is in it computes the equation's other variables.
     """
-    measured = {test.measures for test in tests}
+    measured = {test.measures for test in tests if not test.differentiated}
     for fault in faults:
         where = [e.name for e in model.equations if fault in e.faults]
         if fault in measured or len(where) != 1:
@@ -170,7 +170,7 @@ def _auto(model: Model, p: Params) -> Iterator[Test]:
     sets = _sets(analysis, p)
     made: dict[bytes, Test] = {}
     while sets:
-        chosen = _fewest(model, sets)
+        chosen = _fewest(model, sets, large=bool(analysis.left_out))
         lost = [s for s in chosen if not _made(model, p, s, made)]
         if not lost:
             yield from _with_names(model, [made[s.row.tobytes()] for s in chosen])
@@ -179,7 +179,8 @@ def _auto(model: Model, p: Params) -> Iterator[Test]:
         sets = [s for s in sets if s.row.tobytes() not in gone]
 
 
-def _fewest(model: Model, sets: Sequence[_Set]) -> list[_Set]:
+def _fewest(model: Model, sets: Sequence[_Set], *, large: bool) -> list[_Set]:
+    """Return the fewest sets; of a large model, whose sets differ tenfold in size, none that is needlessly large."""
     rows = np.array([s.row for s in sets])
     incidence = np.array([[f in e.faults for f in model.faults] for e in model.equations], np.int64)
     signature: Sets = (rows.astype(np.int64) @ incidence.reshape(len(model.equations), -1)) > 0
@@ -190,7 +191,8 @@ def _fewest(model: Model, sets: Sequence[_Set]) -> list[_Set]:
     else:
         places = np.arange(len(sets))
     cost = np.array([sets[int(k)].cost for k in places])
-    return [sets[int(places[int(k)])] for k in fewest_tests(signature[places], cost)]
+    sizes = rows.sum(1)[places] if large else None
+    return [sets[int(places[int(k)])] for k in fewest_tests(signature[places], cost, sizes)]
 
 
 def _made(model: Model, p: Params, found: _Set, made: dict[bytes, Test]) -> bool:
@@ -236,15 +238,14 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         differentiate = True
         realised = realise(model, choice.equations, choice.consistency, differentiate=True, start=p.start)
     guessed: tuple[str, ...] = ()
-    try:
-        if not begins(realised, find_initial(realised)):
-            raise NotSolvableError("(24) divides by zero at these parameters")
-        code = write(name or choice.consistency, realised, sized=p.sizes)
-    except NotSolvableError:  # (24) does not say where these begin: at 0, and they have the time to settle
-        guessed = realised.initialised
-        start = dict.fromkeys(guessed, 0.0) | p.start
-        realised = realise(model, choice.equations, choice.consistency, differentiate=differentiate, start=start)
-        code = write(name or choice.consistency, realised, sized=p.sizes)
+    every = realised.initialised
+    for guessed in dict.fromkeys([(), *((x,) for x in every), every]):  # begin at 0, and have the time to settle
+        if guessed:
+            start = dict.fromkeys(guessed, 0.0) | p.start
+            realised = realise(model, choice.equations, choice.consistency, differentiate=differentiate, start=start)
+        if guessed == every or _begins(realised):
+            break
+    code = write(name or choice.consistency, realised, sized=p.sizes)
     there = {f for e in realised.equations for f in model.by_name[e].faults}
     return Test(
         name=name,
@@ -264,6 +265,14 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         measures=code.fault,
         source=code.source,
     )
+
+
+def _begins(realised: Realisation) -> bool:
+    """Tell whether (24) says where the states begin that nothing else says it of."""
+    try:
+        return begins(realised, find_initial(realised))
+    except NotSolvableError:
+        return False
 
 
 def _causality(realised: Realisation) -> str:
@@ -294,6 +303,9 @@ def _unit(model: Model, realised: Realisation) -> str:
 
 def _refused(model: Model, blind: Sequence[str]) -> InputError:
     """Return the error of faults that no test sees, with the sensors that would help."""
+    idle = [fault for fault in blind if not any(fault in e.faults for e in model.equations)]
+    if idle:
+        return InputError(f"fault {', '.join(idle)} of the model stands in no equation", key="model")
     what = f"no test sees {', '.join(blind)}"
     could = isolability_of_model(model).detectable
     if all(could[model.faults.index(fault)] for fault in blind):
@@ -333,3 +345,16 @@ def _told(model: Model, tests: Sequence[Test], seen: set[str]) -> Iterator[str]:
     blind = [fault for fault in model.faults if fault not in seen]
     if blind:
         yield f"no test sees {', '.join(blind)}"
+    yield from _idle(model)
+
+
+def _idle(model: Model) -> Iterator[str]:
+    """Yield what stands in no equation of the model: a slip, most likely."""
+    relations = [e.relation for e in model.equations if e.relation is not None]
+    used = {name for r in relations for side in (r.left, r.right) for name in side.names}
+    used |= {state_of(name) for name in used if name.startswith("der(")}
+    used |= {name for e in model.equations for name in (*e.variables, *e.knowns, e.differential)}
+    for kind, names in (("unknown", model.unknowns), ("known", model.knowns), ("parameter", model.parameters)):
+        idle = [name for name in names if name not in used]
+        if idle:
+            yield f"{kind} {', '.join(idle)} of the model stands in no equation"

@@ -7,6 +7,12 @@ another fault fits too. What has a name keeps it until its last test has come do
 Two ways to judge a residual: the CUSUM of what is beyond nu; or, for faults that begin at once, the likelihood ratio
 that its mean has jumped at one of the last samples, against noise of a standard deviation that nu says.
 
+A test that comes down for less than ``confirm_s`` has not come down: one that is up and down by turns, as of a fault
+that is just large enough, does not keep all from being told.
+
+A generator that gives no number (a root of what is negative, a division by zero) begins anew, and its test settles
+again, alone.
+
 The **size** of a fault is - residual / gain of the generator that checks its equation; of the samples since a test has
 fired the least squares of it, forgetting. Where that generator is filtered, what its filter still has of the time
 before is taken off both.
@@ -14,14 +20,13 @@ before is taken off both.
 
 from __future__ import annotations
 
-from math import exp, isfinite
+from math import exp, isfinite, nan
 from typing import Any
 
 from gateway.fdi import cusum, likelihood
-from gateway.fdi.structure.incidence import BITS, clear, include
+from gateway.fdi.structure.incidence import BITS, clear, exclude, include
 from gateway.jit import kernel
 from gateway.monitors.contract import EVIDENCE, MAX_RESULTS, report
-from gateway.monitors.structural.plan import MOST_TESTS
 from gateway.monitors.structural.records import (
     KINDS,
     LISTED,
@@ -29,7 +34,6 @@ from gateway.monitors.structural.records import (
     RANKED,
     RESIDUAL,
     WINDOW,
-    WORDS,
     Const,
     State,
 )
@@ -57,7 +61,7 @@ def _has(mask: Any, k: int) -> bool:
 @kernel
 def _empty(mask: Any) -> bool:
     """Tell whether nothing is in the set that a mask is."""
-    for w in range(WORDS):
+    for w in range(len(mask)):
         if mask[w] != 0:
             return False
     return True
@@ -66,7 +70,7 @@ def _empty(mask: Any) -> bool:
 @kernel
 def _within(mask: Any, other: Any) -> bool:
     """Tell whether all of a set is in another one."""
-    for w in range(WORDS):
+    for w in range(len(mask)):
         if mask[w] & ~other[w] != 0:
             return False
     return True
@@ -157,32 +161,50 @@ def _judge(s: State, c: Const, k: int) -> None:
 
 @kernel
 def _weigh(s: State, c: Const) -> None:
-    """Take the residuals, if the generators have settled; leaves the tests that have fired in ``s.now``."""
+    """Take the residuals, if the generators have settled; leaves the tests that are above J in ``s.now``."""
     settled = s.at_ns - s.since_ns >= c.settle_ns
     if settled and c.jumps == 1:
         s.ring = (s.ring + 1) & (WINDOW - 1)
         s.window = min(s.window + 1, WINDOW)
     clear(s.now)
     for k in range(c.tests):
-        residual = s.residual[k]
-        if settled and residual == residual:  # noqa: PLR0124 - not NaN
+        if s.anew[k] == 1:
+            s.from_ns[k] = s.at_ns
+            for d in range(WINDOW):
+                s.begun_jump[k, d, 0] = 0.0
+        elif settled and s.at_ns - s.from_ns[k] >= c.settle_ns:
             _judge(s, c, k)
         if s.norm[k] > 1.0:
             include(s.now, k)
 
 
 @kernel
+def _join(s: State, c: Const) -> None:
+    """Let tests join those that have fired, and leave them once they have been down for long enough."""
+    for k in range(c.tests):
+        if _has(s.now, k):
+            s.up_ns[k] = s.at_ns
+            if not _has(s.fired, k):
+                include(s.fired, k)
+                s.fired_ns = s.at_ns
+        elif _has(s.fired, k) and s.at_ns - s.up_ns[k] >= c.confirm_ns:
+            exclude(s.fired, k)
+
+
+@kernel
 def _measure(s: State, c: Const) -> None:
-    """Estimate the sizes of the faults that have a meter, as long as a test has fired."""
+    """Estimate the sizes of the faults that have a meter, as long as a test has fired; NaN where nothing says it."""
     if c.meters == 0:
         return
     keep = exp(-s.dt / c.memory_s)
     nothing = _empty(s.fired)
+    settled = s.at_ns - s.since_ns >= c.settle_ns
     for k in range(c.meters):
         gain, residual = s.gain[k], s.measured[k]
         if nothing:
             s.information[k] = s.product[k] = 0.0
             s.sizes[k] = 0.0
+        if nothing or not settled:
             if isfinite(gain) and isfinite(residual):
                 s.measured_then[k], s.gain_then[k] = residual, gain
             continue
@@ -194,7 +216,7 @@ def _measure(s: State, c: Const) -> None:
         if isfinite(gain) and isfinite(residual):
             s.information[k] = keep * s.information[k] + gain * gain
             s.product[k] = keep * s.product[k] - gain * residual
-        s.sizes[k] = s.product[k] / s.information[k] if s.information[k] > 0.0 else 0.0
+        s.sizes[k] = s.product[k] / s.information[k] if s.information[k] > 0.0 else nan
 
 
 @kernel
@@ -219,10 +241,7 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
 def decide(s: State, c: Const, out: Any) -> None:
     """Report what the tests say together, once that has stood for long enough."""
     _weigh(s, c)
-    if not (_within(s.now, s.fired) and _within(s.fired, s.now)):
-        for w in range(WORDS):
-            s.fired[w] = s.now[w]
-        s.fired_ns = s.at_ns
+    _join(s, c)
     _measure(s, c)
     if s.at_ns - s.fired_ns < c.confirm_ns or s.at_ns - s.since_ns < c.settle_ns:
         return
@@ -234,9 +253,11 @@ def decide(s: State, c: Const, out: Any) -> None:
     if stays:
         found = s.found  # a fault that goes away: its tests come down one after the other, and say no more than before
     else:
-        for w in range(WORDS):
+        for w in range(len(s.basis)):
             s.basis[w] = s.fired[w]
     before = s.found
+    if found not in (-1, before) and _empty(s.now):
+        return  # all of them are down, at least for now
     if found == before and s.reported_ns != 0 and s.at_ns - s.reported_ns < REPEAT_NS:
         return
     s.found, s.reported_ns = found, s.at_ns
@@ -274,7 +295,6 @@ def prepare(c: Const, k: int, nu: float, threshold: float, most: float) -> None:
 
 def prepare_window(c: Const) -> None:
     """Fill the constants of the likelihood ratio of a jump of the mean: S = 1, J = d."""
-    assert len(c.cusum) == MOST_TESTS
     c.weighted[:] = 1.0
     for d in range(1, WINDOW):
         c.inverse[d, 0, 0] = 1.0 / d

@@ -82,6 +82,14 @@ def fitted(direct: float, slope: float, period: float, *, filtered: bool, settle
     return exp(a)
 
 
+def of_meter(p: Params) -> Bandwidths:
+    """Return the bandwidths of a generator that only tells a fault's size.
+
+    Its slopes are not fitted to the noise: they would lag behind the fault, and the least squares average them anyway.
+    """
+    return Bandwidths(p.filter_bandwidth, max(p.derivative_bandwidth, 1e3 / p.period_ms), "")
+
+
 def bandwidths(test: Test, p: Params) -> Bandwidths:
     """Return the bandwidths of a test: as given, else fitted to the noise, else as by default."""
     given = p.model_fields_set

@@ -35,10 +35,10 @@ from gateway.monitors.contract import (
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.structural import decision, filters, kept, records, source, summary
+from gateway.monitors.structural import decision, filters, identity, kept, records, source, summary
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
-from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Plan
+from gateway.monitors.structural.plan import Plan
 
 TYPE, API = "structural", 2
 #: Rate at which what has no filter forgets [rad/s].
@@ -85,6 +85,7 @@ class _Made:
                     floors={},
                     sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
                     peaks=lambda s: s["own"]["cusum"]["peak"][:count],
+                    digests=self._digests,
                 ),
                 Quantities(
                     lambda _: tuple(self._quantities()),
@@ -92,10 +93,13 @@ class _Made:
                 ),
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
-                Readout(tuple(source.sizes_of(plan))),
+                Readout((*source.sizes_of(plan), *source.COUNTS)),
                 Warnings(lambda p: summary.warnings(plan, p)),
             ),
         )
+
+    def _digests(self, p: Any) -> dict[str, str]:
+        return {test.name: identity.digest(self.model, test, p) for test in self.plan.tests}
 
     def _quantities(self) -> Iterator[Quantity]:
         for test in self.plan.tests:
@@ -163,8 +167,9 @@ class _Made:
         program = _condition(self.model, p)
         if program is not None:
             load(s.own.active, own.active, program, self.model.knowns)
-        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], MOST_TESTS)
-        self._fill_told(own)
+        size = max(own.tests, own.faults)  # of the masks
+        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], size)
+        self._fill_told(own, size)
         own.jumps = p.decision == "jump"
         decision.prepare_window(own)
         for k, test in enumerate(plan.tests):
@@ -172,7 +177,7 @@ class _Made:
         own.meters, own.forgets[:] = len(plan.measured), AT_ONCE
         place = {k: j for j, k in enumerate(plan.measured.values())}
         for k, (test, field) in enumerate(zip(plan.generators, source.fields_of(plan), strict=True)):
-            fitted = filters.bandwidths(test, p)
+            fitted = filters.bandwidths(test, p) if k < own.tests else filters.of_meter(p)
             if k in place and test.filtered:
                 own.forgets[place[k]] = fitted.filter
             fill(
@@ -186,11 +191,11 @@ class _Made:
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         s.own.found = -1
 
-    def _fill_told(self, own: Any) -> None:
+    def _fill_told(self, own: Any, size: int) -> None:
         diagnoses = self.plan.diagnoses
         own.told = len(diagnoses) + 1
         place = {fault: k for k, fault in enumerate(self.plan.faults)}
-        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], MOST_FAULTS)
+        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], size)
         own.shown[:] = records.NOT_USED
         for k, one in enumerate(shown(self.plan)):
             cells = [records.KINDS * test + kind for test in one.tests for kind in (records.RESIDUAL, records.NORM)]
@@ -248,6 +253,9 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     if p.between == "interpolated" and p.sample == "set":
         text = 'a set has its values from one time: sample = "clock", or between = "held"'
         raise InputError(text, key="between", value=p.between)
+    if p.between == "interpolated" and p.max_age_ms is not None and p.max_age_ms > p.most_between_ms:
+        text = f"with period_ms = {p.period_ms:g} at most {p.most_between_ms:g} can be interpolated over"
+        raise InputError(text, key="max_age_ms", value=f"{p.max_age_ms:g}")
     path = find_model(p.model, folder, beside="the configuration", key="model")
     model = load_own_model(path, key="model")
     asked = {
@@ -273,6 +281,7 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
     assert calibration is not None
     tests = [name for name, _ in calibration.quantities]
     for key, names, known in (
+        ("digests", p.digests, tests),
         ("nu", p.nu, tests),
         ("thresholds", p.thresholds, tests),
         ("parameters", p.parameters, model.parameters),
@@ -281,8 +290,19 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
         for name in names:
             if name not in known:
                 what = {"parameters": "parameters", "noise": "known variables"}.get(key, "tests")
-                text = f"the {what} are {', '.join(known)}"
-                raise InputError(f"{text}{nearest(name, known)}", key=f"{key}.{name}", value=name)
+                text = f"the {what} are {', '.join(known)}{nearest(name, known)}"
+                if what == "tests" and p.digests:
+                    text += "; the model, or which tests are chosen, has changed since: gateway calibrate --write"
+                raise InputError(text, key=f"{key}.{name}", value=name)
+    assert calibration.digests is not None
+    now = calibration.digests(p)
+    for name, digest in p.digests.items():
+        if digest != now[name] and (name in p.nu or name in p.thresholds):
+            text = (
+                f"nu and thresholds are of another test of this name, this one is {now[name]}: its equations,"
+                " causality, filter or decision have changed since; gateway calibrate --write finds new ones"
+            )
+            raise InputError(text, key=f"digests.{name}", value=digest)
 
 
 FAMILY = Family(type=TYPE, api=API, params=Params, made=made)

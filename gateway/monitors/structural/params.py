@@ -18,6 +18,8 @@ Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
 
 #: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
 OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
+#: Periods that can be interpolated over, at most: samples wait in a ring that has room for one more.
+MOST_BETWEEN = 63
 
 
 class Params(MonitorParams):
@@ -84,6 +86,11 @@ class Params(MonitorParams):
         default_factory=dict,
         description="J of each test: of cusum in units of its nu, of jump twice a logarithm of the likelihood ratio",
     )
+    digests: dict[str, str] = Field(
+        default_factory=dict,
+        description="of each test, what nu and its threshold were found for; gateway calibrate writes it. A model or a"
+        " choice of tests that has changed since is refused",
+    )
     limit: float = Field(cusum.MOST, gt=1, description="of a test quantity, in units of J: it comes down again")
     codes: dict[str, Code] = Field(
         default_factory=dict, description="fault, or group -> base code of its DTC; default: its own, U1xxx, U2xxx"
@@ -99,7 +106,14 @@ class Params(MonitorParams):
     def oldest_ns(self) -> int:
         """Greatest age of a value that a sample takes [ns]."""
         default = 0.5 * self.period_ms if self.sample == "set" else max(OLDEST_MS, OLDEST_PERIODS * self.period_ms)
+        if self.between == "interpolated":
+            default = min(default, self.most_between_ms)
         return round((default if self.max_age_ms is None else self.max_age_ms) * 1e6)
+
+    @property
+    def most_between_ms(self) -> float:
+        """Longest time that can be interpolated over [ms]."""
+        return MOST_BETWEEN * self.period_ms
 
 
 class PartParams(Params):

@@ -11,7 +11,7 @@ import numpy as np
 from gateway.fdi.structure.isolability import Isolability, isolability_of_tests
 
 #: Tests and faults that a monitor has room for, and generators that only measure a fault's size.
-MOST_TESTS, MOST_FAULTS, MOST_METERS = 160, 160, 160
+MOST_TESTS, MOST_FAULTS, MOST_METERS = 320, 160, 160
 
 
 class Noise(NamedTuple):
@@ -92,8 +92,14 @@ class Plan:
 
     @cached_property
     def measured(self) -> dict[str, int]:
-        """Which of the generators tells a fault's size, by fault, in the order of the faults."""
-        by = {g.measures: k for k, g in reversed(list(enumerate(self.generators))) if g.measures}
+        """Which of the generators tells a fault's size, by fault, in the order of the faults.
+
+        A test comes before a meter, but for one with the slope of a low-pass, which lags behind.
+        """
+        tests = [k for k, test in enumerate(self.tests) if not test.differentiated]
+        rest = list(range(len(self.tests), len(self.generators)))
+        rest += [k for k, test in enumerate(self.tests) if test.differentiated]
+        by = {g.measures: k for k in reversed([*tests, *rest]) if (g := self.generators[k]).measures}
         return {fault: by[fault] for fault in self.faults if fault in by}
 
     @property

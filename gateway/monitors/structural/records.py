@@ -1,4 +1,8 @@
-"""Records that all monitors made from a model have beside those of their generators."""
+"""Records that all monitors made from a model have beside those of their generators.
+
+Those of a model derive from them, with arrays as long as it wants (:func:`lengths`); here they have all the room that
+there may be.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,8 @@ from gateway.fdi.structure.incidence import words
 from gateway.jit import Record, f8, f8s, i8, i8s, means
 from gateway.monitors.contract import EVIDENCE
 from gateway.monitors.rule.machine import Code, Machine
-from gateway.monitors.structural.plan import MOST_FAULTS, MOST_METERS, MOST_TESTS
+from gateway.monitors.structural.params import MOST_BETWEEN
+from gateway.monitors.structural.plan import MOST_FAULTS, MOST_METERS, MOST_TESTS, Plan
 
 #: Known variables of a model, things that can be told of, tests in the evidence of each.
 MOST_INPUTS, MOST_TOLD, SHOWN = 128, 2 * MOST_FAULTS + 1, 3
@@ -17,20 +22,29 @@ MOST_INPUTS, MOST_TOLD, SHOWN = 128, 2 * MOST_FAULTS + 1, 3
 RESIDUAL, NORM, SIZE = range(3)
 KINDS = 3
 NOT_USED, LISTED, RANKED = -1, -2, -3
-#: Words of the masks of tests and of faults.
-WORDS = words(max(MOST_TESTS, MOST_FAULTS))
-#: Values of each input that are kept to interpolate; a power of 2.
-KEPT = 32
+#: Samples whose values are kept of each input, to interpolate; a power of 2.
+KEPT = MOST_BETWEEN + 1
 #: Samples that are searched for a jump; a power of 2.
 WINDOW = 32
 
+#: Most of everything, by the names that the records' lengths have; "words" of masks of tests, and of faults.
+MOST = {
+    "inputs": MOST_INPUTS,
+    "tests": MOST_TESTS,
+    "faults": MOST_FAULTS,
+    "meters": MOST_METERS,
+    "generators": MOST_TESTS + MOST_METERS,
+    "told": MOST_TOLD,
+    "words": words(max(MOST_TESTS, MOST_FAULTS)),
+}
 
-class Const(Record):
+
+class Const(Record, lengths=MOST):
     """Constants."""
 
     inputs: i8
-    message: Annotated[i8s, MOST_INPUTS] = means("of each input, as u.trigger has it; -1: not connected")
-    wanted: Annotated[i8s, MOST_INPUTS] = means("1: a sample needs it")
+    message: Annotated[i8s, "inputs"] = means("of each input, as u.trigger has it; -1: not connected")
+    wanted: Annotated[i8s, "inputs"] = means("1: a sample needs it")
     sets: i8 = means("1: a sample is a set")
     interpolates: i8 = means("1: values between two frames lie on a line")
     period_ns: i8 = means(unit="ns")
@@ -42,29 +56,28 @@ class Const(Record):
     tests: i8
     faults: i8
     told: i8
-    signature: Annotated[i8s, MOST_FAULTS, WORDS] = means("tests that see each fault, a mask")
-    diagnosis: Annotated[i8s, MOST_TOLD, WORDS] = means("faults that each result stands for, a mask; 0: not isolated")
-    shown: Annotated[i8s, MOST_TOLD, EVIDENCE] = means("what the values of its evidence are")
+    signature: Annotated[i8s, "faults", "words"] = means("tests that see each fault, a mask")
+    diagnosis: Annotated[i8s, "told", "words"] = means("faults that each result stands for, a mask; 0: not isolated")
+    shown: Annotated[i8s, "told", EVIDENCE] = means("what the values of its evidence are")
     jumps: i8 = means("1: the tests look for jumps")
     weighted: Annotated[f8s, WINDOW, 1, 1] = means("of a residual in standard deviations, for a jump of its mean")
     inverse: Annotated[f8s, WINDOW, 1, 1]
-    cusum: Annotated[list[cusum.Const], MOST_TESTS]
-    sigma: Annotated[f8s, MOST_TESTS] = means("standard deviation of each healthy residual")
-    level: Annotated[f8s, MOST_TESTS] = means("of the likelihood ratio of a jump, doubled")
+    cusum: Annotated[list[cusum.Const], "tests"]
+    sigma: Annotated[f8s, "tests"] = means("standard deviation of each healthy residual")
+    level: Annotated[f8s, "tests"] = means("of the likelihood ratio of a jump, doubled")
     meters: i8
-    forgets: Annotated[f8s, MOST_METERS] = means("rate at which its filter forgets; very high: it has none", "rad/s")
+    forgets: Annotated[f8s, "meters"] = means("rate at which its filter forgets; very high: it has none", "rad/s")
     memory_s: f8 = means("over which sizes are averaged", "s")
 
 
-class State(Record):
+class State(Record, lengths=MOST):
     """State."""
 
-    came_ns: Annotated[i8s, MOST_INPUTS] = means("when each input came", "ns")
-    fresh: Annotated[i8s, MOST_INPUTS] = means("bit 1: it came ever; bit 0: behind the last sample")
-    kept_ns: Annotated[i8s, MOST_INPUTS, KEPT] = means("when the last values came", "ns")
-    kept: Annotated[f8s, MOST_INPUTS, KEPT] = means("the last values")
-    count: Annotated[i8s, MOST_INPUTS] = means("values that were kept, all in all")
-    taken: Annotated[f8s, MOST_INPUTS] = means("values of the sample")
+    came_ns: Annotated[i8s, "inputs"] = means("when each input came", "ns")
+    fresh: Annotated[i8s, "inputs"] = means("bit 1: it came ever; bit 0: behind the last sample")
+    last: Annotated[f8s, "inputs"] = means("the value that came last")
+    between: Annotated[f8s, "inputs", KEPT] = means("at the next samples, as far as both neighbours have come")
+    taken: Annotated[f8s, "inputs"] = means("values of the sample")
     tick_ns: i8 = means("next sample by the clock", "ns")
     at_ns: i8 = means("time of the sample", "ns")
     last_ns: i8 = means("last sample", "ns")
@@ -75,25 +88,48 @@ class State(Record):
     missed: i8 = means("samples that were left out, for a value too old")
     dt: f8 = means("since the sample before", "s")
     active: Machine
-    residual: Annotated[f8s, MOST_TESTS]
-    norm: Annotated[f8s, MOST_TESTS] = means("T over J: above 1 a test has fired")
-    cusum: Annotated[list[cusum.State], MOST_TESTS]
-    begun_jump: Annotated[f8s, MOST_TESTS, WINDOW, 1]
+    residual: Annotated[f8s, "tests"]
+    anew: Annotated[i8s, "generators"] = means("1: it gave no number, and begins anew")
+    from_ns: Annotated[i8s, "tests"] = means("when the test began anew, alone", "ns")
+    norm: Annotated[f8s, "tests"] = means("T over J: above 1 a test has fired")
+    cusum: Annotated[list[cusum.State], "tests"]
+    begun_jump: Annotated[f8s, "tests", WINDOW, 1]
     newest: Annotated[f8s, 1]
     ring: i8 = means("place of the newest sample in the window")
     window: i8 = means("samples in the window")
-    fired: Annotated[i8s, WORDS] = means("tests, a mask")
-    now: Annotated[i8s, WORDS] = means("the same, of the sample")
-    fired_ns: i8 = means("since when these have fired", "ns")
-    explained: Annotated[i8s, WORDS] = means("faults that explain them, a mask")
+    up_ns: Annotated[i8s, "tests"] = means("when each test was above its threshold last", "ns")
+    fired: Annotated[i8s, "words"] = means("tests, a mask")
+    now: Annotated[i8s, "words"] = means("those above their threshold in this sample")
+    fired_ns: i8 = means("since when none has joined these", "ns")
+    explained: Annotated[i8s, "words"] = means("faults that explain them, a mask")
     found: i8 = means("what was reported, -1: nothing")
-    basis: Annotated[i8s, WORDS] = means("tests that had fired for that")
+    basis: Annotated[i8s, "words"] = means("tests that had fired for that")
     reported_ns: i8 = means(unit="ns")
     turn: i8 = means("what is reported next, where it is too much for one step")
-    measured: Annotated[f8s, MOST_METERS] = means("residual of each meter")
-    gain: Annotated[f8s, MOST_METERS] = means("and what a fault of size 1 adds to it")
-    measured_then: Annotated[f8s, MOST_METERS] = means("what its filter still has of the residual before a test fired")
-    gain_then: Annotated[f8s, MOST_METERS] = means("and of the gain")
-    information: Annotated[f8s, MOST_METERS] = means("sum of squared gains, while a test has fired")
-    product: Annotated[f8s, MOST_METERS] = means("sum of gains times residuals")
-    sizes: Annotated[f8s, MOST_METERS] = means("of each fault that has a meter; 0: nothing has fired")
+    measured: Annotated[f8s, "meters"] = means("residual of each meter")
+    gain: Annotated[f8s, "meters"] = means("and what a fault of size 1 adds to it")
+    measured_then: Annotated[f8s, "meters"] = means("what its filter still has of the residual before a test fired")
+    gain_then: Annotated[f8s, "meters"] = means("and of the gain")
+    information: Annotated[f8s, "meters"] = means("sum of squared gains, while a test has fired")
+    product: Annotated[f8s, "meters"] = means("sum of gains times residuals")
+    sizes: Annotated[f8s, "meters"] = means("of each fault that has a meter; 0: nothing has fired")
+
+
+def lengths(plan: Plan, inputs: int) -> dict[str, int]:
+    """Return how long the arrays are that a plan wants, by the names of :data:`MOST`.
+
+    Args:
+        plan: the tests.
+        inputs: known variables of the model.
+    """
+    tests, faults = len(plan.tests), len(plan.faults)
+    wanted = {
+        "inputs": inputs,
+        "tests": tests,
+        "faults": faults,
+        "meters": len(plan.measured),
+        "generators": len(plan.generators),
+        "told": len(plan.diagnoses) + 1,
+        "words": words(max(tests, faults)),
+    }
+    return {name: max(1, length) for name, length in wanted.items()}

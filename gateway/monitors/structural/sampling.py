@@ -4,11 +4,15 @@ By sets: when each signal has come once more. By the clock: at each multiple of 
 are: **held**, the newest one of each signal, or **interpolated** between the one before the sample's time and the one
 behind it, so that a sample waits until the slowest signal has come. No value may be too old, and no two between which
 is interpolated too far apart; else the sample is left out, and the next one spans the gap. Behind too many that are
-missing, or while the model did not hold, everything begins anew, and settles.
+missing, or while the model did not hold, everything begins anew, and settles. What is no number is as good as lost.
+
+What is interpolated is computed when a value comes, for all samples since the one before it: so it does not matter how
+many frames of a fast signal come until the slowest one does.
 """
 
 from __future__ import annotations
 
+from math import isfinite, nan
 from typing import Any
 
 from gateway.jit import kernel
@@ -20,29 +24,46 @@ NOTHING, GO, BEGIN, FIRST = range(4)
 
 
 @kernel
+def _draw_line(s: State, c: Const, k: int, t_ns: int, value: float) -> None:
+    """Fill input k at the samples behind its last value and up to its new one, which lies at t_ns."""
+    end = t_ns // c.period_ns
+    first = max(s.came_ns[k] // c.period_ns + 1, s.tick_ns // c.period_ns, end - KEPT + 1)
+    apart = t_ns - s.came_ns[k]
+    for n in range(first, end + 1):
+        at_ns = n * c.period_ns
+        between = nan
+        if at_ns == t_ns:
+            between = value
+        elif apart <= c.oldest_ns:
+            between = s.last[k] + (at_ns - s.came_ns[k]) / apart * (value - s.last[k])
+        s.between[k, n & (KEPT - 1)] = between
+
+
+@kernel
 def _take_arrivals(s: State, c: Const, u: Any) -> None:
     """Note what has come."""
     if u.trigger < 0:
         return
     for k in range(c.inputs):
         if c.message[k] == u.trigger:
+            if c.interpolates == 1 and s.tick_ns > 0:
+                _draw_line(s, c, k, u.t_ns, u.value[k])
+            s.last[k] = u.value[k]
             s.came_ns[k] = u.t_ns
             s.fresh[k] = 3
-            if c.interpolates == 1:
-                place = s.count[k] & (KEPT - 1)
-                s.kept_ns[k, place] = u.t_ns
-                s.kept[k, place] = u.value[k]
-                s.count[k] += 1
 
 
 @kernel
 def _first_tick(s: State, c: Const, t_ns: int) -> bool:
-    """Let the clock begin once each signal has come; tells whether it runs."""
+    """Let the clock begin once each signal has come; tells whether it runs.
+
+    Interpolated, the first sample lies behind what has come: before that there is no line.
+    """
     if s.tick_ns == 0:
         for k in range(c.inputs):
             if c.wanted[k] == 1 and s.fresh[k] == 0:
                 return False
-        s.tick_ns = (t_ns + c.period_ns - 1) // c.period_ns * c.period_ns
+        s.tick_ns = (t_ns + c.period_ns - 1 + c.interpolates) // c.period_ns * c.period_ns
     return True
 
 
@@ -66,33 +87,13 @@ def _due(s: State, c: Const, t_ns: int, out: Any) -> bool:
 
 @kernel
 def _held(s: State, c: Const, u: Any) -> bool:
-    """Take the newest values; tells whether none is too old."""
+    """Take the newest values; tells whether none is too old, and each a number."""
     for k in range(c.inputs):
-        if c.wanted[k] == 1 and u.t_ns - s.came_ns[k] > c.oldest_ns:
+        if c.wanted[k] == 1 and (u.t_ns - s.came_ns[k] > c.oldest_ns or not isfinite(u.value[k])):
             return False
         s.taken[k] = u.value[k]
     s.at_ns = u.t_ns
     return True
-
-
-@kernel
-def _between(s: State, c: Const, k: int, t_ns: int) -> bool:
-    """Take the value of input k at a time, which lies before its newest; tells whether there is one."""
-    first = max(s.count[k] - KEPT, 0)
-    n = s.count[k] - 1
-    while n >= first and s.kept_ns[k, n & (KEPT - 1)] > t_ns:
-        n -= 1
-    if n < first:
-        return False
-    place, behind = n & (KEPT - 1), (n + 1) & (KEPT - 1)
-    before_ns = s.kept_ns[k, place]
-    if before_ns == t_ns:
-        s.taken[k] = s.kept[k, place]
-        return True
-    apart = s.kept_ns[k, behind] - before_ns
-    share = (t_ns - before_ns) / apart
-    s.taken[k] = s.kept[k, place] + share * (s.kept[k, behind] - s.kept[k, place])
-    return bool(apart <= c.oldest_ns)
 
 
 @kernel
@@ -109,11 +110,13 @@ def _interpolated(s: State, c: Const, t_ns: int) -> bool:
             if c.wanted[k] == 1 and s.came_ns[k] < s.tick_ns:
                 return False
         s.at_ns = s.tick_ns
+        place = s.tick_ns // c.period_ns & (KEPT - 1)
         s.tick_ns += c.period_ns
         whole = True
         for k in range(c.inputs):
-            if c.wanted[k] == 1 and not _between(s, c, k, s.at_ns):
-                whole = False
+            if c.wanted[k] == 1:
+                s.taken[k] = s.between[k, place]
+                whole = whole and isfinite(s.taken[k])
         if whole:
             return True
         s.missed += 1
@@ -128,8 +131,7 @@ def arrived(s: State, c: Const, u: Any, out: Any) -> int:
     if not _due(s, c, u.t_ns, out):
         return NOTHING
     if not _held(s, c, u):
-        if c.sets == 0:
-            s.missed += 1
+        s.missed += 1
         return NOTHING
     for k in range(c.inputs):
         s.fresh[k] &= 2
@@ -158,7 +160,8 @@ def _sample(s: State, c: Const) -> int:
             return NOTHING
     apart = s.at_ns - s.last_ns
     if c.sets == 1:  # frames come a little early and late; the sender's samples do not
-        apart = max((2 * apart + c.period_ns) // (2 * c.period_ns), 1) * c.period_ns
+        whole = (2 * apart + c.period_ns) // (2 * c.period_ns)
+        apart = whole * c.period_ns if whole > 0 else apart  # behind a late one, or period_ms is wrong
     what = GO if s.running == 1 and apart <= c.gap_ns else BEGIN if s.begun == 1 else FIRST
     s.dt = apart * 1e-9 if what == GO else 0.0
     if what != GO:

@@ -54,7 +54,13 @@ def _meter(plan: Plan, fault: str) -> str:
 def warnings(plan: Plan, p: Params) -> tuple[str, ...]:
     """Return what is not wrong, but should be known."""
     silent = [test.name for test in plan.tests if test.name not in p.nu or test.name not in p.thresholds]
+    unknown = [test.name for test in plan.tests if test.name not in silent and test.name not in p.digests]
     lines = list(plan.told)
+    if unknown:
+        lines.append(
+            f"digests: nothing says for which tests nu and thresholds of {', '.join(unknown)} were found, so a change"
+            " of the model or of tests is not noticed: gateway calibrate --write keeps that"
+        )
     if silent:
         lines.append(f"{', '.join(silent)} cannot fire without nu and thresholds: gateway calibrate finds them")
     return tuple(lines)

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from gateway_studies.structure.battery import battery_model
 
 from gateway.common.resources import shipped
 from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.file import load_model
+from gateway.fdi.structure.file import load_model, load_own_model
 from gateway.fdi.structure.isolability import isolability_of_tests
 from gateway.monitors.structural.choice import choose
+from gateway.monitors.structural.filters import bandwidths, of_meter
 from gateway.monitors.structural.params import Params
 
 pytestmark = pytest.mark.long
@@ -57,3 +59,84 @@ def test_what_never_forgets_is_told_and_not_chosen():
     assert set(named.tests[0].drifting) == {"p2", "p3"}
     assert any("does not forget all of it" in line for line in named.told)
     assert any("should start" in line for line in named.told)
+
+
+TANK = """
+[unknown]
+q = { unit = "l/s" }
+h = { unit = "m" }
+T = { unit = "degC" }
+[known]
+u = { unit = "1" }
+P = { unit = "kW" }
+T_in = { unit = "degC" }
+y_h = { unit = "m" }
+y_T = { unit = "degC" }
+[fault]
+f_p = {}
+f_P = {}
+f_h = {}
+f_T = {}
+[parameter]
+k_p = { value = 2.0, unit = "l/s" }
+c = { value = 1.0 }
+A = { value = 100.0 }
+cw = { value = 4.2 }
+[equation.e1]
+relation = "q = k_p * (1 - f_p) * u"
+unique = ["q"]
+[equation.e2]
+relation = "A * der(h) = q - c * sqrt(h)"
+unique = ["der(h)", "q", "h"]
+[equation.e3]
+relation = "A * h * cw * der(T) = P * (1 - f_P) + cw * q * (T_in - T)"
+unique = ["der(T)", "h", "q", "T"]
+[equation.e4]
+relation = "y_h = h + f_h"
+unique = ["h"]
+[equation.e5]
+relation = "y_T = T + f_T"
+unique = ["T"]
+"""
+
+
+@pytest.fixture
+def tank(tmp_path):
+    """A heated tank: level and temperature, both measured."""
+    (tmp_path / "tank.toml").write_text(TANK)
+    return load_own_model(tmp_path / "tank.toml", key="model")
+
+
+def plan_of(model, **keys):
+    return choose(model, Params(model="tank.toml", **keys))
+
+
+def test_a_start_by_slopes_is_none(tank):
+    """The level from the temperature's slope, which a monitor does not know where it begins: 0 / 0. The temperature's
+    own start its sensor says."""
+    plan = plan_of(tank)
+    (test,) = (t for t in plan.tests if t.equations == ("e1", "e2", "e3", "e5"))
+    assert test.guessed == ("h",)
+    assert any("where h should start" in line for line in plan.told)
+    assert not any("should start" in line for line in plan_of(tank, start={"h": 1.44}).told)
+
+
+def test_a_size_does_not_lag_behind_a_fitted_filter(tank):
+    """The pump's size by the level's slope: not by the bandwidth that the noise of a test would want."""
+    p = Params(model="tank.toml", period_ms=1000.0, settle_s=600.0, noise={"y_h": 0.002, "y_T": 0.05})
+    plan = choose(tank, p)
+    meter = plan.generators[plan.measured["f_p"]]
+    assert meter.differentiated == ("h",)
+    assert meter not in plan.tests
+    assert of_meter(p).derivative == 10.0
+    assert of_meter(p.model_copy(update={"period_ms": 10.0})).derivative == 100.0
+    assert bandwidths(meter, p).derivative < 0.1  # of a test: 10 s behind and more
+
+
+def test_a_large_model_hangs_on_no_needlessly_large_test(tmp_path):
+    """A pack of 16 cells: the resistances by two cells, or by the sensors of the others, not by the models of all."""
+    (tmp_path / "pack.toml").write_text(battery_model(16))
+    plan = choose(load_own_model(tmp_path / "pack.toml", key="model"), Params(model="pack.toml", sizes=False))
+    assert plan.isolability.full
+    sizes = sorted(len(test.equations) for test in plan.tests)
+    assert sizes[:-3] == [4] * sum(size == 4 for size in sizes) + [6] * sum(size == 6 for size in sizes)

@@ -10,6 +10,8 @@ from gateway.monitors.structural import decision, records
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS
 
 TESTS, FAULTS = 150, 140
+#: Of the masks.
+SIZE = max(MOST_TESTS, MOST_FAULTS)
 PERIOD_NS = 100_000_000
 
 
@@ -21,8 +23,8 @@ def monitor(seed):
     signatures[139] = frozenset([0, 70, 148])
     s, c = np.zeros(1, records.State.dtype).view(np.recarray)[0], np.zeros(1, records.Const.dtype).view(np.recarray)[0]
     c.tests, c.faults, c.told = TESTS, FAULTS, FAULTS + 1
-    c.signature[:FAULTS] = pack(signatures, MOST_TESTS)
-    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], MOST_FAULTS)
+    c.signature[:FAULTS] = pack(signatures, SIZE)
+    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], SIZE)
     c.shown[:] = records.NOT_USED
     c.shown[:, 0], c.shown[:, 1], c.shown[:, 2] = records.LISTED, records.RANKED, records.KINDS * 149 + records.NORM
     decision.prepare_window(c)
@@ -76,3 +78,66 @@ def test_two_faults_at_once_are_not_isolated():
     s, c, signatures = monitor(1)
     results, _ = step(s, c, signatures[7] | signatures[139] | signatures[3], 4.0)
     assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [FAULTS]
+
+
+def up_and_down(s, c, fired, chatters, seconds):
+    """As :func:`step`, with one test that is just above and just below its threshold by turns of one sample."""
+    dtype = contract.results_of(contract.Evidence.dtype, None)
+    told = []
+    for n in range(round(seconds * 1e9 / PERIOD_NS)):
+        s.at_ns += PERIOD_NS
+        s.dt = PERIOD_NS * 1e-9
+        s.residual[:] = 0.0
+        s.residual[list(fired)] = 10.0
+        s.residual[chatters] = 2.4 if n == 0 else 0.0 if n % 2 else 2.0  # T: 1.4, 0.4, 1.4, ... against J = 1
+        out = np.zeros(1, dtype).view(np.recarray)[0]
+        decision.decide(s, c, out)
+        told += [int(one.fault) for one in out.results[: out.n] if one.result == contract.FAILED]
+    return told
+
+
+def test_one_that_is_up_and_down_does_not_keep_all_from_being_told():
+    s, c, signatures = monitor(0)
+    c.confirm_ns = 10 * PERIOD_NS
+    assert [k for k, each in enumerate(signatures) if signatures[7] <= each] == [7]
+    assert up_and_down(s, c, (0, 70), 149, 0.9) == []
+    assert set(up_and_down(s, c, (0, 70), 149, 6.0)) == {7}
+    step(s, c, (), 30.0)
+    assert s.found == -1
+
+
+def test_a_test_that_was_up_for_a_moment_accuses_nobody():
+    s, c, _ = monitor(0)
+    c.confirm_ns = 10 * PERIOD_NS
+    s.residual[:] = 0.0
+    for _ in range(3):
+        assert up_and_down(s, c, (), 149, 0.1) == []  # up once
+        results, _ = step(s, c, (), 2.0)
+        assert contract.FAILED not in results.values()
+
+
+def test_a_size_that_nothing_says_is_no_number():
+    """The current of a winding is 0: its resistance may be anything."""
+    s, c, signatures = monitor(0)
+    c.meters, c.memory_s, c.forgets[0] = 1, 1.0, 1e30
+    s.gain[0], s.measured[0] = 0.0, 0.0
+    step(s, c, signatures[7], 1.0)
+    assert np.isnan(s.sizes[0])
+    s.gain[0], s.measured[0] = 2.0, -1.0
+    step(s, c, signatures[7], 1.0)
+    assert s.sizes[0] == pytest.approx(0.5)
+    step(s, c, (), 60.0 if COMPILED else 10.0)
+    assert s.sizes[0] == 0.0
+
+
+def test_a_size_waits_until_the_generators_have_settled():
+    s, c, signatures = monitor(0)
+    c.meters, c.memory_s, c.forgets[0], c.settle_ns = 1, 1e6, 1e30, 10 * PERIOD_NS
+    s.since_ns = -(10**12)
+    s.gain[0], s.measured[0] = 1.0, -3.0
+    step(s, c, signatures[7], 2.0)
+    assert s.sizes[0] == pytest.approx(3.0)
+    s.since_ns = int(s.at_ns)  # all began anew
+    s.measured[0] = -500.0
+    step(s, c, signatures[7], 0.9)
+    assert s.sizes[0] == pytest.approx(3.0)

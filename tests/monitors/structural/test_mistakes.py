@@ -5,6 +5,7 @@ from structural_config import configuration
 
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
 
@@ -69,6 +70,32 @@ def test_models(tmp_path):
     said = refused(configuration(tmp_path, model="mine.toml", nu=None))
     assert f"{tmp_path}/mine.toml" in said
     assert '"omga" is no unknown' in said
+    assert "did you mean omega" in said
+    (tmp_path / "mine.toml").write_text(MOTOR.replace("k * omega", "sqr(k * omega)"))
+    assert 'no function or table "sqr"; did you mean sqrt' in refused(
+        configuration(tmp_path, model="mine.toml", nu=None)
+    )
+
+
+def test_what_stands_in_no_equation(tmp_path):
+    """A fault there is refused, anything else is warned of."""
+    idle = MOTOR.replace("[known]", "z = {}\n[known]\nv = {}", 1).replace(
+        "[parameter]", "[parameter]\nq = { value = 1 }"
+    )
+    (tmp_path / "mine.toml").write_text(idle)
+    path = configuration(tmp_path, model="mine.toml", nu=None)
+    monitor, params = monitor_of(load_config(path).monitor[0])
+    said = monitor.warnings(params)
+    for words in ("unknown z of", "known v of", "parameter q of"):
+        assert any(line.startswith(words) and "no equation" in line for line in said), said
+    (tmp_path / "mine.toml").write_text(MOTOR.replace("[fault]", "[fault]\nf_x = {}"))
+    assert "fault f_x of the model stands in no equation" in refused(path)
+
+
+def test_thresholds_of_a_test_that_is_gone(tmp_path):
+    said = refused(configuration(tmp_path, 'digests = { e1 = "00", e7 = "11" }\n'))
+    assert "monitor[0].digests.e7" in said
+    assert "gateway calibrate --write" in said
 
 
 def without(*equations):

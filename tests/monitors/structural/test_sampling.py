@@ -84,6 +84,120 @@ def test_a_ramp_between_frames(tmp_path, period_ms):
     assert int(line.state.own.missed) == 0
 
 
+def each(period_ms, begin_ms, seconds, name):
+    return [(begin_ms * 1_000_000 + k * period_ms * 1_000_000, name) for k in range(int(seconds * 1e3 / period_ms))]
+
+
+def ramp_frames(rows):
+    """Frames at given times [ns], with the values of the ramps."""
+    database = cantools.database.load_file(shipped("dbc/motor.dbc"))
+    frames = empty(len(rows))
+    for n, (t_ns, name) in enumerate(sorted(rows)):
+        u, i, w = plant(t_ns * 1e-9)
+        values = {"Voltage": u} if name == "Drive" else {"Current": i, "Speed": w}
+        message = database.get_message_by_name(name)
+        put(frames, n, BEGIN + t_ns, message.frame_id, message.encode(values, strict=False), bus=0)
+    return frames
+
+
+def test_a_fast_signal_waits_for_a_slow_one(tmp_path):
+    """A hundred frames of the voltage for one of the sensors: no sample is lost for want of room."""
+    rows = each(1, 0, 1.5, "Drive") + each(100, 3, 1.5, "Sensors")
+    keys = 'period_ms = 10\nsettle_s = 0\nbetween = "interpolated"\n'
+    fed = Fed(configuration(tmp_path, keys), ramp_frames(rows))
+    assert int(fed.state.own.missed) == 0
+    assert int(fed.state.own.samples) == 140  # from 10 ms, the first behind both, to 1.40 s
+    assert int(fed.state.own.since_ns) == BEGIN + 10_000_000
+    assert np.abs(fed.residuals).max() < 0.01 + R * 0.01 + K * 0.1
+
+
+def test_sets_faster_than_the_period_says(tmp_path):
+    """Messages each 10 ms, period_ms = 100 by mistake: the integrals take the time that it was, not ten times of it."""
+    frames = motor_data.frames_of(motor_data.drive(4.0, seed=3))
+    found = {}
+    for period in (10, 100):
+        run = Fed(configuration(tmp_path, f'sample = "set"\nperiod_ms = {period}\nsettle_s = 0\n'), frames)
+        found[period] = run.state.own.residual.copy()
+        assert int(run.state.own.samples) == len(frames) // 2
+    assert np.abs(found[10] - found[100]).max() < 1e-9
+
+
+GROWTH = """
+[unknown]
+x = {}
+[known]
+y = {}
+[fault]
+f = {}
+[parameter]
+tau = { value = 1.0, unit = "s" }
+[equation.e1]
+relation = "der(x) = -x / tau"
+unique = ["der(x)", "x"]
+[equation.e2]
+relation = "y = exp(x) + f"
+unique = ["x"]
+"""
+FLOATS = """VERSION ""
+NS_ :
+BS_:
+BU_: A
+BO_ 256 M: 8 A
+ SG_ y : 0|64@1- (1,0) [0|0] "" A
+SIG_VALTYPE_ 256 y : 2;
+"""
+
+
+def logarithms(values):
+    frames = empty(len(values))
+    for n, value in enumerate(values):
+        put(frames, n, BEGIN + n * 10_000_000, 256, np.float64(value).tobytes(), bus=0)
+    return frames
+
+
+def growth(folder):
+    (folder / "growth.toml").write_text(GROWTH)
+    (folder / "floats.dbc").write_text(FLOATS)
+    path = folder / "gateway.toml"
+    path.write_text(
+        '[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["floats.dbc"]\n'
+        f'health = {{ watched = false }}\n[memory]\npath = "{folder}/faults.sqlite"\n'
+        '[[monitor]]\nname = "growth"\ntype = "structural"\nmodel = "growth.toml"\nperiod_ms = 10\nsample = "set"\n'
+        'settle_s = 0.1\nsignals = { y = "M.y" }\nnu = { e2 = 0.1 }\nthresholds = { e2 = 10 }\n'
+    )
+    return path
+
+
+@pytest.mark.skipif(not COMPILED, reason="log(-1) is no number there, and an error of plain Python")
+def test_a_generator_without_a_number_begins_anew(tmp_path):
+    """x begins at log(y), which -1 has none of: as soon as y is positive it begins, and the test settles alone."""
+    values = [-1.0] * 30 + list(np.exp(np.exp(-0.01 * np.arange(200))))
+    fed = Fed(growth(tmp_path), logarithms(values))
+    assert np.isnan(fed.residuals[:30]).all()
+    assert np.abs(fed.residuals[30:]).max() < 0.02
+    assert int(fed.state.own.from_ns[0]) == BEGIN + 29 * 10_000_000
+    assert int(fed.state.own.cusum[0].samples) == 200 - 9  # 0.1 s behind the last sample without a number
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_no_number_is_as_good_as_lost(tmp_path, value):
+    values = np.exp(np.exp(-0.01 * np.arange(200)))
+    values[100:103] = value
+    fed = Fed(growth(tmp_path), logarithms(values))
+    assert int(fed.state.own.samples) == 197
+    assert np.isfinite(fed.residuals).all()
+    assert np.abs(fed.residuals).max() < 0.1
+
+
+def test_records_are_as_long_as_the_model_wants(tmp_path):
+    """A motor of three inputs and four tests: not the room of a pack of 64 cells."""
+    state = Fed(configuration(tmp_path), ramps(0.1)).state
+    assert state.own.came_ns.shape == (3,)
+    assert state.own.residual.shape == (4,)
+    assert state.own.fired.shape == (1,)
+    assert state.own.dtype.itemsize < 20_000
+
+
 def test_no_line_over_a_gap(tmp_path):
     """The sensors are silent for 0.5 s: nothing is made up in between; what follows begins anew."""
     frames = ramps(2.0, without=(0.7, 1.2))
@@ -101,6 +215,7 @@ def test_no_line_over_a_gap(tmp_path):
     ("keys", "said"),
     [
         ('between = "interpolated"\nsample = "set"\n', "between.*interpolated"),
+        ('between = "interpolated"\nmax_age_ms = 700\n', r"max_age_ms.*at most 630"),
         ("noise = { q = 0.1 }\n", r"noise\.q.*known variables are u, i, w"),
         ("noise = { w = 0.0 }\n", r"noise\.w"),
         ('decision = "jumps"\n', "decision"),

@@ -93,14 +93,17 @@ def _difference(slopes: Callable[[dict[Algebra, float]], Any], point: dict[Algeb
 
 
 def begins(realisation: Realisation, initial: Initial) -> bool:
-    """Tell whether (24) gives numbers at the model's parameters: it may divide by what is zero there."""
+    """Tell whether (24) gives numbers at the model's parameters: it may divide by what is zero there.
+
+    Derivatives of known variables are zero, as where a monitor begins: it has one sample, and knows none.
+    """
     n = _Numbers(realisation)
     rng = np.random.default_rng(1)
     chain = [(n.of[v], n.function(e)) for s in realisation.statements if s.solutions for v, e in s.solutions[0].items()]
     wanted = [n.function(e) for e in initial.values.values()]
-    free = {n.of[x] for x in (*realisation.model.knowns, *realisation.integrated)} | set(initial.rates.values())
+    free = {n.of[x] for x in (*realisation.model.knowns, *realisation.integrated)}
     for _ in range(_POINTS):
-        values = n.drawn(rng, free)
+        values = n.drawn(rng, free) | dict.fromkeys(initial.rates.values(), 0.0)
         try:
             with np.errstate(all="ignore"):
                 for symbol, function in chain:

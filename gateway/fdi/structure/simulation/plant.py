@@ -143,7 +143,8 @@ class Plant:
         for guess in (self.start[free], np.ones(len(free)), np.full(len(free), 100.0)):
             with np.errstate(all="ignore"):
                 found = root(slopes, guess)
-            if np.isfinite(found.x).all() and np.abs(slopes(found.x)).max() < 1e-6 * (1.0 + np.abs(found.x).max()):
+                off = np.abs(slopes(found.x)).max()
+            if np.isfinite(found.x).all() and off < 1e-6 * (1.0 + np.abs(found.x).max()):
                 self.start[free] = found.x
                 return
         names = ", ".join(self.system.names[k] for k in free)
