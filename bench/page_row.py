@@ -178,7 +178,9 @@ def main() -> None:
     for kind, text in (("there", "DTC frame to row in the page"), ("painted", "DTC frame to row painted")):
         times = np.asarray([each[kind] for each in found])
         quantiles = [float(q) for q in np.percentile(times, [50, 90, 100])]
-        rows.append({"name": text, "rows": len(times), **dict(zip(("p50_ms", "p90_ms", "max_ms"), quantiles, strict=True))})
+        rows.append(
+            {"name": text, "rows": len(times), **dict(zip(("p50_ms", "p90_ms", "max_ms"), quantiles, strict=True))}
+        )
     machine = f"{platform.machine()}, {os.cpu_count()} cores"
     if options.json:
         print(json.dumps({"rows": rows, "machine": machine}, indent=2))

@@ -82,7 +82,7 @@ class Hub:
         self.latest: dict[int, dict[str, Any]] = {}
         self.worst: dict[int, float] = {}  # since the metrics were read
         self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
-        self.missed = 0
+        self.missed = self.refused = 0
         self._names, self._loads = MessageNames(()), BusLoads(())
         self._takes = {
             "hello": self._on_hello,
@@ -115,6 +115,10 @@ class Hub:
     def viewers(self) -> int:
         """Pages that are open."""
         return len(self._viewers)
+
+    def on_refused(self, _: int) -> None:
+        """Count a request that was refused."""
+        self.refused += 1
 
     def ask_memory(self) -> None:
         """Have the fault memory's file read soon."""

@@ -55,13 +55,24 @@ class ServeSettings:
 
 
 class _Protocol(H11Protocol):
-    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away."""
+    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away.
+
+    Where there are too many connections the one that has been silent for longest goes: who hoards keeps nobody out.
+    """
 
     _silent: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._arm()
+        if len(self.connections) > MOST_CONNECTIONS:
+            self._make_room()
+
+    def _make_room(self) -> None:
+        silent = [each for each in self.connections if isinstance(each, _Protocol) and each.is_silent]
+        oldest = min(silent, key=lambda each: each.since_s)  # this one is silent itself
+        self.connections.discard(oldest)  # the transport says that it is gone in the loop's next round only
+        oldest.transport.abort()
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
@@ -75,10 +86,16 @@ class _Protocol(H11Protocol):
     def _arm(self) -> None:
         if self._silent is not None:
             self._silent.cancel()
+        self.since_s = self.loop.time()
         self._silent = self.loop.call_later(HEAD_S, self._end_if_silent)
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether no request of it is being answered."""
+        return self.cycle is None or self.cycle.response_complete
+
     def _end_if_silent(self) -> None:
-        if self.cycle is None or self.cycle.response_complete:
+        if self.is_silent:
             self.transport.abort()
 
 
@@ -189,7 +206,7 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         more = {"ssl_certfile": settings.certificate, "ssl_keyfile": settings.key}
     hub = Hub(settings.socket)
     config = uvicorn.Config(
-        Guard(Page(hub).app(), rights),
+        Guard(Page(hub).app(), rights, hub.on_refused),
         http=_Protocol,
         loop="asyncio",
         ws="none",
@@ -198,7 +215,7 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         access_log=False,
         server_header=False,
         proxy_headers=False,
-        limit_concurrency=MOST_CONNECTIONS,
+        limit_concurrency=MOST_CONNECTIONS + 1,  # then none is silent
         timeout_keep_alive=5,
         timeout_graceful_shutdown=1,  # streams never end by themselves
         h11_max_incomplete_event_size=16 << 10,
