@@ -16,6 +16,8 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.common.log import get_logger
+
 #: Largest body of a request [byte], and how long it may take [s].
 BODY_BYTES, BODY_S = 16 << 10, 5.0
 #: Longest time for one part of an answer [s].
@@ -24,6 +26,8 @@ SEND_S = 30.0
 PATH_BYTES = 2048
 #: Largest headers together [byte], and how many at most.
 HEAD_BYTES, MOST_HEADERS = 8 << 10, 100
+
+log = get_logger(__name__)
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -106,7 +110,10 @@ class Guard:
             self._on_refused(wrong[0])
             await _refuse(send, *wrong)
             return
-        await self._app(scope, _given(body, receive), _guarded(send, self._rights))
+        try:
+            await self._app(scope, _given(body, receive), _guarded(send, self._rights))
+        except SlowReader:
+            log.warning("a client does not read its answer, sent away", path=scope["path"][:80])
 
     def _wrong(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         """Return what is wrong with a request: status and text."""
@@ -158,6 +165,10 @@ class _TooLargeError(Exception):
     """More came than is allowed."""
 
 
+class SlowReader(Exception):
+    """Who asked does not take the answer."""
+
+
 def _same(one: str, other: str) -> bool:
     return hmac.compare_digest(one.encode(), other.encode())
 
@@ -206,7 +217,10 @@ def _guarded(send: Send, rights: Rights) -> Send:
         if message["type"] == "http.response.start":
             own = {name.lower() for name, _ in message["headers"]}
             message["headers"] = [*message["headers"], *(pair for pair in more if pair[0] not in own)]
-        await asyncio.wait_for(send(message), SEND_S)
+        try:
+            await asyncio.wait_for(send(message), SEND_S)
+        except TimeoutError as error:
+            raise SlowReader from error
 
     return guarded
 

@@ -97,8 +97,13 @@ class Hub:
         self._stale = asyncio.Event()
 
     async def run(self) -> None:
-        """Listen until cancelled."""
-        await asyncio.gather(self.link.run(), self._read_memory())
+        """Listen until cancelled. An error of this process is told to the pages: what they show is old from then on."""
+        try:
+            await asyncio.gather(self.link.run(), self._read_memory())
+        except Exception as error:
+            log.error("this process does not follow the gateway any more", reason=repr(error))
+            self._on_link(False, f"an error of the page's server: {error!r}")
+            raise
 
     def open(self) -> Viewer:
         """Begin to tell a page; the first message is all there is."""

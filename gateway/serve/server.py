@@ -25,6 +25,8 @@ from gateway.serve.hub import Hub
 HEAD_S = 10.0
 #: Connections at a time.
 MOST_CONNECTIONS = 128
+#: What the kernel keeps of an answer that is not read; left alone it would be megabytes of each connection.
+SEND_BYTES = 128 << 10
 #: How often a server looks for who started it [s].
 PARENT_S = 1.0
 
@@ -87,16 +89,19 @@ class _Protocol(H11Protocol):
         if self._silent is not None:
             self._silent.cancel()
         self.since_s = self.loop.time()
-        self._silent = self.loop.call_later(HEAD_S, self._end_if_silent)
+        self._silent = self.loop.call_later(HEAD_S, self._look)
 
     @property
     def is_silent(self) -> bool:
         """Whether no request of it is being answered."""
         return self.cycle is None or self.cycle.response_complete
 
-    def _end_if_silent(self) -> None:
-        if self.is_silent:
+    def _look(self) -> None:
+        """Cut what is silent, and what has been closed but still waits for a peer that reads nothing."""
+        if self.is_silent or self.transport.is_closing():
             self.transport.abort()
+        else:
+            self._silent = self.loop.call_later(HEAD_S, self._look)
 
 
 def rights_of(settings: ServeSettings) -> Rights:
@@ -154,6 +159,7 @@ def open_socket(settings: ServeSettings) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     made = socket.socket(family, socket.SOCK_STREAM)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)  # handed down to each connection
     try:
         made.bind((host, settings.port))
         made.listen(64)  # from here on who comes waits until the server is there
@@ -212,6 +218,7 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         ws="none",
         lifespan="on",
         log_config=None,
+        log_level="error",  # not a line for each request that is none
         access_log=False,
         server_header=False,
         proxy_headers=False,

@@ -36,21 +36,21 @@ from gateway.serve.server import MOST_CONNECTIONS, ServeSettings, rights_of
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
-COMMAND = [sys.executable, "-c", "from gateway.cli import main; main()", "serve"]
+PROGRAM = "from gateway.cli import main; main()"
 
 
 @contextmanager
-def server(folder, *options):
-    """The page of a gateway that does not run; yields address, port and control token."""
+def server(folder, *options, program=PROGRAM):
+    """The page of a gateway that does not run; yields address, port, control token, process identifier."""
     started = subprocess.Popen(
-        [*COMMAND, "--status", str(folder / "nobody"), "--port", "0", *map(str, options)],
+        [sys.executable, "-c", program, "serve", "--status", str(folder / "nobody"), "--port", "0", *map(str, options)],
         stderr=subprocess.PIPE, text=True, cwd=folder,
     )  # fmt: skip
     try:
         line = started.stderr.readline()
         found = re.search(r"page: (https?://\S+?:(\d+)/)(?:#control=(\S+))?", line)
         assert found, line
-        yield found[1], int(found[2]), found[3]
+        yield found[1], int(found[2]), found[3], started.pid
         assert started.poll() is None, "it serves still"
     finally:
         started.terminate()
@@ -188,6 +188,31 @@ def test_streams_that_nobody_reads_take_bounded_memory_and_no_more_than_their_pl
     wait_for(is_free_again)
 
 
+def test_who_does_not_read_an_answer_is_sent_away(tmp_path):
+    """All connections that there may be, each with a file of a megabyte that is not read; with short times."""
+    program = (
+        "import gateway.serve.guard as guard, gateway.serve.server as server; guard.SEND_S = server.HEAD_S = 1.0;"
+        "from gateway.cli import main; main()"
+    )
+    with server(tmp_path, program=program) as (_, port, _, pid):
+        assert said(port, request(port, Connection="close"))[0] == 200
+        own = sockets_of(pid)
+        ask = request(port, "/bokeh/bokeh.min.js")
+        opened = []
+        try:
+            for _ in range(MOST_CONNECTIONS):
+                connection = socket.socket()
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                connection.connect(("127.0.0.1", port))
+                connection.sendall(ask)
+                opened.append(connection)
+            wait_for(lambda: sockets_of(pid) <= own)
+            assert said(port, request(port, Connection="close"))[0] == 200
+        finally:
+            for connection in opened:
+                connection.close()
+
+
 def test_a_body_that_does_not_come_is_not_waited_for(site):
     ask = request(
         site.port, "/api/clear", "POST", b'{"dtc"', Content_Length=20, Content_Type="application/json",
@@ -206,7 +231,7 @@ def test_a_page_says_what_others_may_do_with_it(page):
 
 
 def test_a_right_request_without_a_daemon_says_so(page):
-    url, _, token = page
+    url, _, token, _ = page
     ask = urllib.request.Request(
         f"{url}api/clear", b"{}", {"content-type": "application/json", "authorization": f"Bearer {token}"}
     )
@@ -250,7 +275,7 @@ def test_with_tokens_and_tls_reading_and_changing_are_two_rights(tmp_path):
         "--control-token-file", token_file(tmp_path, "control", control),
     )  # fmt: skip
     context = ssl.create_default_context(cafile=cert)
-    with server(tmp_path, *options) as (url, _, shown):
+    with server(tmp_path, *options) as (url, _, shown, _):
         assert url.startswith("https:")
         assert shown is None, "a token of a file is not said"
 
