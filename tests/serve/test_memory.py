@@ -55,8 +55,12 @@ class Lazy:
 def test_memory_is_flat(tmp_path):
     """Of a gateway that is not read, of a page that is read, scraped, not read, of what tells a broker that is away."""
     events = amount(10**6, 40_000, 20_000)
+    first = amount(600, 0)  # the history of the pages is full then
     talking = subprocess.Popen(
-        [sys.executable, PROGRAM, tmp_path, str(events)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, PROGRAM, tmp_path, str(events), str(first)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     with socket.socket() as nobody:  # a port at which nobody listens
         nobody.bind(("127.0.0.1", 0))

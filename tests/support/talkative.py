@@ -1,8 +1,9 @@
-"""A gateway that has very much to say, in a process of its own: ``python talkative.py FOLDER EVENTS``.
+"""A gateway that has very much to say, in a process of its own: ``python talkative.py FOLDER EVENTS FIRST``.
 
 A real gateway, its fault memory a file, and its status socket. So many events are told to the socket's readers,
 1000 for each second of the engine's time, and 100 frames are fed in it, of which a tenth fail a test. Readers that
-keep up are not outrun; others are sent away and counted. It prints ``mark N SENT_AWAY`` at a tenth, at half and at
+keep up are not outrun; others are sent away and counted. FIRST seconds are without events: 600 fill the history that
+pages keep. It prints ``mark N SENT_AWAY`` at a tenth, at half and at
 the end of the events, and goes on at a line on stdin.
 """
 
@@ -89,7 +90,19 @@ def wait_for_line(status, clock):
     return clock
 
 
-def main(folder, events):
+def play_a_second(gateway, status, t_ns, clock):
+    """Feed frames, with a look of the readers 20 times; returns the time of both clocks then."""
+    fed = frames(t_ns)
+    for k in range(0, len(fed), 5):
+        status.on_frames(fed[k : k + 5])
+        gateway.feed(fed[k : k + 5])
+        clock += 0.05
+        status.turn(clock)
+    let_them_read(status, clock)
+    return t_ns + 10**9, clock
+
+
+def main(folder, events, first):
     gateway = Gateway(load_config(write_config(folder)), folder / "faults.sqlite")
     gateway.write_beside()
     t_ns = 1_700_000_000 * 10**9
@@ -99,17 +112,12 @@ def main(folder, events):
     gateway.listen(status.tell)
     print("ready", flush=True)
     clock = wait_for_line(status, 0.0)
+    for _ in range(first):
+        t_ns, clock = play_a_second(gateway, status, t_ns, clock)
     for number in range(events):
         status.tell(event(number, t_ns))
         if number % BATCH == BATCH - 1:
-            fed = frames(t_ns)
-            for k in range(0, len(fed), 5):  # a tick each
-                status.on_frames(fed[k : k + 5])
-                gateway.feed(fed[k : k + 5])
-                clock += 0.05
-                status.turn(clock)
-            t_ns += 10**9
-            let_them_read(status, clock)
+            t_ns, clock = play_a_second(gateway, status, t_ns, clock)
         if number + 1 in (events // 10, events // 2, events):
             print("mark", number + 1, status.sent_away, flush=True)
             clock = wait_for_line(status, clock)
@@ -118,4 +126,4 @@ def main(folder, events):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
