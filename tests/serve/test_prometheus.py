@@ -136,9 +136,12 @@ def test_prometheus_answers_what_the_dashboard_and_the_rules_ask(tmp_path):
             print("no answer yet:", waiting)
         for _, expr in expressions():
             api("query", query=expr)  # is one, at least
-        wait_for(lambda: "GatewayFaultConfirmed" in [each["labels"]["alertname"] for each in api("alerts")["alerts"]])
+
+        def confirmed():
+            named = [a for a in api("alerts")["alerts"] if a["labels"]["alertname"] == "GatewayFaultConfirmed"]
+            return {alert["annotations"]["summary"] for alert in named}
+
+        wait_for(lambda: "P0336-39 (crank.missed_pulse) is confirmed" in confirmed())
         rules = [rule for group in api("rules")["groups"] for rule in group["rules"]]
         assert {rule["health"] for rule in rules} == {"ok"}
         assert len(rules) >= 8
-        summary = next(a for a in api("alerts")["alerts"] if a["labels"]["alertname"] == "GatewayFaultConfirmed")
-        assert summary["annotations"]["summary"] == "P0336-39 (crank.missed_pulse) is confirmed"
