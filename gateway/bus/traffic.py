@@ -161,7 +161,7 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
     tail = crc << 1 | (1 - (crc & 1))  # the bit more is not like the one before it
     step = stuffing[run, tail >> 8]
     stuffed += (step >> 3) + (stuffing[step & 7, tail & 0xFF] >> 3)
-    return count + 8 * size + 15 + stuffed + _TAIL
+    return int(count + 8 * size + 15 + stuffed + _TAIL)
 
 
 @kernel

@@ -303,7 +303,7 @@ class StatusSocket:
         engine = self._gateway.engine
         buckets, counters = engine.take_buckets(), engine.fault_detection_counters()
         told = np.flatnonzero((buckets["count"] > 0) | (counters != self._counters))
-        self._counters = counters
+        self._counters = counters.astype(np.int16)
         rows = np.zeros(len(told), TickRow.dtype)
         for name in buckets.dtype.names or ():
             rows[name] = buckets[name][told]
