@@ -1,8 +1,8 @@
 """What passes on the buses: how many bits, stuff bits counted, and each identifier's period and latest payload.
 
-Bits are those of ISO 11898-1, from the start of frame to the end of the intermission. A classical frame is walked bit
-by bit with its CRC; the stuff bits of a CAN FD frame are counted to the end of its data field, those of its CRC field
-stand at fixed places.
+Bits are those of ISO 11898-1, from the start of frame to the end of the intermission. A classical frame is walked with
+its CRC, a byte at a time by two tables; the stuff bits of a CAN FD frame are counted bit by bit to the end of its data
+field, those of its CRC field stand at fixed places.
 """
 
 from __future__ import annotations
@@ -30,6 +30,39 @@ for _length in range(65):
     _DLC[_length] = next(code for code, most in enumerate(FD_LENGTHS) if _length <= most)
 
 
+_POLYNOMIAL = 0x4599
+
+
+def _crc_table() -> NDArray[np.int64]:
+    """Return what each byte makes of the CRC-15, shape (256,)."""
+    made = np.zeros(256, np.int64)
+    for byte in range(256):
+        crc = byte << 7
+        for _ in range(8):
+            crc = crc << 1 ^ (_POLYNOMIAL if crc & 0x4000 else 0)
+        made[byte] = crc & 0x7FFF
+    return made
+
+
+def _stuffing_table() -> NDArray[np.int64]:
+    """Return what each byte makes of a run: four times the last bit, and its length 1..4 less 1.
+
+    Shape (8, 256): eight times the stuff bits, and the run behind the byte. A stuff bit begins a run itself.
+    """
+    made = np.zeros((8, 256), np.int64)
+    for run in range(8):
+        for byte in range(256):
+            last, alike, stuffed = run >> 2, (run & 3) + 1, 0
+            for place in range(7, -1, -1):
+                bit = byte >> place & 1
+                last, alike = bit, (alike + 1 if bit == last else 1)
+                if alike == 5:
+                    last, alike, stuffed = 1 - bit, 1, stuffed + 1
+            made[run, byte] = stuffed << 3 | last << 2 | alike - 1
+    return made
+
+
+_CRCS, _STUFFING = _crc_table(), _stuffing_table()
 _CELLS = FRAME.itemsize // 8
 
 
@@ -91,47 +124,67 @@ def _payload(bits: Any, at: int, words: Any, length: int) -> int:
 
 
 @kernel
-def _crc15(bits: Any, count: int) -> int:
-    crc = 0
-    for k in range(count):
-        top = ((crc >> 14) & 1) ^ bits[k]
-        crc = (crc << 1) & 0x7FFF
-        if top == 1:
-            crc ^= 0x4599
-    return crc
-
-
-@kernel
-def bits_of(can_id: int, flags: int, length: int, words: Any, bits: Any, codes: Any) -> tuple[int, int]:
-    """Return the bits of one frame on the wire, those at the nominal and those at the data bit rate.
+def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: Any) -> int:
+    """Return the bits of one classical frame on the wire.
 
     Args:
         can_id: with EXTENDED and REMOTE.
+        length: payload [byte]; its DLC.
+        words: payload, the first byte lowest.
+        crcs: what each byte makes of the CRC, shape (256,).
+        stuffing: what each byte makes of a run of bits alike, shape (8, 256).
+    """
+    remote = 1 if can_id & _REMOTE else 0
+    length = min(length, 8)  # what is longer is none; its load is that of the longest
+    if can_id & _EXTENDED:  # SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC
+        head = ((can_id >> 18) & 0x7FF) << 27 | 3 << 25 | (can_id & 0x3FFFF) << 7 | remote << 6 | length
+        count, size = 39, 5
+    else:  # SOF, 11 bits, RTR, IDE, r0, DLC
+        head = (can_id & 0x7FF) << 7 | remote << 6 | length
+        count, size = 19, 3
+    # Whole bytes: zeros before it do not change the CRC, and bits that alternate, the last of them recessive, no run.
+    lead = 0b10101 & ((1 << (8 * size - count)) - 1)
+    padded = lead << count | head
+    crc, run, stuffed = 0, 0, 0
+    for k in range(size - 1, -1, -1):
+        crc = ((crc << 8) & 0x7FFF) ^ crcs[((crc >> 7) ^ (head >> (8 * k))) & 0xFF]
+        step = stuffing[run, (padded >> (8 * k)) & 0xFF]
+        run = step & 7
+        stuffed += step >> 3
+    size = 0 if remote else length
+    for k in range(size):
+        byte = int((words[k >> 3] >> np.uint64(8 * (k & 7))) & np.uint64(0xFF))
+        crc = ((crc << 8) & 0x7FFF) ^ crcs[((crc >> 7) ^ byte) & 0xFF]
+        step = stuffing[run, byte]
+        run = step & 7
+        stuffed += step >> 3
+    tail = crc << 1 | (1 - (crc & 1))  # the bit more is not like the one before it
+    step = stuffing[run, tail >> 8]
+    stuffed += (step >> 3) + (stuffing[step & 7, tail & 0xFF] >> 3)
+    return int(count + 8 * size + 15 + stuffed + _TAIL)
+
+
+@kernel
+def fd_bits(can_id: int, flags: int, length: int, words: Any, bits: Any, codes: Any) -> tuple[int, int]:
+    """Return the bits of one CAN FD frame on the wire, those at the nominal and those at the data bit rate.
+
+    Args:
+        can_id: with EXTENDED.
         flags: of the frame.
         length: payload [byte].
         words: payload, eight words, the first byte lowest.
         bits: room for 640 bits.
         codes: DLC of each length, shape (65,).
     """
-    fd = flags & _FD != 0
-    remote = can_id & _REMOTE != 0
     at = _put(bits, 0, 0, 1)
     if can_id & _EXTENDED:
         at = _put(bits, at, (can_id >> 18) & 0x7FF, 11)
         at = _put(bits, at, 3, 2)  # SRR, IDE
         at = _put(bits, at, can_id & 0x3FFFF, 18)
-        at = _put(bits, at, 1 if remote and not fd else 0, 1)
-        if not fd:
-            at = _put(bits, at, 0, 2)
+        at = _put(bits, at, 0, 1)  # RRS
     else:
         at = _put(bits, at, can_id & 0x7FF, 11)
-        at = _put(bits, at, 1 if remote and not fd else 0, 1)
-        at = _put(bits, at, 0, 1 if fd else 2)
-    if not fd:
-        at = _put(bits, at, codes[length], 4)
-        at = _payload(bits, at, words, 0 if remote else length)
-        at = _put(bits, at, _crc15(bits, at), 15)
-        return at + _stuffed(bits, at) + _TAIL, 0
+        at = _put(bits, at, 0, 2)  # RRS, IDE
     at = _put(bits, at, 2, 2)  # FDF, res
     fast = flags & _BRS != 0
     at = _put(bits, at, 1 if fast else 0, 1)
@@ -160,7 +213,9 @@ def _place(seen: Any, bus: int, can_id: int) -> int:
 
 
 @kernel
-def count_frames(loads: Any, seen: Any, bits: Any, codes: Any, used: Any, frames: Any, cells: Any) -> None:
+def count_frames(
+    loads: Any, seen: Any, bits: Any, codes: Any, crcs: Any, stuffing: Any, used: Any, frames: Any, cells: Any
+) -> None:
     """Count a batch of frames.
 
     Args:
@@ -168,6 +223,8 @@ def count_frames(loads: Any, seen: Any, bits: Any, codes: Any, used: Any, frames
         seen: shape (a power of two,) of Seen.
         bits: room for 640 bits.
         codes: DLC of each length.
+        crcs: what each byte makes of the CRC, as classical_bits takes it.
+        stuffing: what each byte makes of a run, as classical_bits takes it.
         used: shape (1,), how many places of ``seen`` are taken.
         frames: shape (n,) of FRAME.
         cells: the same batch as uint64, shape (n, 10).
@@ -182,7 +239,10 @@ def count_frames(loads: Any, seen: Any, bits: Any, codes: Any, used: Any, frames
             load.errors += 1
             continue
         length, flags = int(frame["length"]), int(frame["flags"])
-        nominal, data = bits_of(can_id, flags, length, cells[i, 2:], bits, codes)
+        if flags & _FD:
+            nominal, data = fd_bits(can_id, flags, length, cells[i, 2:], bits, codes)
+        else:
+            nominal, data = classical_bits(can_id, length, cells[i, 2:], crcs, stuffing), 0
         load.frames += 1
         load.nominal_bits += nominal
         load.data_bits += data
@@ -224,7 +284,7 @@ class Traffic:
         self._seen: Any = _table(_PLACES, Seen)
         self._bits = np.zeros(640, np.int64)
         self._used = np.zeros(1, np.int64)
-        mine = (self.loads, self._seen, self._bits, _DLC, self._used)
+        mine = (self.loads, self._seen, self._bits, _DLC, _CRCS, _STUFFING, self._used)
         none = empty(0)
         self._count = bound(count_frames, *mine, rest=(none, Same(0, none.view("<u8").reshape(0, _CELLS))))
 

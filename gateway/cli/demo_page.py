@@ -16,7 +16,7 @@ from gateway.cli.serve import PageProcess
 from gateway.common.extras import need
 from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
-from gateway.vecu.player import Player
+from gateway.vecu.player import Player, TruthReader
 
 #: How long the page is waited for before the scenario begins, and how long it has to draw then [s].
 PATIENCE_S, LOOK_S = 20.0, 2.0
@@ -56,7 +56,7 @@ class DemoPage:
     def begin(self, gateway: Gateway, player: Player) -> None:
         """Open the page, and wait until it is there."""
         gateway.engine.warm()  # what has to be compiled is, before anybody looks
-        self._player = player
+        self._truth = TruthReader(player)
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
         gateway.listen(self._socket.tell)
         self._page = PageProcess(self._folder / "status", self._port, open_page=self._open)
@@ -76,7 +76,7 @@ class DemoPage:
         if self._socket is None or not len(frames):
             return
         self._socket.on_frames(frames)
-        for fact in self._player.told(int(frames["t_ns"][-1])):
+        for fact in self._truth.until(int(frames["t_ns"][-1])):
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             text = f"{fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
             self._socket.tell({"event": "injected", "t_ns": fact.t_ns, "text": text})

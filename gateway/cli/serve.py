@@ -55,7 +55,7 @@ def serve(
         place, host, port, tuple(names), read_token_file, control_token_file, certificate, key, parent
     )
     if parent is not None:
-        os.nice(NICE)  # beside a gateway that has no time to lose
+        give_way()
     rights = rights_of(settings)
     with open_socket(settings) as listener:
         url = url_of(settings, rights, listener.getsockname()[1])
@@ -66,6 +66,19 @@ def serve(
             webbrowser.open(url)
         work(settings, rights, listener)
     return 0
+
+
+def give_way() -> None:
+    """Have this process give way to a gateway beside it, which has no time to lose.
+
+    It gets a smaller share where there is not enough for all, and never takes a processor from who is at work when
+    something comes for it (SCHED_BATCH); it has to wait for its share then.
+    """
+    os.nice(NICE)
+    try:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    except OSError as error:  # a sandbox that forbids it
+        log.info("the page runs without SCHED_BATCH", reason=error.strerror)
 
 
 class PageProcess:

@@ -39,7 +39,7 @@ from gateway.runtime.drive import drive, judgeable
 from gateway.runtime.playing import player_of
 from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
-from gateway.vecu.player import Player
+from gateway.vecu.player import Player, TruthReader
 from gateway.vecu.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class _Narrator:
 
     def __init__(self, console: Console, player: Player, gateway: Gateway) -> None:
         self._console = console
-        self._player = player
+        self._player, self._truth = player, TruthReader(player)
         self._gateway = gateway
         self._shown_s = -1
 
@@ -92,7 +92,7 @@ class _Narrator:
 
     def on_frames(self, frames: Frames) -> None:
         """Tell what was injected before the gateway can have seen it."""
-        for fact in self._player.told(int(frames["t_ns"][-1])) if len(frames) else ():
+        for fact in self._truth.until(int(frames["t_ns"][-1])) if len(frames) else ():
             tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
             self._console.print(
                 f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]: {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"

@@ -46,6 +46,8 @@ LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
 DEAF_S = 1.0
 #: How often what is shown [s].
 TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
+#: No detection counter is this.
+_NEVER_TOLD = 999
 #: Identifiers that are shown.
 MOST_MESSAGES = 512
 
@@ -118,7 +120,7 @@ class StatusSocket:
         self._commands = Commands(gateway)
         self._hello = b""
         self._traffic = Traffic(len(gateway.config.bus))
-        self._counters = np.zeros(len(gateway.engine.faults), np.int8)
+        self._tell_all_counters()
         for reader in self._readers:
             reader.put(self._greeting())
 
@@ -212,6 +214,7 @@ class StatusSocket:
             self._gateway.engine.take_buckets()
             self._traffic = Traffic(len(self._gateway.config.bus))
             self._due = [0.0, 0.0, 0.0]
+        self._tell_all_counters()
         self._readers.append(reader)
         self._selector.register(connection, selectors.EVENT_READ, reader)
         reader.put(self._greeting())
@@ -292,11 +295,15 @@ class StatusSocket:
             self._hello = _message("hello", **_described(self._gateway))
         return self._hello
 
+    def _tell_all_counters(self) -> None:
+        """Have the next tick tell the detection counters of all faults, not of those only that have changed."""
+        self._counters = np.full(len(self._gateway.engine.faults), _NEVER_TOLD, np.int16)
+
     def _tick(self) -> None:
         engine = self._gateway.engine
         buckets, counters = engine.take_buckets(), engine.fault_detection_counters()
         told = np.flatnonzero((buckets["count"] > 0) | (counters != self._counters))
-        self._counters = counters
+        self._counters = counters.astype(np.int16)
         rows = np.zeros(len(told), TickRow.dtype)
         for name in buckets.dtype.names or ():
             rows[name] = buckets[name][told]
@@ -321,6 +328,7 @@ class StatusSocket:
             if reader.missed and reader.bytes <= ENOUGH_BYTES:
                 reader.put(_message("missed", count=reader.missed))
                 reader.missed = 0
+                self._tell_all_counters()  # some of the changes were in what it missed
 
     def _show_messages(self) -> None:
         engine = self._gateway.engine

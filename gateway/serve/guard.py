@@ -16,14 +16,18 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.common.log import get_logger
+
 #: Largest body of a request [byte], and how long it may take [s].
 BODY_BYTES, BODY_S = 16 << 10, 5.0
 #: Longest time for one part of an answer [s].
 SEND_S = 30.0
 #: Longest path with its query [byte].
 PATH_BYTES = 2048
-#: Largest headers together [byte].
-HEAD_BYTES = 8 << 10
+#: Largest headers together [byte], and how many at most.
+HEAD_BYTES, MOST_HEADERS = 8 << 10, 100
+
+log = get_logger(__name__)
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -79,14 +83,11 @@ class Guard:
     Args:
         app: the application.
         rights: who may what.
-
-    Attributes:
-        refused: requests that were refused.
+        on_refused: told of each request that was refused: its status.
     """
 
-    def __init__(self, app: App, rights: Rights) -> None:
-        self._app, self._rights = app, rights
-        self.refused = 0
+    def __init__(self, app: App, rights: Rights, on_refused: Callable[[int], None] = lambda status: None) -> None:
+        self._app, self._rights, self._on_refused = app, rights, on_refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
@@ -106,10 +107,13 @@ class Guard:
             except _TooLargeError:
                 wrong = (413, "the request is too large")
         if wrong is not None:
-            self.refused += 1
+            self._on_refused(wrong[0])
             await _refuse(send, *wrong)
             return
-        await self._app(scope, _given(body, receive), _guarded(send, self._rights))
+        try:
+            await self._app(scope, _given(body, receive), _guarded(send, self._rights))
+        except SlowReader:
+            log.warning("a client does not read its answer, sent away", path=scope["path"][:80])
 
     def _wrong(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         """Return what is wrong with a request: status and text."""
@@ -125,10 +129,14 @@ class Guard:
         return self._wrong_shape(scope, headers) or self._wrong_right(scope, headers, bool(origins))
 
     def _wrong_shape(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
+        if scope["http_version"] not in ("1.0", "1.1"):
+            return 505, "HTTP/1.1"
         if len(scope["raw_path"]) + len(scope["query_string"]) > PATH_BYTES:
             return 414, "the path is too long"
-        if sum(len(name) + len(value) for name, value in headers) > HEAD_BYTES:
+        if len(headers) > MOST_HEADERS or sum(len(name) + len(value) for name, value in headers) > HEAD_BYTES:
             return 431, "the headers are too large"
+        if any(name == "upgrade" and "websocket" in value.lower() for name, value in headers):
+            return 400, "no websockets here"
         lengths = [value for name, value in headers if name == "content-length"]
         chunked = any(name == "transfer-encoding" for name, _ in headers)
         if scope["method"] in ("GET", "HEAD"):
@@ -155,6 +163,10 @@ class Guard:
 
 class _TooLargeError(Exception):
     """More came than is allowed."""
+
+
+class SlowReader(Exception):
+    """Who asked does not take the answer."""
 
 
 def _same(one: str, other: str) -> bool:
@@ -205,7 +217,10 @@ def _guarded(send: Send, rights: Rights) -> Send:
         if message["type"] == "http.response.start":
             own = {name.lower() for name, _ in message["headers"]}
             message["headers"] = [*message["headers"], *(pair for pair in more if pair[0] not in own)]
-        await asyncio.wait_for(send(message), SEND_S)
+        try:
+            await asyncio.wait_for(send(message), SEND_S)
+        except TimeoutError as error:
+            raise SlowReader from error
 
     return guarded
 

@@ -82,7 +82,7 @@ class Hub:
         self.latest: dict[int, dict[str, Any]] = {}
         self.worst: dict[int, float] = {}  # since the metrics were read
         self.events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
-        self.missed = 0
+        self.missed = self.refused = 0
         self._names, self._loads = MessageNames(()), BusLoads(())
         self._takes = {
             "hello": self._on_hello,
@@ -97,8 +97,13 @@ class Hub:
         self._stale = asyncio.Event()
 
     async def run(self) -> None:
-        """Listen until cancelled."""
-        await asyncio.gather(self.link.run(), self._read_memory())
+        """Listen until cancelled. An error of this process is told to the pages: what they show is old from then on."""
+        try:
+            await asyncio.gather(self.link.run(), self._read_memory())
+        except Exception as error:
+            log.error("this process does not follow the gateway any more", reason=repr(error))
+            self._on_link(False, f"an error of the page's server: {error!r}")
+            raise
 
     def open(self) -> Viewer:
         """Begin to tell a page; the first message is all there is."""
@@ -115,6 +120,10 @@ class Hub:
     def viewers(self) -> int:
         """Pages that are open."""
         return len(self._viewers)
+
+    def on_refused(self, _: int) -> None:
+        """Count a request that was refused."""
+        self.refused += 1
 
     def ask_memory(self) -> None:
         """Have the fault memory's file read soon."""

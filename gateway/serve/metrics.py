@@ -56,6 +56,9 @@ class Metrics(Collector):
             if name in decoded:
                 yield CounterMetricFamily(f"gateway_engine_{name}", text, value=float(decoded[name]))
         yield CounterMetricFamily("gateway_page_missed_ticks", "Ticks that the page missed.", value=self._hub.missed)
+        yield CounterMetricFamily(
+            "gateway_page_refused", "Requests that the page's server refused.", value=self._hub.refused
+        )
 
     def _faults(self) -> Iterator[Metric]:
         hub = self._hub

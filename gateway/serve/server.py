@@ -25,6 +25,8 @@ from gateway.serve.hub import Hub
 HEAD_S = 10.0
 #: Connections at a time.
 MOST_CONNECTIONS = 128
+#: What the kernel keeps of an answer that is not read; left alone it would be megabytes of each connection.
+SEND_BYTES = 128 << 10
 #: How often a server looks for who started it [s].
 PARENT_S = 1.0
 
@@ -55,13 +57,24 @@ class ServeSettings:
 
 
 class _Protocol(H11Protocol):
-    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away."""
+    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away.
+
+    Where there are too many connections the one that has been silent for longest goes: who hoards keeps nobody out.
+    """
 
     _silent: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._arm()
+        if len(self.connections) > MOST_CONNECTIONS:
+            self._make_room()
+
+    def _make_room(self) -> None:
+        silent = [each for each in self.connections if isinstance(each, _Protocol) and each.is_silent]
+        oldest = min(silent, key=lambda each: each.since_s)  # this one is silent itself
+        self.connections.discard(oldest)  # the transport says that it is gone in the loop's next round only
+        oldest.transport.abort()
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
@@ -75,11 +88,20 @@ class _Protocol(H11Protocol):
     def _arm(self) -> None:
         if self._silent is not None:
             self._silent.cancel()
-        self._silent = self.loop.call_later(HEAD_S, self._end_if_silent)
+        self.since_s = self.loop.time()
+        self._silent = self.loop.call_later(HEAD_S, self._look)
 
-    def _end_if_silent(self) -> None:
-        if self.cycle is None or self.cycle.response_complete:
+    @property
+    def is_silent(self) -> bool:
+        """Whether no request of it is being answered."""
+        return self.cycle is None or self.cycle.response_complete
+
+    def _look(self) -> None:
+        """Cut what is silent, and what has been closed but still waits for a peer that reads nothing."""
+        if self.is_silent or self.transport.is_closing():
             self.transport.abort()
+        else:
+            self._silent = self.loop.call_later(HEAD_S, self._look)
 
 
 def rights_of(settings: ServeSettings) -> Rights:
@@ -137,6 +159,7 @@ def open_socket(settings: ServeSettings) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     made = socket.socket(family, socket.SOCK_STREAM)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)  # handed down to each connection
     try:
         made.bind((host, settings.port))
         made.listen(64)  # from here on who comes waits until the server is there
@@ -189,16 +212,17 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         more = {"ssl_certfile": settings.certificate, "ssl_keyfile": settings.key}
     hub = Hub(settings.socket)
     config = uvicorn.Config(
-        Guard(Page(hub).app(), rights),
+        Guard(Page(hub).app(), rights, hub.on_refused),
         http=_Protocol,
         loop="asyncio",
         ws="none",
         lifespan="on",
         log_config=None,
+        log_level="error",  # not a line for each request that is none
         access_log=False,
         server_header=False,
         proxy_headers=False,
-        limit_concurrency=MOST_CONNECTIONS,
+        limit_concurrency=MOST_CONNECTIONS + 1,  # then none is silent
         timeout_keep_alive=5,
         timeout_graceful_shutdown=1,  # streams never end by themselves
         h11_max_incomplete_event_size=16 << 10,

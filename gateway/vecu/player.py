@@ -170,7 +170,6 @@ class Player:
         self._hears = any(source.running is not None for source in self._sources)
         self.stepwise = stepwise or self._hears or bool(self._conditions)
         self._heard, self._sent, self._late = empty(0), empty(0), empty(0)
-        self._told: Counter[tuple[int, str, int]] = Counter()
         self.overrides = Overrides([source.sender for source in self._sources], buses)
         self.frames = empty(0) if self.stepwise else self._all()
 
@@ -266,19 +265,6 @@ class Player:
         found = [fact for source in self._sources for fact in (*source.truth, *source.harness.truth)]
         return [*found, *self._wire.truth]
 
-    def told(self, until_ns: int) -> list[Truth]:
-        """Return what was injected until a time [ns] and has not been returned before, in order of time."""
-        left = self._told.copy()
-        found = []
-        for fact in sorted(self.truth, key=lambda fact: fact.t_ns):
-            name = fact.t_ns, fact.kind, fact.tooth
-            if left[name]:
-                left[name] -= 1
-            elif fact.t_ns <= until_ns:
-                found.append(fact)
-        self._told.update((fact.t_ns, fact.kind, fact.tooth) for fact in found)
-        return found
-
     @property
     def listens(self) -> bool:
         """Whether what is on the buses matters to it."""
@@ -345,3 +331,28 @@ class Player:
         for source in self._sources:
             if source.running is not None:
                 source.running.close()
+
+
+class TruthReader:
+    """What was injected, as it comes: each fact once to each reader.
+
+    Args:
+        player: whose.
+    """
+
+    def __init__(self, player: Player) -> None:
+        self._player = player
+        self._told: Counter[tuple[int, str, int]] = Counter()
+
+    def until(self, until_ns: int) -> list[Truth]:
+        """Return what was injected until a time [ns] and has not been returned before, in order of time."""
+        left = self._told.copy()
+        found = []
+        for fact in sorted(self._player.truth, key=lambda fact: fact.t_ns):
+            name = fact.t_ns, fact.kind, fact.tooth
+            if left[name]:
+                left[name] -= 1
+            elif fact.t_ns <= until_ns:
+                found.append(fact)
+        self._told.update((fact.t_ns, fact.kind, fact.tooth) for fact in found)
+        return found

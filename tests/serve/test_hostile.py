@@ -11,9 +11,12 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from collections import Counter
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from amount import amount
@@ -21,29 +24,33 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from hostile import PATIENCE_S, attacks, request, said, slow_clients, was_sent_away
+from kernel_can import wait_for
+from processes import bus, gateway, process
 
 from gateway.errors import InputError
-from gateway.serve.guard import BODY_BYTES, is_loopback
-from gateway.serve.server import HEAD_S, ServeSettings, rights_of
+from gateway.serve.app import MOST_VIEWERS
+from gateway.serve.guard import is_loopback
+from gateway.serve.server import MOST_CONNECTIONS, ServeSettings, rights_of
 
 pytestmark = pytest.mark.system
 
-COMMAND = [sys.executable, "-c", "from gateway.cli import main; main()", "serve"]
-PATIENCE_S = 120.0
+ROOT = Path(__file__).parents[2]
+PROGRAM = "from gateway.cli import main; main()"
 
 
 @contextmanager
-def server(folder, *options):
-    """The page of a gateway that does not run; yields address, port and control token."""
+def server(folder, *options, program=PROGRAM):
+    """The page of a gateway that does not run; yields address, port, control token, process identifier."""
     started = subprocess.Popen(
-        [*COMMAND, "--status", str(folder / "nobody"), "--port", "0", *map(str, options)],
+        [sys.executable, "-c", program, "serve", "--status", str(folder / "nobody"), "--port", "0", *map(str, options)],
         stderr=subprocess.PIPE, text=True, cwd=folder,
     )  # fmt: skip
     try:
         line = started.stderr.readline()
         found = re.search(r"page: (https?://\S+?:(\d+)/)(?:#control=(\S+))?", line)
         assert found, line
-        yield found[1], int(found[2]), found[3]
+        yield found[1], int(found[2]), found[3], started.pid
         assert started.poll() is None, "it serves still"
     finally:
         started.terminate()
@@ -57,123 +64,174 @@ def page(tmp_path_factory):
         yield found
 
 
-def said(port, data, *, patience_s=PATIENCE_S):
-    """Send bytes; returns the status of the answer and all that came; None: the connection was closed."""
-    with socket.create_connection(("127.0.0.1", port), timeout=patience_s) as connection:
+def memory_of(pid):
+    """What a process holds at present [kB]."""
+    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1])
+
+
+def sockets_of(pid):
+    """How many sockets a process holds."""
+    held = 0
+    for entry in Path(f"/proc/{pid}/fd").iterdir():
         try:
-            connection.sendall(data)
-        except OSError:
-            pass  # refused before all was sent
-        heard = b""
-        try:
-            while part := connection.recv(65536):
-                heard += part
-        except ConnectionResetError:
-            pass
-    found = re.match(rb"HTTP/1\.1 (\d+)", heard)
-    return (int(found[1]) if found else None), heard
+            held += entry.readlink().name.startswith("socket:")
+        except FileNotFoundError:
+            pass  # closed meanwhile
+    return held
 
 
-def request(port, path="/", method="GET", body=b"", *, host=None, version="1.1", **headers):
-    lines = [f"{method} {path} HTTP/{version}"]
-    if host != "":
-        lines.append(f"Host: {host or f'127.0.0.1:{port}'}")
-    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
-    return ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1", "replace") + body
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A gateway that has a trouble code, and its page, where reading needs a token, too."""
+    folder = tmp_path_factory.mktemp("site")
+    reading, control = "reading-" + "r" * 20, "control-" + "c" * 20
+    tokens = (
+        "--read-token-file", token_file(folder, "read", reading),
+        "--control-token-file", token_file(folder, "control", control),
+    )  # fmt: skip
+    with bus(folder) as uri:
+        text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
+        (folder / "gateway.toml").write_text(text.replace('"dbc/', f'"{ROOT}/dbc/'))
+        with (
+            process("run", "gateway.toml", "--status", "status", cwd=folder, ready="monitoring"),
+            process("serve", "--status", "status", "--port", "0", *tokens, cwd=folder, ready="page:") as page,
+        ):
+            port = int(re.search(r":(\d+)/", page.said)[1])
+            made = SimpleNamespace(folder=folder, pid=page.pid, port=port, reading=reading, control=control)
+            wait_for(lambda: told(made)["entries"])
+            yield made
+            assert page.poll() is None, "it serves still"
 
 
-#: Parts of paths that lead elsewhere.
-UP = ("..", "%2e%2e", "..%2f", "%2e%2e%2f", "..\\", "%5c..", "....//", "%00", "%c0%ae%c0%ae", "//", "%252e%252e")
+def told(site):
+    """What testers see, and what has been done to the gateway."""
+    entries = json.loads(gateway("faults", "list", "gateway.toml", "--json", cwd=site.folder).stdout)
+    interventions = json.loads(gateway("faults", "interventions", "gateway.toml", "--json", cwd=site.folder).stdout)
+    return {"entries": entries, "interventions": interventions}
 
 
-def attacks(port, draw):
-    """Yield requests of which none may be answered with 200, endlessly, by kind."""
-    end = {"Connection": "close"}
-    secrets = ("etc/passwd", "faults.sqlite", "gateway.toml", "proc/self/environ", "server.py", "app.py")
-    while True:
-        climb = "/".join(draw.choice(UP) for _ in range(draw.randrange(1, 9)))
-        place = draw.choice(("/static/", "/bokeh/", "/", "/api/recording/", "/api/"))
-        yield "traversal", request(port, f"{place}{climb}/{draw.choice(secrets)}", **end)
-        host = draw.choice(
-            ("evil.example", "127.0.0.1.evil.example", "evil.example:80", "", "[::2]", "0x7f.1", "a" * 300)
-        )
-        yield "host", request(port, host=host, **end)
-        origin = draw.choice(
-            ("http://evil.example", "null", f"https://127.0.0.1:{port}", "http://127.0.0.1:1", "file://")
-        )
-        yield "origin", request(port, "/api/stream", Origin=origin, **end)
-        yield "site", request(port, "/api/stream", Sec_Fetch_Site=draw.choice(("cross-site", "same-site")), **end)
-        json_ = {"Content-Type": "application/json", **end}
-        token = "".join(draw.choices("abcdefXYZ019_-", k=draw.randrange(0, 60)))
-        yield "no token", request(
-            port, draw.choice(("/api/clear", "/api/cycle", "/api/settings")), "POST", b"{}",
-            Content_Length=2, Authorization=f"Bearer {token}", **json_,
-        )  # fmt: skip
-        size = draw.choice((BODY_BYTES + 1, 10**7, 10**12, -1))
-        yield (
-            "body",
-            request(port, "/api/clear", "POST", b"x" * min(max(size, 0), 200_000), Content_Length=size, **json_),
-        )
-        chunks = b"".join(b"4000\r\n" + b"y" * 0x4000 + b"\r\n" for _ in range(8))
-        yield "chunks", request(port, "/api/clear", "POST", chunks, Transfer_Encoding="chunked", **json_)
-        yield (
-            "form",
-            request(
-                port,
-                "/api/clear",
-                "POST",
-                b"a=b",
-                Content_Length=3,
-                Content_Type="application/x-www-form-urlencoded",
-                **end,
-            ),
-        )
-        yield "get with body", request(port, "/", "GET", b"x" * 100, Content_Length=100, **end)
-        method = draw.choice(("PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PATCH", "BREW"))
-        yield "method", request(port, draw.choice(("/", "/api/clear")), method, **end)
-        yield "long path", request(port, "/" + "a" * draw.choice((3000, 70_000)), **end)
-        yield "long header", request(port, X_Long="b" * draw.choice((20_000, 300_000)), **end)
-        yield "two hosts", request(port, **end).replace(b"\r\n\r\n", b"\r\nHost: evil.example\r\n\r\n")
-        yield "noise", bytes(draw.randrange(256) for _ in range(draw.randrange(1, 400))) + b"\r\n\r\n"
-        yield "smuggled", request(
-            port, "/api/clear", "POST", b"0\r\n\r\nGET /api/stream HTTP/1.1\r\n\r\n",
-            Transfer_Encoding="chunked", Content_Length=3, **json_,
-        )  # fmt: skip
+def status_of(site, path, token):
+    data = request(site.port, path, Connection="close", Authorization=f"Bearer {token}")
+    return said(site.port, data)[0]
 
 
-def test_what_means_harm_is_refused_and_others_are_served(page):
-    url, port, token = page
+def test_what_means_harm_is_refused_changes_nothing_and_others_are_served(site):
     seed = int(os.environ.get("GATEWAY_SEED", time.time_ns() % 10**6))
     print(f"seed {seed}")
-    drawn = attacks(port, random.Random(seed))
-    slow = [socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) for _ in range(20)]
-    for k, connection in enumerate(slow):
-        connection.sendall(request(port)[: 3 + k])  # and then nothing
-    begun = time.monotonic()
-    for _ in range(amount(1000, 200, 45)):
-        kind, data = next(drawn)
-        status, heard = said(port, data)
-        assert status is None or 400 <= status < 500, (kind, status, data[:200])
-        assert token.encode() not in heard
-        assert b"root:" not in heard
-        assert b"Traceback" not in heard
-    with urllib.request.urlopen(url) as answer:
+    draw = random.Random(seed)
+    drawn = attacks(site.port, draw, reading=site.reading, control=site.control)
+    before = told(site)
+    kinds = Counter()
+    held = []
+
+    def attack(count):
+        for _ in range(count):
+            kind, data, refusals = next(drawn)
+            status, heard = said(site.port, data)
+            assert status in refusals, (kind, status, data[:200])
+            assert heard.count(b"HTTP/1.1 ") <= 1, (kind, "one answer", heard[:400])
+            assert not [bad for bad in (site.control, site.reading, "root:", "Traceback") if bad.encode() in heard]
+            kinds[kind, status] += 1
+            held.append(memory_of(site.pid))
+
+    attack(60)  # all kinds, twice
+    with slow_clients(site.port, 20) as slow:
+        attack(amount(940, 240, 30))
+        assert [status_of(site, path, site.reading) for path in ("/", "/metrics")] == [200, 200]
+        assert all(map(was_sent_away, slow)), "closed without a word"
+    for (kind, status), count in sorted(kinds.items(), key=str):
+        print(f"{kind:24} {status} {count:5}")
+    print(f"memory {held[59]} kB, then {max(held)} kB at most")
+    assert max(held) < held[59] + 32_000
+    assert told(site) == before
+    metrics = said(
+        site.port, request(site.port, "/metrics", Connection="close", Authorization=f"Bearer {site.reading}")
+    )[1]
+    refused = re.search(rb"gateway_page_refused_total ([0-9.]+)", metrics)
+    assert float(refused[1]) >= sum(count for (_, status), count in kinds.items() if status in (401, 403, 413, 421))
+
+
+def test_who_hoards_connections_keeps_nobody_out(site):
+    """More than there may be, all silent: those that have been silent for longest go."""
+    own = sockets_of(site.pid)
+    with slow_clients(site.port, 4 * MOST_CONNECTIONS) as hoarded:
+        assert status_of(site, "/", site.reading) == 200
+        assert sockets_of(site.pid) <= own + MOST_CONNECTIONS
+        assert all(map(was_sent_away, hoarded)), "in the end all of them"
+    wait_for(lambda: sockets_of(site.pid) <= own)
+
+
+def test_streams_that_nobody_reads_take_bounded_memory_and_no_more_than_their_places(site):
+    ask = request(site.port, "/api/stream", Authorization=f"Bearer {site.reading}")
+
+    def begun():
+        connection = socket.create_connection(("127.0.0.1", site.port), timeout=PATIENCE_S)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.sendall(ask)
+        return connection, connection.recv(12)
+
+    opened = []
+    try:
+        for _ in range(MOST_VIEWERS + 5):
+            opened.append(begun())
+        assert Counter(head for _, head in opened) == {b"HTTP/1.1 200": MOST_VIEWERS, b"HTTP/1.1 503": 5}
+        assert status_of(site, "/metrics", site.reading) == 200
+    finally:
+        for connection, _ in opened:
+            connection.close()
+
+    def is_free_again():
+        connection, head = begun()
+        connection.close()
+        return head == b"HTTP/1.1 200"
+
+    wait_for(is_free_again)
+
+
+def test_who_does_not_read_an_answer_is_sent_away(tmp_path):
+    """All connections that there may be, each with a file of a megabyte that is not read; with short times."""
+    program = (
+        "import gateway.serve.guard as guard, gateway.serve.server as server; guard.SEND_S = server.HEAD_S = 1.0;"
+        "from gateway.cli import main; main()"
+    )
+    with server(tmp_path, program=program) as (_, port, _, pid):
+        assert said(port, request(port, Connection="close"))[0] == 200
+        own = sockets_of(pid)
+        ask = request(port, "/bokeh/bokeh.min.js")
+        opened = []
+        try:
+            for _ in range(MOST_CONNECTIONS):
+                connection = socket.socket()
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                connection.connect(("127.0.0.1", port))
+                connection.sendall(ask)
+                opened.append(connection)
+            wait_for(lambda: sockets_of(pid) <= own)
+            assert said(port, request(port, Connection="close"))[0] == 200
+        finally:
+            for connection in opened:
+                connection.close()
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(site):
+    ask = request(
+        site.port, "/api/clear", "POST", b'{"dtc"', Content_Length=20, Content_Type="application/json",
+        Authorization=f"Bearer {site.control}",
+    )  # fmt: skip
+    assert said(site.port, ask)[0] == 408
+
+
+def test_a_page_says_what_others_may_do_with_it(page):
+    with urllib.request.urlopen(page[0]) as answer:
         assert b"<title>gateway</title>" in answer.read()
         policy = answer.headers["content-security-policy"]
         assert "script-src 'self'" in policy
         assert "unsafe-eval" not in policy
         assert answer.headers["x-content-type-options"] == "nosniff"
-    for connection in slow:
-        with connection:
-            try:
-                assert connection.recv(100) == b"", "closed without a word"
-            except ConnectionResetError:
-                pass
-    print(f"slow ones were sent away after {time.monotonic() - begun:.1f} s, asked for {HEAD_S}")
 
 
 def test_a_right_request_without_a_daemon_says_so(page):
-    url, _, token = page
+    url, _, token, _ = page
     ask = urllib.request.Request(
         f"{url}api/clear", b"{}", {"content-type": "application/json", "authorization": f"Bearer {token}"}
     )
@@ -217,7 +275,7 @@ def test_with_tokens_and_tls_reading_and_changing_are_two_rights(tmp_path):
         "--control-token-file", token_file(tmp_path, "control", control),
     )  # fmt: skip
     context = ssl.create_default_context(cafile=cert)
-    with server(tmp_path, *options) as (url, _, shown):
+    with server(tmp_path, *options) as (url, _, shown, _):
         assert url.startswith("https:")
         assert shown is None, "a token of a file is not said"
 

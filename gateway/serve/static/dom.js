@@ -11,6 +11,18 @@ export function make(name, attributes = {}, ...children) {
   return element;
 }
 
+// A name of parts, which may be broken between them.
+export function parts(text) {
+  return text.split(/(?<=[._])/).flatMap((part, k) => (k ? [document.createElement("wbr"), part] : [part]));
+}
+
+// Puts elements first in their parent, in this order; those that are there already are not touched.
+export function arrange(parent, elements) {
+  elements.forEach((element, k) => {
+    if (parent.children[k] !== element) parent.insertBefore(element, parent.children[k] ?? null);
+  });
+}
+
 export const byId = (id) => document.getElementById(id);
 
 // Sets a text only where it changed: screen readers and selections stay calm.

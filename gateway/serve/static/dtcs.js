@@ -1,7 +1,7 @@
 // Trouble codes: status bits, detection counter, evidence in words, freeze frames, recordings, clear.
 
 import { get } from "/static/api.js";
-import { byId, clock, make, number, say } from "/static/dom.js";
+import { arrange, byId, clock, make, number, parts, say } from "/static/dom.js";
 
 const SHORT = ["failed now", "failed this cycle", "pending", "confirmed", "not tested since clear", "failed since clear",
   "not tested this cycle", "warning lamp"];
@@ -12,21 +12,28 @@ export class Dtcs {
     this.place = byId("dtcs");
     this.clear = clear;
     this.open = new Set();
-    this.entries = [];
+    this.rows = new Map();
   }
 
   show(memory, bits) {
-    this.entries = memory.entries;
     this.bits = bits;
     const error = byId("memory-error");
     error.hidden = !memory.error && memory.stored;
     say(error, memory.error || (memory.stored ? "" : "The fault memory cannot be written; more is known than is shown."));
     byId("clear").disabled = !memory.entries.length;
-    const focused = document.activeElement?.closest?.("[data-dtc]")?.dataset.dtc;
+    const focused = document.activeElement?.closest?.("[data-dtc]");
     const order = [...memory.entries].sort((a, b) => (b.status & 1) - (a.status & 1) || b.last_ns - a.last_ns);
-    this.place.replaceChildren(...(order.length ? order.map((entry) => this.row(entry)) :
-      [make("p", { class: "none" }, "No trouble codes.")]));
-    if (focused) this.place.querySelector(`[data-dtc="${focused}"] button`)?.focus();
+    this.rows = new Map(order.map((entry) => [entry.fault, this.kept(entry) ?? this.row(entry)]));
+    const elements = order.length ? [...this.rows.values()] : [make("p", { class: "none" }, "No trouble codes.")];
+    arrange(this.place, elements);
+    while (this.place.children.length > elements.length) this.place.lastElementChild.remove();
+    if (focused && !focused.isConnected) this.rows.get(focused.fault)?.querySelector("button").focus();
+  }
+
+  // The row that is there, where nothing of it has changed: what somebody is about to press stays under the finger.
+  kept(entry) {
+    const row = this.rows.get(entry.fault);
+    return row?.told === JSON.stringify(entry) ? row : null;
   }
 
   row(entry) {
@@ -35,7 +42,7 @@ export class Dtcs {
     const more = make("div", { class: "more", id, hidden: !this.open.has(entry.dtc) });
     const state = make("span", { class: `pill ${failing ? "bad" : "warning"}` }, failing ? "failing" : "stored");
     const button = make("button", { type: "button", "aria-expanded": String(this.open.has(entry.dtc)), "aria-controls": id },
-      make("span", { class: "code" }, entry.dtc), make("span", {}, entry.fault), state,
+      make("span", { class: "code" }, entry.dtc), make("span", {}, ...parts(entry.fault)), state,
       make("span", { class: "what" },
         `${entry.description ?? ""} · ${entry.occurrence}× · ${clock(entry.last_ns / 1e6)}`));
     button.addEventListener("click", () => {
@@ -61,6 +68,7 @@ export class Dtcs {
       fill.parentElement.classList.toggle("failed", fdc === 127);
     };
     element.fault = entry.fault;
+    element.told = JSON.stringify(entry);
     return element;
   }
 
@@ -69,7 +77,9 @@ export class Dtcs {
     if (Object.keys(entry.inputs).length) more.append(table("What its monitor saw then", entry.inputs));
     for (const frame of entry.freeze_frames) {
       const which = { 1: "first failure", 2: "latest failure" }[frame.record] ?? "an earlier failure";
-      more.append(table(`Freeze frame, ${which}, ${clock(frame.t_ns / 1e6)}`, frame.signals));
+      const title = `Freeze frame, ${which}, ${clock(frame.t_ns / 1e6)}`;
+      if (Object.keys(frame.signals).length) more.append(table(title, frame.signals));
+      else more.append(make("p", { class: "muted" }, `${title}: no signals are configured for it.`));
     }
     const buttons = make("div", { class: "buttons" });
     for (let k = 1; k <= entry.recordings; k += 1) {
@@ -87,7 +97,7 @@ export class Dtcs {
 
 function table(title, values) {
   const rows = Object.entries(values).map(([name, value]) =>
-    make("tr", {}, make("th", { scope: "row" }, name), make("td", { class: "number" }, number(value, 6))));
+    make("tr", {}, make("th", { scope: "row" }, ...parts(name)), make("td", { class: "number" }, number(value, 6))));
   return make("table", {}, make("caption", { class: "muted" }, title), make("tbody", {}, ...rows));
 }
 

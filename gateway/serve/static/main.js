@@ -26,6 +26,7 @@ const takes = {
     say(byId("version"), told.hello.version ? `gateway ${told.hello.version}` : "");
     residuals.begin(told.hello.faults);
     if (again) residuals.forget();
+    residuals.now(told.latest);
     for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
     showBuses(told.buses);
     showMessages(state.messages, byId("find").value);
@@ -171,7 +172,7 @@ function ask(title, text, yes, work) {
 
 function askClear(dtc) {
   const what = dtc ?? "all trouble codes";
-  ask(`Clear ${what}?`, "Freeze frames, evidence and recordings of it are gone then, for testers too.", "Clear",
+  ask(`Clear ${what}?`, `${dtc ? "Its" : "Their"} freeze frames, evidence and recordings are gone then, for testers too.`, "Clear",
     () => post("/api/clear", dtc ? { dtc } : {}));
 }
 

@@ -1,7 +1,7 @@
 // Residuals by monitor, nearest to a fault first; the nearest are plotted, others when they are opened.
 
 import { get } from "/static/api.js";
-import { byId, make, number, say } from "/static/dom.js";
+import { arrange, byId, make, number, say } from "/static/dom.js";
 import { Plot } from "/static/plot.js";
 import { Series } from "/static/series.js";
 
@@ -12,8 +12,9 @@ export class Residuals {
   constructor() {
     this.place = byId("residuals");
     this.faults = [];
+    this.groups = new Map();
     this.busy = false;
-    this.sorted = 0;
+    this.sorted = -Infinity;  // at once
     for (const kind of ["pointerenter", "focusin"]) this.place.addEventListener(kind, () => (this.busy = true));
     for (const kind of ["pointerleave", "focusout"]) this.place.addEventListener(kind, () => (this.busy = false));
     this.place.addEventListener("keydown", (event) => this.move(event));
@@ -27,7 +28,7 @@ export class Residuals {
     this.groups = new Map();
     this.faults = described.map((fault, index) => this.row(fault, index));
     this.place.replaceChildren(...[...this.groups.values()].map((group) => group.element));
-    this.sorted = 0;
+    this.sorted = -Infinity;  // at once
   }
 
   row(fault, index) {
@@ -116,6 +117,13 @@ export class Residuals {
     }
   }
 
+  // What was known when the page came, before the next tick.
+  now(latest) {
+    for (const { fault, fdc, value, threshold } of latest) {
+      if (this.faults[fault]) Object.assign(this.faults[fault], { fdc, last: value, threshold });
+    }
+  }
+
   counter(id) {
     return this.faults.find((row) => row.fault.id === id)?.fdc;
   }
@@ -184,10 +192,4 @@ export class Residuals {
   recolour() {
     for (const row of this.faults) row.plot?.draw();
   }
-}
-
-function arrange(parent, elements) {
-  elements.forEach((element, k) => {
-    if (parent.children[k] !== element) parent.insertBefore(element, parent.children[k] ?? null);
-  });
 }

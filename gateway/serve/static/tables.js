@@ -1,6 +1,6 @@
 // Buses, messages, operation cycle and events.
 
-import { byId, clock, make, number, say } from "/static/dom.js";
+import { byId, clock, make, number, parts, say } from "/static/dom.js";
 
 const fact = (name, value) => make("span", {}, `${name} `, make("b", {}, value));
 
@@ -14,8 +14,8 @@ export function showBuses(buses) {
     const errors = Object.entries(bus.errors).filter(([name]) => name !== "lost").map(([name, count]) => `${name} ${count}`);
     const facts = [
       bus.load === null ? fact("load", bus.bitrate ? "–" : "bit rate not configured") : fact("load", `${(bus.load * 100).toFixed(1)} %`),
-      fact("", bus.kbit_per_s === null ? "–" : `${number(bus.kbit_per_s, 3)} kbit/s`),
-      fact("", bus.frames_per_s === null ? "–" : `${number(bus.frames_per_s, 4)} frames/s`),
+      bus.kbit_per_s === null ? null : fact("", `${number(bus.kbit_per_s, 3)} kbit/s`),
+      bus.frames_per_s === null ? null : fact("", `${number(bus.frames_per_s, 4)} frames/s`),
       ...[["received", "received"], ["sent", "sent"], ["frames lost", "overflow"], ["times lost", "losses"]]
         .filter(([, key]) => key in bus).map(([name, key]) => fact(name, String(bus[key]))),
       fact("errors", errors.join(", ") || "none"),
@@ -24,7 +24,7 @@ export function showBuses(buses) {
     const state = make("span", { class: `pill ${open ? "good" : "bad"}` }, bus.state ?? "unknown");
     return make("div", { class: "bus" }, make("div", { class: "line" }, make("h3", {}, bus.bus), state),
       make("p", { class: "muted mono" }, bus.reason || bus.uri || ""), bus.load === null ? null : load,
-      make("div", { class: "facts" }, ...facts));
+      make("div", { class: "facts" }, ...facts.filter((each) => each)));
   }));
 }
 
@@ -35,7 +35,7 @@ export function showMessages(messages, find) {
   const rows = found.map((m) => {
     const signals = m.signals.map(([name, value, unit]) => `${name} ${typeof value === "number" ? number(value) : value ?? "–"}${unit ? ` ${unit}` : ""}`);
     const late = m.expected_ms && m.period_ms > 1.5 * m.expected_ms;
-    return make("tr", {}, make("td", { class: "hide-small" }, m.bus), make("td", { class: "mono number" }, m.id), make("td", {}, m.name ?? "unknown"),
+    return make("tr", {}, make("td", { class: "hide-small" }, m.bus), make("td", { class: "mono number" }, m.id), make("td", {}, ...parts(m.name ?? "unknown")),
       make("td", { class: `number${late ? " warn" : ""}` }, m.period_ms === null ? "–" : `${number(m.period_ms, 3)} ms`),
       make("td", { class: "number hide-small" }, m.period_ms === null ? "–" : `${number(m.shortest_ms, 3)}, ${number(m.longest_ms, 3)}`),
       make("td", { class: "number hide-small" }, String(m.count)),
@@ -56,7 +56,7 @@ export function showCycle(memory) {
   say(byId("cycle-text"), cycles.join("; ") || "unknown");
   const rows = memory.readiness.map((row) => {
     const ready = row.this_cycle === row.tests;
-    return make("tr", {}, make("th", { scope: "row" }, row.monitor),
+    return make("tr", {}, make("th", { scope: "row" }, ...parts(row.monitor)),
       make("td", { class: "number" }, `${row.this_cycle} of ${row.tests}`),
       make("td", { class: "number" }, `${row.since_clear} of ${row.tests}`),
       make("td", {}, make("span", { class: `pill ${ready ? "good" : ""}` }, ready ? "ready" : "not yet")));
