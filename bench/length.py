@@ -1,0 +1,140 @@
+"""What a worker takes of the memory by the length of a log.
+
+    python bench/length.py [--frames 1e6 1e7 1e8] [--format log] [--folder DIR] [--json]
+
+For each length a log of one message is generated, 10 ms apart, whose value is out of range once in 10^5 frames; a
+scheduler and a worker are started as processes of their own (``dask scheduler``, ``dask worker``) and judge it as
+``gateway fleet run`` does. The worker's greatest resident memory is what the kernel says of its process (VmHWM); it
+has judged a short log before, so that all is loaded. A log of 10^8 frames as candump takes 5 GB in the folder, and is
+deleted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
+
+import psutil
+from fleet_logs import write_config, write_log
+
+from gateway.fleet.corpus import find
+from gateway.fleet.run import Order, run
+from gateway.fleet.verdicts import Verdicts
+
+#: Frames that are generated at a time.
+BLOCK = 1_000_000
+#: Of so many frames one run of some is out of range.
+EVERY = 100_000
+LINE = b"(1700000000.000000000) chassis 100#0000100E00000000\n"
+
+
+def _digits(numbers, count, base=10):
+    """Return numbers as characters, shape (n, count)."""
+    powers = base ** np.arange(count - 1, -1, -1)
+    found = (numbers[:, None] // powers) % base
+    return (found + np.where(found < 10, 48, 55)).astype(np.uint8)
+
+
+def lines(frames: int) -> Iterator[bytes]:
+    """Yield a log's lines, many at a time."""
+    for first in range(0, frames, BLOCK):
+        index = np.arange(first, min(first + BLOCK, frames))
+        text = np.tile(np.frombuffer(LINE, np.uint8), (len(index), 1))
+        t_ns = index * 10_000_000
+        text[:, 1:11] = _digits(1_700_000_000 + t_ns // 10**9, 10)
+        text[:, 12:21] = _digits(t_ns % 10**9, 9)
+        value = np.where(index % EVERY < 50, 2400, 1000 + index % 97)  # of half a volt; the limit is 1000 V
+        text[:, 35:37] = _digits(value % 256, 2, 16)
+        text[:, 37:39] = _digits(value // 256, 2, 16)
+        yield text.tobytes()
+
+
+def generate(path: Path, frames: int) -> None:
+    """Write a log."""
+    with gzip.open(path, "wb", compresslevel=1) if path.suffix == ".gz" else path.open("wb") as file:
+        for part in lines(frames):
+            file.write(part)
+
+
+@contextmanager
+def started(folder: Path) -> Iterator[tuple[str, psutil.Process]]:
+    """Start a scheduler and a worker on loopback; yields the scheduler's address and the worker's process."""
+    facts = folder / "scheduler.json"
+    common = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(facts)]
+    with (folder / "dask.out").open("w") as out:
+        dask = [sys.executable, "-m", "dask"]
+        parts = [subprocess.Popen([*dask, "scheduler", "--port", "0", *common], stdout=out, stderr=out)]
+        try:
+            while not facts.exists() or not facts.read_text().strip():
+                time.sleep(0.1)
+            words = ["worker", "--nthreads", "1", "--no-nanny", "--memory-limit", "0", *common]
+            parts.append(subprocess.Popen([*dask, *words], stdout=out, stderr=out))
+            yield json.loads(facts.read_text())["address"], psutil.Process(parts[1].pid)
+        finally:
+            for part in reversed(parts):
+                part.terminate()
+                part.wait()
+
+
+def greatest(process: psutil.Process) -> int:
+    """Return the greatest resident memory that a process has had [byte]."""
+    text = Path(f"/proc/{process.pid}/status").read_text()
+    return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmHWM"))
+
+
+def measure(folder: Path, frames: int, suffix: str) -> dict[str, float]:
+    """Have a worker judge a log of so many frames; returns what it took."""
+    config = write_config(folder)
+    short = write_log(folder / "logs" / "short.log", seed=1, frames=1000)
+    path = folder / "logs" / f"long.{suffix}"
+    generate(path, frames)
+    with started(folder) as (address, worker):
+        run(Order(find([short]), config, folder / "out", scheduler=address))
+        before = greatest(worker)
+        begun = time.perf_counter()
+        (outcome,) = run(Order(find([path]), config, folder / "out", scheduler=address)).outcomes
+        seconds = time.perf_counter() - begun
+        after = greatest(worker)
+    assert (outcome.state, outcome.frames) == ("whole", frames), outcome
+    events = len(Verdicts(folder / "out").rows("events", outcome.log))
+    return {"frames": frames, "log_bytes": path.stat().st_size, "events": events, "short_bytes": before,
+            "greatest_bytes": after, "seconds": seconds}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=float, nargs="+", default=[1e6, 1e7, 1e8])
+    parser.add_argument("--format", choices=["log", "log.gz"], default="log")
+    parser.add_argument("--folder", type=Path, help="where the logs are put for the time being")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if not options.json:
+        print("| frames | log [MB] | events | worker before [MB] | greatest [MB] | frames/s |\n|---|---|---|---|---|---|")
+    for frames in options.frames:
+        with tempfile.TemporaryDirectory(dir=options.folder) as folder:
+            row = measure(Path(folder), int(frames), options.format)
+        if options.json:
+            print(json.dumps(row), flush=True)
+            continue
+        megabytes = [f"{row[name] / 1e6:,.0f}" for name in ("log_bytes", "short_bytes", "greatest_bytes")]
+        print(
+            f"| {row['frames']:,} | {megabytes[0]} | {row['events']} | {megabytes[1]} | {megabytes[2]}"
+            f" | {row['frames'] / row['seconds']:,.0f} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
