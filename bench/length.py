@@ -1,12 +1,12 @@
 """What a worker takes of the memory by the length of a log.
 
-    python bench/length.py [--frames 1e6 1e7 1e8] [--format log] [--folder DIR] [--json]
+    python bench/length.py [--frames 1e6 1e7 1e8] [--every 1e5] [--format log] [--folder DIR] [--json]
 
-For each length a log of one message is generated, 10 ms apart, whose value is out of range once in 10^5 frames; a
-scheduler and a worker are started as processes of their own (``dask scheduler``, ``dask worker``) and judge it as
-``gateway fleet run`` does. The worker's greatest resident memory is what the kernel says of its process (VmHWM); it
-has judged a short log before, so that all is loaded. A log of 10^8 frames as candump takes 5 GB in the folder, and is
-deleted.
+For each length a log of one message is generated, 10 ms apart, whose value is out of range once in ``--every``
+frames; a scheduler and a worker are started as processes of their own (``dask scheduler``, ``dask worker``) and judge
+it as ``gateway fleet run`` does. The worker's greatest resident memory is what the kernel says of its process (VmHWM);
+it has judged a short log before, so that all is loaded. A log of 10^8 frames as candump takes 5 GB in the folder, and
+is deleted.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,8 +37,6 @@ from gateway.fleet.verdicts import Verdicts
 
 #: Frames that are generated at a time.
 BLOCK = 1_000_000
-#: Of so many frames one run of some is out of range.
-EVERY = 100_000
 LINE = b"(1700000000.000000000) chassis 100#0000100E00000000\n"
 
 
@@ -47,7 +47,7 @@ def _digits(numbers, count, base=10):
     return (found + np.where(found < 10, 48, 55)).astype(np.uint8)
 
 
-def lines(frames: int) -> Iterator[bytes]:
+def lines(frames: int, every: int) -> Iterator[bytes]:
     """Yield a log's lines, many at a time."""
     for first in range(0, frames, BLOCK):
         index = np.arange(first, min(first + BLOCK, frames))
@@ -55,16 +55,16 @@ def lines(frames: int) -> Iterator[bytes]:
         t_ns = index * 10_000_000
         text[:, 1:11] = _digits(1_700_000_000 + t_ns // 10**9, 10)
         text[:, 12:21] = _digits(t_ns % 10**9, 9)
-        value = np.where(index % EVERY < 50, 2400, 1000 + index % 97)  # of half a volt; the limit is 1000 V
+        value = np.where(index % every < 50, 2400, 1000 + index % 97)  # of half a volt; the limit is 1000 V
         text[:, 35:37] = _digits(value % 256, 2, 16)
         text[:, 37:39] = _digits(value // 256, 2, 16)
         yield text.tobytes()
 
 
-def generate(path: Path, frames: int) -> None:
+def generate(path: Path, frames: int, every: int) -> None:
     """Write a log."""
     with gzip.open(path, "wb", compresslevel=1) if path.suffix == ".gz" else path.open("wb") as file:
-        for part in lines(frames):
+        for part in lines(frames, every):
             file.write(part)
 
 
@@ -94,46 +94,60 @@ def greatest(process: psutil.Process) -> int:
     return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmHWM"))
 
 
-def measure(folder: Path, frames: int, suffix: str) -> dict[str, float]:
+def quarters(process: psutil.Process, stop: threading.Event, into: list[int]) -> None:
+    """Sample a process's resident memory until told to stop; then keep the greatest of each quarter of the time."""
+    samples = []
+    while not stop.wait(0.1):
+        samples.append(process.memory_info().rss)
+    into += [int(max(part)) for part in np.array_split(np.array(samples), 4) if len(part)]
+
+
+def measure(folder: Path, frames: int, every: int, suffix: str) -> dict[str, Any]:
     """Have a worker judge a log of so many frames; returns what it took."""
     config = write_config(folder)
     short = write_log(folder / "logs" / "short.log", seed=1, frames=1000)
     path = folder / "logs" / f"long.{suffix}"
-    generate(path, frames)
+    generate(path, frames, every)
     with started(folder) as (address, worker):
         run(Order(find([short]), config, folder / "out", scheduler=address))
         before = greatest(worker)
+        stop, resident = threading.Event(), []
+        sampler = threading.Thread(target=quarters, args=(worker, stop, resident))
+        sampler.start()
         begun = time.perf_counter()
         (outcome,) = run(Order(find([path]), config, folder / "out", scheduler=address)).outcomes
         seconds = time.perf_counter() - begun
+        stop.set()
+        sampler.join()
         after = greatest(worker)
     assert (outcome.state, outcome.frames) == ("whole", frames), outcome
     events = len(Verdicts(folder / "out").rows("events", outcome.log))
     return {"frames": frames, "log_bytes": path.stat().st_size, "events": events, "short_bytes": before,
-            "greatest_bytes": after, "seconds": seconds}  # fmt: skip
+            "greatest_bytes": after, "quarters_bytes": resident, "seconds": seconds}  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=float, nargs="+", default=[1e6, 1e7, 1e8])
+    parser.add_argument("--every", type=float, default=1e5)
     parser.add_argument("--format", choices=["log", "log.gz"], default="log")
     parser.add_argument("--folder", type=Path, help="where the logs are put for the time being")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if not options.json:
-        print("| frames | log [MB] | events | worker before [MB] | greatest [MB] | frames/s |\n|---|---|---|---|---|---|")
+        print("| frames | log [MB] | events | worker before [MB] | greatest [MB] | in quarters [MB] | frames/s |")
+        print("|---|---|---|---|---|---|---|")
     for frames in options.frames:
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-            row = measure(Path(folder), int(frames), options.format)
+            row = measure(Path(folder), int(frames), int(options.every), options.format)
         if options.json:
             print(json.dumps(row), flush=True)
             continue
-        megabytes = [f"{row[name] / 1e6:,.0f}" for name in ("log_bytes", "short_bytes", "greatest_bytes")]
-        print(
-            f"| {row['frames']:,} | {megabytes[0]} | {row['events']} | {megabytes[1]} | {megabytes[2]}"
-            f" | {row['frames'] / row['seconds']:,.0f} |",
-            flush=True,
-        )
+        before, after, size = (f"{row[name] / 1e6:,.0f}" for name in ("short_bytes", "greatest_bytes", "log_bytes"))
+        resident = ", ".join(f"{one / 1e6:.0f}" for one in row["quarters_bytes"])
+        rate = f"{row['frames'] / row['seconds']:,.0f}"
+        cells = [f"{row['frames']:,}", size, str(row["events"]), before, after, resident, rate]
+        print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -382,17 +382,31 @@ def learn(
 @app.command()
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration.")],
-    logs: Annotated[list[Path], typer.Argument(help="Logs of healthy drives.")],
+    logs: Annotated[list[str], typer.Argument(help="Logs of healthy drives: files, folders, patterns as 'logs/**'.")],
     mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
     margin: Annotated[float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")] = 0.5,
     floor: Annotated[float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")] = 25.0,
     into: Annotated[bool, typer.Option("--write", help="Put the thresholds into the configuration.")] = False,
+    write_to: Annotated[
+        Path | None, typer.Option("--write-to", help="Put them into a copy of it, a file beside it.")
+    ] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(help="A fleet's logs, by workers: folder that keeps what each said; only new logs are read."),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="With --parts: Dask's scheduler, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="With --parts: processes on this machine; 0: this one; default: cores.")
+    ] = None,
     maps: Maps = None,
     json: Json = False,
 ) -> None:
     """Find thresholds from healthy logs, and say how far these carry.
 
-    Those of stopping rules and of CUSUM tests.
+    Those of stopping rules and of CUSUM tests, models of plants, redundant sensors. With --parts a log that is damaged
+    or kills its worker is left out and told; without, it is an error.
     """
     from gateway.cli.calibrate import calibrate_logs as work
 
@@ -403,7 +417,10 @@ def calibrate(
             mtfa=mtfa,
             margin=margin,
             floor=floor,
-            into=into,
+            into=write_to or (config if into else None),
+            parts=parts,
+            scheduler=scheduler,
+            workers=workers,
             maps=maps or (),
             json=json,
         )
