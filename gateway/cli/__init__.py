@@ -35,7 +35,11 @@ app = typer.Typer(
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
 fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
-convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None)
+convert_app = typer.Typer(
+    help="Turn other recordings into CAN logs, and logs into other formats.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
 app.add_typer(fleet_app, name="fleet")
@@ -63,7 +67,7 @@ HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report 
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder."
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, .parquet; also as .gz, .bz2, .xz, .zst, .zip; or a folder."
     ),
 ]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
@@ -445,7 +449,9 @@ def bus(
 @app.command()
 def record(
     buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
-    out: Annotated[Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv, .parquet.")
+    ] = None,
     ring: Annotated[Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")] = None,
     keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments [MB].")] = 256.0,
     segment_mb: Annotated[float, typer.Option(help="With --ring: size of a segment [MB].")] = 16.0,
@@ -825,6 +831,18 @@ def convert_teeth(
     from gateway.cli.convert import convert_teeth as work
 
     raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
+
+
+@convert_app.command("log")
+def convert_log(
+    source: LogArgument,
+    log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
+    json: Json = False,
+) -> None:
+    """Turn a CAN log into another format, e.g. Parquet, which tools of data science read."""
+    from gateway.cli.convert import convert_log as work
+
+    raise typer.Exit(work(source, log, json=json))
 
 
 def main() -> None:
