@@ -12,15 +12,11 @@ is deleted.
 from __future__ import annotations
 
 import argparse
-import gzip
 import json
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,68 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "suppo
 
 import psutil
 from fleet_logs import write_config, write_log
+from long_log import generate, greatest, one_worker
 
 from gateway.fleet.corpus import find
 from gateway.fleet.run import Order, run
 from gateway.fleet.verdicts import Verdicts
-
-#: Frames that are generated at a time.
-BLOCK = 1_000_000
-LINE = b"(1700000000.000000000) chassis 100#0000100E00000000\n"
-
-
-def _digits(numbers, count, base=10):
-    """Return numbers as characters, shape (n, count)."""
-    powers = base ** np.arange(count - 1, -1, -1)
-    found = (numbers[:, None] // powers) % base
-    return (found + np.where(found < 10, 48, 55)).astype(np.uint8)
-
-
-def lines(frames: int, every: int) -> Iterator[bytes]:
-    """Yield a log's lines, many at a time."""
-    for first in range(0, frames, BLOCK):
-        index = np.arange(first, min(first + BLOCK, frames))
-        text = np.tile(np.frombuffer(LINE, np.uint8), (len(index), 1))
-        t_ns = index * 10_000_000
-        text[:, 1:11] = _digits(1_700_000_000 + t_ns // 10**9, 10)
-        text[:, 12:21] = _digits(t_ns % 10**9, 9)
-        value = np.where(index % every < 50, 2400, 1000 + index % 97)  # of half a volt; the limit is 1000 V
-        text[:, 35:37] = _digits(value % 256, 2, 16)
-        text[:, 37:39] = _digits(value // 256, 2, 16)
-        yield text.tobytes()
-
-
-def generate(path: Path, frames: int, every: int) -> None:
-    """Write a log."""
-    with gzip.open(path, "wb", compresslevel=1) if path.suffix == ".gz" else path.open("wb") as file:
-        for part in lines(frames, every):
-            file.write(part)
-
-
-@contextmanager
-def started(folder: Path) -> Iterator[tuple[str, psutil.Process]]:
-    """Start a scheduler and a worker on loopback; yields the scheduler's address and the worker's process."""
-    facts = folder / "scheduler.json"
-    common = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(facts)]
-    with (folder / "dask.out").open("w") as out:
-        dask = [sys.executable, "-m", "dask"]
-        parts = [subprocess.Popen([*dask, "scheduler", "--port", "0", *common], stdout=out, stderr=out)]
-        try:
-            while not facts.exists() or not facts.read_text().strip():
-                time.sleep(0.1)
-            words = ["worker", "--nthreads", "1", "--no-nanny", "--memory-limit", "0", *common]
-            parts.append(subprocess.Popen([*dask, *words], stdout=out, stderr=out))
-            yield json.loads(facts.read_text())["address"], psutil.Process(parts[1].pid)
-        finally:
-            for part in reversed(parts):
-                part.terminate()
-                part.wait()
-
-
-def greatest(process: psutil.Process) -> int:
-    """Return the greatest resident memory that a process has had [byte]."""
-    text = Path(f"/proc/{process.pid}/status").read_text()
-    return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmHWM"))
 
 
 def quarters(process: psutil.Process, stop: threading.Event, into: list[int]) -> None:
@@ -108,7 +47,7 @@ def measure(folder: Path, frames: int, every: int, suffix: str) -> dict[str, Any
     short = write_log(folder / "logs" / "short.log", seed=1, frames=1000)
     path = folder / "logs" / f"long.{suffix}"
     generate(path, frames, every)
-    with started(folder) as (address, worker):
+    with one_worker(folder) as (address, worker):
         run(Order(find([short]), config, folder / "out", scheduler=address))
         before = greatest(worker)
         stop, resident = threading.Event(), []

@@ -159,7 +159,9 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
     address: Any = workers.scheduler
     if address is None:
         # Who dies takes one suspect along; all else is ours (see the module).
-        stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 0}))
+        # Its profiler keeps what each worker did in each second: 50 kB a second that a log takes.
+        settings = {"distributed.scheduler.allowed-failures": 0, "distributed.worker.profile.enabled": False}
+        stack.enter_context(dask.config.set(settings))
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         address = stack.enter_context(
             LocalCluster(
@@ -167,7 +169,9 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address=None if workers.dashboard is None else f"127.0.0.1:{workers.dashboard}",
+                # Without a dashboard there is still a server, whose usual port another program may have.
+                dashboard_address=f"127.0.0.1:{workers.dashboard or 0}",
+                scheduler_kwargs={"dashboard": workers.dashboard is not None},
                 silence_logs=logging.CRITICAL,
                 local_directory=stack.enter_context(TemporaryDirectory(prefix="gateway-fleet-")),
             )

@@ -143,12 +143,15 @@ class Verdicts:
         rows = self.rows("logs", log)
         if not rows or (rows[0]["path"], rows[0]["device"]) == (str(recording.path), recording.device):
             return
+        before = rows[0]["path"]
         verdict = Verdict(**{table: self.rows(table, log) for table in TABLES})
         for table, columns in TABLES.items():
             for row in getattr(verdict, table):
                 row["device"] = recording.device
                 if "path" in columns:
                     row["path"] = str(recording.path)
+                if "text" in columns:
+                    row["text"] = row["text"].replace(before, str(recording.path))
         self.write(log, verdict)
 
     def tell_copy(self, recording: Recording, log: str, first: Recording | None) -> None:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of
-from gateway.bus.readers.batch import Names, Read
+from gateway.bus.readers.batch import DATA, Names, Read
 from gateway.errors import InputError, nearest
 from gateway.jit import kernel
 
@@ -35,8 +35,6 @@ from gateway.jit import kernel
 NEEDED = ("t", "id", "data")
 FLAGS_OF_ID = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR}
 FLAGS = {"fd": FD, "brs": BRS, "esi": ESI, "own": OWN}
-#: Where a frame's payload begins [byte].
-_DATA = FRAME.fields["data"][1] if FRAME.fields else 16
 _MAGIC = b"PAR1"
 
 
@@ -208,7 +206,7 @@ class Parquet:
             raw = np.frombuffer(content, np.uint8) if content is not None else np.zeros(0, np.uint8)
         ends = ends.astype(np.int64)
         rows = frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
-        long = scatter(raw, ends, rows, _DATA)
+        long = scatter(raw, ends, rows, DATA)
         if long >= 0:
             text = f"a payload above 64 bytes, in row {before + long}"
             raise InputError(text, file=self._path, key="data", value=int(ends[long + 1] - ends[long]))
