@@ -253,7 +253,8 @@ class Mf4:
 
         with _tidy():
             # It maps a file that has a name, and reads another one whole.
-            mdf = MDF(self._path if stream is None else BytesIO(stream.read()))
+            # That it looks through all frames for messages is for its own extraction.
+            mdf = MDF(self._path if stream is None else BytesIO(stream.read()), process_bus_logging=False)
         try:
             yield from _joined(_groups(mdf, names))
         finally:
