@@ -36,7 +36,7 @@ app = typer.Typer(
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
 fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
 convert_app = typer.Typer(
-    help="Turn other recordings into CAN logs, and logs into other formats.",
+    help="Turn recordings into CAN logs.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -839,7 +839,10 @@ def convert_log(
     log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
     json: Json = False,
 ) -> None:
-    """Turn a CAN log into another format, e.g. Parquet, which tools of data science read."""
+    """Turn a CAN log into another format.
+
+    Parquet is what tools of data science read.
+    """
     from gateway.cli.convert import convert_log as work
 
     raise typer.Exit(work(source, log, json=json))

@@ -32,6 +32,8 @@ _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
 _BUS_EVENT = 2
 #: Structures of frames, and what their identifiers get.
 _KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+#: It looks through all frames for messages otherwise, for an extraction of its own.
+_OPEN: dict[str, Any] = {"process_bus_logging": False}
 #: Records that are asked of asammdf at once: what a call costs besides is small then.
 _RECORDS = 250_000
 
@@ -253,8 +255,7 @@ class Mf4:
 
         with _tidy():
             # It maps a file that has a name, and reads another one whole.
-            # That it looks through all frames for messages is for its own extraction.
-            mdf = MDF(self._path if stream is None else BytesIO(stream.read()), process_bus_logging=False)
+            mdf = MDF(self._path if stream is None else BytesIO(stream.read()), **_OPEN)
         try:
             yield from _joined(_groups(mdf, names))
         finally:
