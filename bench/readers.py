@@ -59,8 +59,8 @@ def theirs(path):
 
 
 def write(path, frames):
-    """Write a log: candump by ours, the others by python-can's writers."""
-    if path.suffix == ".log":
+    """Write a log: candump and Parquet by ours, the others by python-can's writers."""
+    if path.suffix in (".log", ".parquet"):
         with open_writer(path) as writer:
             writer.write(frames)
         return
@@ -84,6 +84,9 @@ def grown(small, big, suffix, factor):
         body = [line for line in lines[len(head) :] if not line.lower().startswith(b"end")]
         big.write_bytes(b"\n".join(head + body * factor + ends) + b"\n")
         return big
+    if suffix == ".parquet":
+        write(big, np.tile(next(iter(read_log(small))), factor))
+        return big
     return small
 
 
@@ -102,14 +105,18 @@ def main():
             path = grown(small, big, suffix, max(1, options.frames // options.their_frames))
             count = drain(path)  # once before: what is compiled is
             ours = count / seconds(lambda path=path: drain(path))
-            peer = options.their_frames / seconds(lambda path=small: theirs(path))
-            rows.append({"format": suffix[1:], "frames": count, "ours": ours, "python_can": peer, "ratio": ours / peer})
+            row = {"format": suffix[1:], "frames": count, "ours": ours}
+            if suffix != ".parquet":  # python-can has no reader of it
+                peer = options.their_frames / seconds(lambda path=small: theirs(path))
+                row |= {"python_can": peer, "ratio": ours / peer}
+            rows.append(row)
     if options.json:
         print(json.dumps(rows))
         return
     print("| format | frames/s | python-can | ratio |\n|---|---|---|---|")
     for row in rows:
-        print(f"| {row['format']} | {row['ours']:,.0f} | {row['python_can']:,.0f} | {row['ratio']:.0f} |")
+        peer = f"{row['python_can']:,.0f} | {row['ratio']:.0f}" if "ratio" in row else "none |"
+        print(f"| {row['format']} | {row['ours']:,.0f} | {peer} |")
 
 
 if __name__ == "__main__":

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from gateway.bus.candump import CandumpWriter
 from gateway.bus.frames import Frames, to_message
 from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log
+from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
 from gateway.bus.readers.batch import Names, Reader
 from gateway.bus.readers.blf import Blf
 from gateway.bus.readers.candump import Candump
 from gateway.bus.readers.csv import Csv
 from gateway.bus.readers.mf4 import Mf4
+from gateway.bus.readers.parquet import Parquet
 from gateway.bus.readers.text import Lines, TextReader
 from gateway.bus.readers.trc import Trc
 from gateway.common.extras import need
@@ -34,7 +36,10 @@ FORMATS = {
     ".mf4": "ASAM MDF 4",
     ".trc": "PEAK trace",
     ".csv": "python-can CSV",
+    ".parquet": "Parquet",
 }
+#: Formats that need an extra -> it, and what it is for.
+_EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet")}
 
 
 #: Formats of lines.
@@ -56,8 +61,8 @@ def _format(name: str, path: Path, *, read: bool) -> str:
         known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
         more = f"; to be read also with {', '.join(COMPRESSIONS)} after it" if read else ""
         raise InputError(f"a log is one of {known}{more}", file=path)
-    if suffix == ".mf4":
-        need("mf4", "MF4 logs", file=path)
+    if suffix in _EXTRAS:
+        need(*_EXTRAS[suffix], file=path)
     return suffix
 
 
@@ -75,6 +80,8 @@ def _reader(suffix: str, path: Path) -> Reader:
         return Blf(path)
     if suffix == ".mf4":
         return Mf4(path)
+    if suffix == ".parquet":
+        return Parquet(path)
     return TextReader(path, _LINES[suffix](path))
 
 
@@ -183,12 +190,21 @@ class _PythonCanWriter:
         self._logger.stop()
 
 
+def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> _Sink:
+    """Return what writes a format."""
+    if suffix == ".log":
+        return CandumpWriter(path.open("wb"), interfaces)
+    if suffix == ".parquet":
+        return ParquetWriter(path, interfaces)
+    return _PythonCanWriter(path)
+
+
 class LogWriter:
     """Writes a log; a context manager.
 
     Args:
         path: the file; its suffix tells the format.
-        interfaces: names of the buses, for candump.
+        interfaces: names of the buses, for candump and Parquet.
 
     Raises:
         InputError: unknown format, or the file cannot be written.
@@ -197,9 +213,7 @@ class LogWriter:
     def __init__(self, path: Path, *, interfaces: Mapping[int, str] | None = None) -> None:
         suffix = _format(path.name, path, read=False)
         try:
-            self._sink: _Sink = (
-                CandumpWriter(path.open("wb"), interfaces) if suffix == ".log" else _PythonCanWriter(path)
-            )
+            self._sink = _sink(suffix, path, interfaces)
         except OSError as error:
             raise InputError(error.strerror or str(error), file=path) from error
 

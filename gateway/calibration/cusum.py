@@ -5,14 +5,16 @@ A first replay gives each residual's nu, a second, with these nu and thresholds 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse, watch
+from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
@@ -89,7 +91,10 @@ class Found:
         return tables
 
 
-_Monitors = list[Chosen[CusumCalibration]]
+#: Monitor -> residual -> nu.
+Typical = Mapping[str, Mapping[str, float]]
+#: What is summed of each quantity, in this order.
+_SUMS = ("samples", "total", "squares")
 
 
 def _now(table: Any, name: str) -> float | None:
@@ -98,42 +103,118 @@ def _now(table: Any, name: str) -> float | None:
     return None if found is None else float(found)
 
 
-def _replay(
+def _of_log(
     config: Config,
-    logs: Sequence[Path],
-    chosen: _Monitors,
-    failed: set[str],
-    *,
+    log: Path,
+    taken: Callable[[CusumCalibration, Any], Any],
     file: Path | None,
     maps: Sequence[str],
     progress: Progress,
-) -> tuple[float, dict[str, list[Any]]]:
-    """Replay logs; returns their seconds, and each monitor's state at the end of each."""
-    states: dict[str, list[Any]] = {name: [] for name in (c.name for c in chosen)}
-    seconds = 0.0
-    for path in logs:
-        gateway = Gateway(config, None, file=file)
-        watch(gateway, failed)
-        begun = last = 0
-        try:
-            for frames in batches(config, path, progress, maps):
-                if not begun:
-                    begun = int(frames[0]["t_ns"])
-                    gateway.start(begun)
-                gateway.feed(gateway.without_own(frames))
-                last = int(frames[-1]["t_ns"])
-            for each in chosen:
-                place = gateway.engine.place_of(each.name)
-                states[each.name].append(gateway.engine.state_of(place)[0].copy())
-        finally:
-            gateway.close()
-        seconds += (last - begun) * 1e-9
-    return seconds, states
+) -> Part:
+    """Replay a log; returns what is taken of each monitor's state at its end."""
+    chosen = of_kind(config, CusumCalibration)
+    failed: set[str] = set()
+    gateway = Gateway(config, None, file=file)
+    watch(gateway, failed)
+    begun = last = 0
+    try:
+        for frames in batches(config, log, progress, maps):
+            if not begun:
+                begun = int(frames[0]["t_ns"])
+                gateway.start(begun)
+            gateway.feed(gateway.without_own(frames))
+            last = int(frames[-1]["t_ns"])
+        arrays = {}
+        for each in chosen:
+            state = gateway.engine.state_of(gateway.engine.place_of(each.name))[0]
+            arrays[each.name] = np.array(taken(each.calibration, state), np.float64)
+    finally:
+        gateway.close()
+    return Part((last - begun) * 1e-9, tuple(sorted(failed)), arrays)
+
+
+def sums_of_log(
+    config: Config,
+    log: Path,
+    *,
+    file: Path | None = None,
+    maps: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Part:
+    """Replay a log; returns each monitor's sums, shape (3, quantities): samples, total and squares of the moduli."""
+
+    def taken(calibration: CusumCalibration, state: Any) -> Any:
+        sums = calibration.sums(state)
+        return [sums[key] for key in _SUMS]
+
+    return _of_log(config, log, taken, file, maps, progress)
+
+
+def peaks_of_log(
+    config: Config,
+    typical: Typical,
+    log: Path,
+    *,
+    file: Path | None = None,
+    maps: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Part:
+    """Replay a log with nu found and thresholds out of reach; returns samples and largest T, shape (2, quantities)."""
+
+    def taken(calibration: CusumCalibration, state: Any) -> Any:
+        return [calibration.sums(state)["samples"], calibration.peaks(state)]
+
+    return _of_log(_opened(config, typical), log, taken, file, maps, progress)
+
+
+def typical_of(config: Config, said: Parts) -> Typical:
+    """Return nu of each monitor's residuals, of the sums of all logs.
+
+    Raises:
+        InputError: the logs hold nothing that a monitor tests.
+    """
+    found = {}
+    for each in of_kind(config, CusumCalibration):
+        mine = [part.arrays[each.name] for part in said.values()]
+        if not any(sums[0].any() for sums in mine):
+            raise InputError(f'the logs hold nothing that monitor "{each.name}" tests', file=next(iter(said), None))
+        found[each.name] = _typical(each, mine)
+    return found
+
+
+def _opened(config: Config, typical: Typical) -> Config:
+    """Return the configuration with nu found and thresholds that nothing reaches."""
+    entries = list(config.monitor)
+    for each in of_kind(config, CusumCalibration):
+        never = {quantity: _NEVER for quantity, _ in each.calibration.quantities}
+        changes = {"nu": dict(typical[each.name]), "thresholds": never}
+        entries[each.place] = entries[each.place].model_copy(update=changes)
+    return config.model_copy(update={"monitor": tuple(entries)})
+
+
+def merged(
+    config: Config, said: Parts, typical: Typical, peaks: Parts, *, margin: float = MARGIN, floor: float = FLOOR
+) -> Found:
+    """Put together what :func:`sums_of_log` and :func:`peaks_of_log` found.
+
+    Args:
+        config: the configuration.
+        said: sums of the logs.
+        typical: nu of all of them (:func:`typical_of`).
+        peaks: largest T, with these nu.
+        margin: Phi of (46), largest healthy T over the threshold, in ]0, 1].
+        floor: least largest T, in units of nu.
+    """
+    rows: list[Quantity] = []
+    for each in of_kind(config, CusumCalibration):
+        mine = [part.arrays[each.name] for part in peaks.values()]
+        rows += _rows(each, mine, typical[each.name], margin, floor)
+    return Found(sum(part.seconds for part in said.values()), tuple(rows), failed_in(said))
 
 
 def _rows(
     chosen: Chosen[CusumCalibration],
-    states: list[Any],
+    peaks_of: list[NDArray[np.float64]],
     nus: Mapping[str, float],
     margin: float,
     floor: float,
@@ -142,8 +223,8 @@ def _rows(
     rows = []
     calibration, now = chosen.calibration, cast(Any, chosen.params)
     digests = {} if calibration.digests is None else calibration.digests(chosen.params)
-    peaks = np.max([calibration.peaks(s) for s in states], axis=0) * _NEVER
-    samples = sum(calibration.sums(s)["samples"] for s in states)
+    peaks = np.max([each[1] for each in peaks_of], axis=0) * _NEVER
+    samples = np.sum([each[0] for each in peaks_of], axis=0)
     for place, (quantity, residual) in enumerate(calibration.quantities):
         largest = float(peaks[place])
         least = calibration.floors.get(quantity, floor)
@@ -165,14 +246,13 @@ def _rows(
     return rows
 
 
-def _typical(chosen: Chosen[CusumCalibration], states: list[Any]) -> dict[str, float]:
+def _typical(chosen: Chosen[CusumCalibration], said: list[NDArray[np.float64]]) -> dict[str, float]:
     """Return nu of each residual: the largest of its quantities', or the parameters' where samples are too few.
 
     One that has neither is not among them.
     """
     calibration, now = chosen.calibration, cast(Any, chosen.params)
-    keys = ("samples", "total", "squares")
-    sums = np.sum([[calibration.sums(s)[key] for key in keys] for s in states], axis=0)
+    sums = np.sum(said, axis=0)
     residuals = [residual for _, residual in calibration.quantities]
     found = nus(residuals, sums)
     asked = {r: found.get(r, _now(now.nu, r)) for r in residuals if r}
@@ -203,27 +283,9 @@ def learn(
     Raises:
         InputError: no monitor of the configuration has CUSUM tests, or a log cannot be read or holds no step of them.
     """
-    chosen = of_kind(config, CusumCalibration)
-    if not chosen:
+    if not of_kind(config, CusumCalibration):
         raise refuse("CUSUM tests", file)
-    failed: set[str] = set()
-    seconds, states = _replay(config, logs, chosen, failed, file=file, maps=maps, progress=progress)
-    typical = {}
-    for each in chosen:
-        if not any(each.calibration.sums(s)["samples"].any() for s in states[each.name]):
-            raise InputError(
-                f'the logs hold nothing that monitor "{each.name}" tests',
-                file=logs[0] if logs else None,
-            )
-        typical[each.name] = _typical(each, states[each.name])
-    entries = list(config.monitor)
-    for each in chosen:
-        never = {quantity: _NEVER for quantity, _ in each.calibration.quantities}
-        changes = {"nu": typical[each.name], "thresholds": never}
-        entries[each.place] = entries[each.place].model_copy(update=changes)
-    opened = config.model_copy(update={"monitor": tuple(entries)})
-    _, states = _replay(opened, logs, chosen, set(), file=file, maps=maps, progress=progress)
-    rows: list[Quantity] = []
-    for each in chosen:
-        rows += _rows(each, states[each.name], typical[each.name], margin, floor)
-    return Found(seconds, tuple(rows), tuple(sorted(failed)))
+    said = {log: sums_of_log(config, log, file=file, maps=maps, progress=progress) for log in logs}
+    typical = typical_of(config, said)
+    peaks = {log: peaks_of_log(config, typical, log, file=file, maps=maps, progress=progress) for log in logs}
+    return merged(config, said, typical, peaks, margin=margin, floor=floor)

@@ -64,8 +64,23 @@ def digest(logs: Iterable[Path]) -> str:
     for path in logs:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         for file in files:
-            total.update(file.read_bytes())
+            with file.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    total.update(block)
     return total.hexdigest()[:12]
+
+
+class NothingToLearnError(InputErrors):
+    """A log of which nothing is to be learnt.
+
+    Args:
+        errors: what is wrong with it.
+        state: of its contents (:class:`gateway.bus.log_contents.Contents`).
+    """
+
+    def __init__(self, errors: list[InputError], state: str) -> None:
+        super().__init__(errors)
+        self.state = state
 
 
 def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[tuple[Frames, float]]:
@@ -84,7 +99,7 @@ def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[
     buses = {bus.name: bus.channel for bus in config.bus}
     found = contents(reader, buses, channels)
     if found.wrong:
-        raise InputErrors(found.wrong)
+        raise NothingToLearnError(found.wrong, found.state)
 
 
 def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:

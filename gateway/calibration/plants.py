@@ -11,10 +11,11 @@ import tomlkit
 from pydantic import BaseModel
 
 from gateway.calibration.file import put, rounded
-from gateway.calibration.logs import Progress, batches, of_kind
+from gateway.calibration.logs import Chosen, Progress, batches, of_kind
+from gateway.calibration.part import Part, Parts
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
-from gateway.monitors.contract import Refined, Refinement
+from gateway.monitors.contract import Refinement
 from gateway.runtime.app import Gateway
 
 #: Keys that a replay for learning sets and a configuration is not to hold.
@@ -75,30 +76,68 @@ def _replayed(
         gateway.close()
 
 
+def of_log(
+    config: Config,
+    chosen: Chosen[Refinement],
+    keys: Mapping[str, Any],
+    log: Path,
+    *,
+    file: Path | None = None,
+    maps: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Part:
+    """Refine a plant by a log.
+
+    Args:
+        config: the configuration.
+        chosen: the monitor.
+        keys: of its table, as the log before has left them (fact ``keys``).
+        log: a recording without a fault.
+        file: of the configuration, for errors.
+        maps: channels of the log taken as buses, ``"channel=bus"`` each.
+        progress: called with the number of frames of each batch.
+
+    Returns:
+        the facts ``keys``, ``fit`` and ``rows`` (:class:`gateway.monitors.contract.Refined`).
+
+    Raises:
+        InputError: the log cannot be read.
+    """
+    asked = _changed(config, chosen.place, {**chosen.calibration.wanted(chosen.params), **keys})
+    _, params = monitor_of(asked.monitor[0])
+    seconds, state = _replayed(asked, log, file, maps, progress)
+    refined = chosen.calibration.found(params, state)
+    new = {key: _plain(value) for key, value in refined.keys.items()}
+    return Part(seconds, facts={"keys": {**keys, **new}, "fit": refined.fit, "rows": [list(r) for r in refined.rows]})
+
+
+def merged(chosen: Chosen[Refinement], said: Parts) -> Plant | None:
+    """Put together what :func:`of_log` found, log after log; None without a log."""
+    if not said:
+        return None
+    told: dict[str, float] = {}
+    for part in said.values():
+        for name, before, _, _ in part.facts["rows"]:
+            told.setdefault(name, before)
+    last = list(said.values())[-1]
+    rows = tuple((name, told[name], now, sure) for name, _, now, sure in last.facts["rows"])
+    fits = tuple(part.facts["fit"] for part in said.values())
+    return Plant(chosen.name, sum(part.seconds for part in said.values()), fits, rows, last.facts["keys"])
+
+
 def learn(
     config: Config, logs: Sequence[Path], *, file: Path | None, maps: Sequence[str], progress: Progress
 ) -> list[Plant]:
     """Refine the plants of all monitors that have one by logs, one after the other."""
     plants = []
     for chosen in of_kind(config, Refinement):
-        keys: dict[str, Any] = {}
-        told: dict[str, float] = {}
-        fits, seconds = [], 0.0
-        refined: Refined | None = None
+        said: dict[Path, Part] = {}
+        keys: Mapping[str, Any] = {}
         for log in logs:
-            asked = _changed(config, chosen.place, {**chosen.calibration.wanted(chosen.params), **keys})
-            _, params = monitor_of(asked.monitor[0])
-            took, state = _replayed(asked, log, file, maps, progress)
-            refined = chosen.calibration.found(params, state)
-            seconds += took
-            fits.append(refined.fit)
-            keys |= refined.keys
-            for name, before, _, _ in refined.rows:
-                told.setdefault(name, before)
-        if refined is None:
-            continue
-        rows = tuple((name, told[name], now, sure) for name, _, now, sure in refined.rows)
-        plants.append(Plant(chosen.name, seconds, tuple(fits), rows, keys))
+            said[log] = of_log(config, chosen, keys, log, file=file, maps=maps, progress=progress)
+            keys = said[log].facts["keys"]
+        if (plant := merged(chosen, said)) is not None:
+            plants.append(plant)
     return plants
 
 
@@ -118,7 +157,7 @@ def write(path: Path, plants: Sequence[Plant], source: str) -> None:
                 continue
             if key == "output":
                 for table, part in zip(entry["output"], value, strict=True):
-                    table["noise"] = float(f"{part.noise:.4g}")
+                    table["noise"] = float(f"{part['noise']:.4g}")
                 continue
             put(entry, key, rounded(_plain(value)))
         put(entry, "calibrated", source)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ERROR, REMOTE, Frames
 from gateway.calibration.file import put, rounded
 from gateway.calibration.logs import Chosen, Progress, batches, of_kind, watch
+from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
@@ -92,15 +93,22 @@ class _Reader:
         yield from np.split(table, cuts)
 
 
-def _of_log(
+def of_log(
     config: Config,
     chosen: Chosen[SensorCalibration],
     log: Path,
-    file: Path | None,
-    maps: Sequence[str],
-    progress: Progress,
-) -> tuple[float, list[Array], set[str]]:
-    """Replay a log; returns its seconds, the readings of the monitor, the DTCs that it set."""
+    *,
+    file: Path | None = None,
+    maps: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Part:
+    """Replay a log; returns the readings of one monitor.
+
+    They are one array of shape (samples, inputs); the fact ``rows`` says how many of these are in a row without a gap.
+
+    Raises:
+        InputError: the log cannot be read.
+    """
     alone = config.model_copy(update={"monitor": (config.monitor[chosen.place],), "fault": {}})
     found = resolve(alone)
     databases = dict(enumerate(found.databases))
@@ -122,7 +130,32 @@ def _of_log(
     finally:
         gateway.close()
     period_ns = chosen.calibration.period_ms(chosen.params) * 1e6
-    return (last - begun) * 1e-9, list(reader.records(period_ns)), failed
+    records = list(reader.records(period_ns))
+    readings = {chosen.name: np.concatenate(records)} if records else {}
+    rows = [len(record) for record in records]
+    return Part((last - begun) * 1e-9, tuple(sorted(failed)), readings, {"rows": rows})
+
+
+def _records(part: Part) -> list[Array]:
+    """Return the readings of a log that are in a row."""
+    ends = np.cumsum(part.facts["rows"], dtype=np.int64)[:-1]
+    return [record for array in part.arrays.values() for record in np.split(array, ends)]
+
+
+def merged(chosen: Chosen[SensorCalibration], said: Parts, *, file: Path | None = None) -> Sensors:
+    """Put together what :func:`of_log` found.
+
+    Raises:
+        InputError: logs that do not tell, because the sensors are not moved enough or are not healthy.
+    """
+    records = [record for part in said.values() for record in _records(part)]
+    try:
+        found = chosen.calibration.found(chosen.params, records)
+    except InputError as error:
+        key = f"monitor[{chosen.place}]" + (f".{error.key}" if error.key else "")
+        raise InputError(f'of "{chosen.name}": {error.message}', file=file, key=key, value=error.value) from error
+    seconds = sum(part.seconds for part in said.values())
+    return Sensors(chosen.name, seconds, found.rows, found.keys, failed_in(said))
 
 
 def learn(
@@ -135,18 +168,8 @@ def learn(
     """
     measured = []
     for chosen in of_kind(config, SensorCalibration):
-        seconds, records, failed = 0.0, [], set()
-        for log in logs:
-            took, found, set_ = _of_log(config, chosen, log, file, maps, progress)
-            seconds += took
-            records += found
-            failed |= set_
-        try:
-            said = chosen.calibration.found(chosen.params, records)
-        except InputError as error:
-            key = f"monitor[{chosen.place}]" + (f".{error.key}" if error.key else "")
-            raise InputError(f'of "{chosen.name}": {error.message}', file=file, key=key, value=error.value) from error
-        measured.append(Sensors(chosen.name, seconds, said.rows, said.keys, tuple(sorted(failed))))
+        said = {log: of_log(config, chosen, log, file=file, maps=maps, progress=progress) for log in logs}
+        measured.append(merged(chosen, said, file=file))
     return measured
 
 

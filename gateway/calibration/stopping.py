@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.calibration.logs import Progress, batches, of_kind, parts, refuse, watch
+from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
@@ -106,6 +107,72 @@ class Levels:
     failed: tuple[str, ...]
 
 
+def of_log(
+    config: Config,
+    log: Path,
+    *,
+    file: Path | None = None,
+    maps: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Part:
+    """Replay a log with a gateway of its own; returns the largest levels of each second, shape (blocks, symptoms).
+
+    Args:
+        config: the configuration.
+        log: a recording without a fault.
+        file: of the configuration, for errors.
+        maps: channels of the log taken as buses, ``"channel=bus"`` each.
+        progress: called with the number of frames of each batch.
+
+    Raises:
+        InputError: the log cannot be read.
+    """
+    chosen = of_kind(config, Calibration)
+    found: dict[str, list[Array]] = {each.name: [] for each in chosen}
+    failed: set[str] = set()
+    blocks = 0
+    gateway = Gateway(config, None, file=file)
+    watch(gateway, failed)
+    places = {each.name: gateway.engine.place_of(each.name) for each in chosen}
+    rules = [(c.name, c.calibration.rules(gateway.engine.state_of(places[c.name])[0])) for c in chosen]
+    begun = 0
+    end_ns = 0
+    try:
+        for frames in batches(config, log, progress, maps):
+            if not begun:
+                begun = int(frames[0]["t_ns"])
+                end_ns = begun + WARM_UP_NS
+                gateway.start(begun)
+            for part, ended in parts(gateway.without_own(frames), end_ns, BLOCK_NS):
+                gateway.feed(part)
+                if not ended:
+                    continue
+                for name, states in rules:
+                    if end_ns > begun + WARM_UP_NS:
+                        found[name].append(np.array(states["peak"]))
+                    states["peak"] = 0.0
+                blocks += end_ns > begun + WARM_UP_NS
+                end_ns += BLOCK_NS
+    finally:
+        gateway.close()
+    arrays = {c.name: np.reshape(np.array(found[c.name]), (blocks, len(c.calibration.names))) for c in chosen}
+    return Part(blocks * BLOCK_NS * 1e-9, tuple(sorted(failed)), arrays)
+
+
+def merged(config: Config, said: Parts) -> Levels:
+    """Put together what :func:`of_log` found, in the order of the logs.
+
+    Raises:
+        InputError: the logs are too short.
+    """
+    blocks = sum(round(part.seconds * 1e9 / BLOCK_NS) for part in said.values())
+    if not blocks:
+        raise InputError("the logs hold less than 3 s of traffic", file=next(iter(said), None))
+    names = [each.name for each in of_kind(config, Calibration)]
+    stacked = {name: np.concatenate([part.arrays[name] for part in said.values()]) for name in names}
+    return Levels(blocks * BLOCK_NS * 1e-9, stacked, failed_in(said))
+
+
 def levels(
     config: Config,
     logs: Sequence[Path],
@@ -114,53 +181,14 @@ def levels(
     maps: Sequence[str] = (),
     progress: Progress = lambda _: None,
 ) -> Levels:
-    """Replay logs, each with a gateway of its own, and keep the largest levels of each second.
-
-    Args:
-        config: the configuration.
-        logs: recordings without a fault.
-        file: of the configuration, for errors.
-        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
-        progress: called with the number of frames of each batch.
+    """Replay logs, each with a gateway of its own, and keep the largest levels of each second (:func:`of_log`).
 
     Raises:
         InputError: no monitor of the configuration can be calibrated, or a log cannot be read.
     """
-    chosen = of_kind(config, Calibration)
-    if not chosen:
+    if not of_kind(config, Calibration):
         raise refuse("stopping rules", file)
-    found: dict[str, list[Array]] = {each.name: [] for each in chosen}
-    failed: set[str] = set()
-    blocks = 0
-    for path in logs:
-        gateway = Gateway(config, None, file=file)
-        watch(gateway, failed)
-        places = {each.name: gateway.engine.place_of(each.name) for each in chosen}
-        rules = [(c.name, c.calibration.rules(gateway.engine.state_of(places[c.name])[0])) for c in chosen]
-        begun = 0
-        end_ns = 0
-        try:
-            for frames in batches(config, path, progress, maps):
-                if not begun:
-                    begun = int(frames[0]["t_ns"])
-                    end_ns = begun + WARM_UP_NS
-                    gateway.start(begun)
-                for part, ended in parts(gateway.without_own(frames), end_ns, BLOCK_NS):
-                    gateway.feed(part)
-                    if not ended:
-                        continue
-                    for name, states in rules:
-                        if end_ns > begun + WARM_UP_NS:
-                            found[name].append(np.array(states["peak"]))
-                        states["peak"] = 0.0
-                    blocks += end_ns > begun + WARM_UP_NS
-                    end_ns += BLOCK_NS
-        finally:
-            gateway.close()
-    if not blocks:
-        raise InputError("the logs hold less than 3 s of traffic", file=logs[0] if logs else None)
-    stacked = {name: np.array(rows) for name, rows in found.items()}
-    return Levels(blocks * BLOCK_NS * 1e-9, stacked, tuple(sorted(failed)))
+    return merged(config, {log: of_log(config, log, file=file, maps=maps, progress=progress) for log in logs})
 
 
 def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:

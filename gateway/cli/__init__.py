@@ -35,7 +35,11 @@ app = typer.Typer(
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
 fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
-convert_app = typer.Typer(help="Turn other recordings into CAN logs.", no_args_is_help=True, rich_markup_mode=None)
+convert_app = typer.Typer(
+    help="Turn recordings into CAN logs.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
 app.add_typer(fleet_app, name="fleet")
@@ -63,7 +67,7 @@ HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report 
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, each also as .gz, .bz2, .xz, .zst, .zip; or a folder."
+        help="candump .log, .asc, .blf, .mf4, .trc, .csv, .parquet; also as .gz, .bz2, .xz, .zst, .zip; or a folder."
     ),
 ]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
@@ -382,17 +386,31 @@ def learn(
 @app.command()
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration.")],
-    logs: Annotated[list[Path], typer.Argument(help="Logs of healthy drives.")],
+    logs: Annotated[list[str], typer.Argument(help="Logs of healthy drives: files, folders, patterns as 'logs/**'.")],
     mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
     margin: Annotated[float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")] = 0.5,
     floor: Annotated[float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")] = 25.0,
     into: Annotated[bool, typer.Option("--write", help="Put the thresholds into the configuration.")] = False,
+    write_to: Annotated[
+        Path | None, typer.Option("--write-to", help="Put them into a copy of it, a file beside it.")
+    ] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(help="A fleet's logs, by workers: folder that keeps what each said; only new logs are read."),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="With --parts: Dask's scheduler, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="With --parts: processes on this machine; 0: this one; default: cores.")
+    ] = None,
     maps: Maps = None,
     json: Json = False,
 ) -> None:
     """Find thresholds from healthy logs, and say how far these carry.
 
-    Those of stopping rules and of CUSUM tests.
+    Those of stopping rules and of CUSUM tests, models of plants, redundant sensors. With --parts a log that is damaged
+    or kills its worker is left out and told; without, it is an error.
     """
     from gateway.cli.calibrate import calibrate_logs as work
 
@@ -403,7 +421,10 @@ def calibrate(
             mtfa=mtfa,
             margin=margin,
             floor=floor,
-            into=into,
+            into=write_to or (config if into else None),
+            parts=parts,
+            scheduler=scheduler,
+            workers=workers,
             maps=maps or (),
             json=json,
         )
@@ -428,7 +449,9 @@ def bus(
 @app.command()
 def record(
     buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
-    out: Annotated[Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv, .parquet.")
+    ] = None,
     ring: Annotated[Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")] = None,
     keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments [MB].")] = 256.0,
     segment_mb: Annotated[float, typer.Option(help="With --ring: size of a segment [MB].")] = 16.0,
@@ -808,6 +831,21 @@ def convert_teeth(
     from gateway.cli.convert import convert_teeth as work
 
     raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
+
+
+@convert_app.command("log")
+def convert_log(
+    source: LogArgument,
+    log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
+    json: Json = False,
+) -> None:
+    """Turn a CAN log into another format.
+
+    Parquet is what tools of data science read.
+    """
+    from gateway.cli.convert import convert_log as work
+
+    raise typer.Exit(work(source, log, json=json))
 
 
 def main() -> None:

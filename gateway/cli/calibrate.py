@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -15,15 +15,25 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.calibration import cusum, plants, sensors, stopping
+from gateway.calibration.earlier import load_afresh
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest, of_kind, refuse
-from gateway.cli.present import print_json, wide_console
-from gateway.common.log import get_logger
-from gateway.config.load import load_config
+from gateway.cli.present import print_json, say, wide_console
+from gateway.common.extras import need
 from gateway.config.model import Config
-from gateway.errors import InputErrors
+from gateway.errors import InputError
 from gateway.fdi.stopping import assured
+from gateway.fleet.corpus import find
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
+
+if TYPE_CHECKING:
+    from gateway.fleet.healthy import Answer
+    from gateway.fleet.verdicts import Row
+
+#: Time between two lines of progress [s].
+PERIOD_S = 5.0
+#: States of logs that may fare better another time.
+_FAILED = ("failed", "killed", "unreadable")
 
 
 def _alarmed(failed: tuple[str, ...]) -> list[str]:
@@ -146,6 +156,8 @@ class _Asked:
         margin: largest healthy T over its threshold, for CUSUM tests.
         floor: least threshold of these [nu].
         maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+        into: file that gets the thresholds, None: none.
+        json: whether programs are told.
     """
 
     config: Path
@@ -154,6 +166,23 @@ class _Asked:
     margin: float
     floor: float
     maps: Sequence[str]
+    into: Path | None
+    json: bool
+
+
+@dataclass(frozen=True)
+class _Fleet:
+    """How the logs of a fleet are read.
+
+    Attributes:
+        out: folder of what each log said.
+        scheduler: address of a scheduler.
+        workers: of this machine, None: a core each.
+    """
+
+    out: Path
+    scheduler: str | None
+    workers: int | None
 
 
 @dataclass(frozen=True)
@@ -166,6 +195,10 @@ class _Learned:
         tests: of CUSUM tests, with thresholds.
         plants: of linear plants, with matrices.
         sensors: of redundant sensors, with what they are like.
+        data: what names the logs' contents.
+        logs: how many they are.
+        left_out: rows of logs that nothing was learnt from.
+        read: logs that were read; the others had been before.
     """
 
     levels: stopping.Levels | None
@@ -173,6 +206,10 @@ class _Learned:
     tests: cusum.Found | None
     plants: list[plants.Plant]
     sensors: list[sensors.Sensors]
+    data: str
+    logs: int
+    left_out: Sequence[Row] = ()
+    read: int = 0
 
     @property
     def seconds(self) -> float:
@@ -186,28 +223,10 @@ class _Learned:
         return tuple(sorted({dtc for part in parts for dtc in part.failed}))
 
 
-log = get_logger(__name__)
-
-#: A key of what a calibration has found before, for tests that may be others now.
-_FOUND_BEFORE = re.compile(r"monitor\[(\d+)\]\.(?:nu|thresholds|digests)\..*")
-
-
-def _load(path: Path) -> Config:
-    """Read a configuration that is to be calibrated; what was found for tests that are no longer there does not count.
-
-    Raises:
-        InputError, InputErrors: anything else is wrong.
-    """
-    try:
-        return load_config(path)
-    except InputErrors as errors:
-        places = [_FOUND_BEFORE.fullmatch(error.key or "") for error in errors.errors]
-        if not all(places):
-            raise
-        for error in errors.errors:
-            log.warning("found for another test, and left out", key=error.key, value=error.value)
-        stale = {int(found[1]) for found in places if found}
-        return load_config(path, [(k, key) for k in stale for key in ("nu", "thresholds", "digests")])
+def _any(config: Config) -> bool:
+    """Tell whether logs can set anything of a configuration."""
+    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
+    return bool(rules or tests or of_kind(config, Refinement) or of_kind(config, SensorCalibration))
 
 
 def _learn(asked: _Asked) -> _Learned:
@@ -216,11 +235,11 @@ def _learn(asked: _Asked) -> _Learned:
     Raises:
         InputError: the configuration has nothing to calibrate.
     """
-    config = _load(asked.config)
+    config = load_afresh(asked.config, told=True)
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     models = of_kind(config, Refinement)
     redundant = of_kind(config, SensorCalibration)
-    if not rules and not tests and not models and not redundant:
+    if not _any(config):
         raise refuse("thresholds", asked.config)
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
     levels, found = None, None
@@ -249,29 +268,93 @@ def _learn(asked: _Asked) -> _Learned:
         if redundant:
             measured = sensors.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
     proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
-    return _Learned(levels, proposals, found, refined, measured)
+    return _Learned(levels, proposals, found, refined, measured, digest(asked.logs), len(asked.logs))
 
 
-def _write(asked: _Asked, learned: _Learned) -> None:
-    """Write the thresholds into the configuration, with their source."""
-    source = f"{learned.seconds:.0f} s of healthy logs, sha256 {digest(asked.logs)}"
+class _Told:
+    """Tells how far the logs are read.
+
+    Args:
+        silent: to nobody.
+    """
+
+    def __init__(self, *, silent: bool) -> None:
+        self._silent = silent
+        self._said = time.monotonic()
+
+    def __call__(self, answer: Answer, left: int) -> None:
+        """Take an answer, and how many are to come."""
+        now = time.monotonic()
+        if self._silent or (left and now - self._said < PERIOD_S):
+            return
+        self._said = now
+        say(f"{answer.ask.kind}: {left} logs left")
+
+
+def _learn_of_fleet(asked: _Asked, fleet: _Fleet) -> _Learned:
+    """Have workers run the logs through gateways, and propose thresholds.
+
+    Raises:
+        InputError: the configuration has nothing to calibrate, an extra is missing.
+    """
+    need("fleet", "fleets' logs")
+    need("parquet", "tables of errors")
+    from gateway.fleet import healthy  # noqa: PLC0415 - behind need()
+    from gateway.fleet.pool import Workers, default_workers  # noqa: PLC0415
+
+    if fleet.scheduler is not None and fleet.workers is not None:
+        raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)
+    config = load_afresh(asked.config, told=True)
+    if not _any(config):
+        raise refuse("thresholds", asked.config)
+    found = healthy.learn(
+        asked.config,
+        find(asked.logs),
+        fleet.out,
+        Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers),
+        margin=asked.margin,
+        floor=asked.floor,
+        maps=tuple(asked.maps),
+        told=_Told(silent=asked.json),
+    )
+    proposals = stopping.calibrate(config, found.levels, asked.mtfa) if found.levels else []
+    return _Learned(
+        found.levels, proposals, found.tests, found.plants, found.sensors,
+        found.data, found.logs, found.left_out, found.read,
+    )  # fmt: skip
+
+
+def _write(asked: _Asked, learned: _Learned, into: Path) -> None:
+    """Write the thresholds into a configuration, with their source.
+
+    Raises:
+        InputError: the file cannot be written, or would not find what lies beside the configuration.
+    """
+    source = f"{learned.seconds:.0f} s of healthy logs, sha256 {learned.data}"
+    if into.absolute() != asked.config.absolute():
+        if into.absolute().parent != asked.config.absolute().parent:
+            text = "is to lie beside the configuration, whose databases are named from there"
+            raise InputError(text, key="--write-to", value=str(into))
+        into.write_text(asked.config.read_text())
     if learned.levels:
         tables = stopping.tables(learned.proposals)
-        write(asked.config, tables, f"{source}, target {asked.mtfa:.0f} s")
+        write(into, tables, f"{source}, target {asked.mtfa:.0f} s")
     if learned.tests:
         criteria = f"margin {asked.margin:g}, floor {asked.floor:g} nu"
-        write(asked.config, learned.tests.tables, f"{source}, {criteria}")
+        write(into, learned.tests.tables, f"{source}, {criteria}")
     if learned.plants:
-        plants.write(asked.config, learned.plants, source)
+        plants.write(into, learned.plants, source)
     if learned.sensors:
-        sensors.write(asked.config, learned.sensors, source)
+        sensors.write(into, learned.sensors, source)
 
 
 def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
     """Return what was found, for programs."""
     said: dict[str, Any] = {
         "seconds": learned.seconds,
-        "data": digest(asked.logs),
+        "data": learned.data,
+        "logs": learned.logs,
+        "left_out": [{name: row[name] for name in ("path", "kind", "text")} for row in learned.left_out],
         "failed": list(learned.failed),
     }
     if learned.levels:
@@ -318,25 +401,56 @@ def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
 
 def calibrate_logs(
     config_path: Path,
-    logs: list[Path],
+    logs: list[str],
     *,
     mtfa: float,
     margin: float,
     floor: float,
-    into: bool,
+    into: Path | None,
+    parts: Path | None,
+    scheduler: str | None,
+    workers: int | None,
     maps: Sequence[str] = (),
     json: bool,
 ) -> int:
-    """Propose thresholds, and write them if wanted; returns the exit code."""
-    asked = _Asked(config_path, logs, mtfa, margin, floor, maps)
-    learned = _learn(asked)
-    if into:
-        _write(asked, learned)
+    """Propose thresholds, and write them if wanted; returns the exit code.
+
+    Args:
+        config_path: the configuration.
+        logs: healthy ones: files, folders, patterns.
+        mtfa: target of the mean time between false alarms [s], for stopping rules.
+        margin: largest healthy T over its threshold, for CUSUM tests.
+        floor: least threshold of these [nu].
+        into: configuration that gets the thresholds; None: none.
+        parts: folder of what each log said, None: all is done here, each time anew.
+        scheduler: address of Dask's scheduler.
+        workers: of this machine.
+        maps: channels of the logs taken as buses.
+        json: programs are told.
+    """
+    if parts is None:
+        for key, value in (("--scheduler", scheduler), ("--workers", workers)):
+            if value is not None:
+                raise InputError("goes with --parts, the folder of what each log said", key=key, value=value)
+        paths = [recording.path for recording in find(logs)]
+        asked = _Asked(config_path, paths, mtfa, margin, floor, maps, into, json)
+        learned = _learn(asked)
+    else:
+        asked = _Asked(config_path, [Path(log) for log in logs], mtfa, margin, floor, maps, into, json)
+        learned = _learn_of_fleet(asked, _Fleet(parts, scheduler, workers))
+    if into is not None:
+        _write(asked, learned, into)
+    code = 2 if any(row["kind"] in _FAILED for row in learned.left_out) else 0
     if json:
-        print_json(_data(asked, learned) | {"written": into})
-        return 0
+        print_json(_data(asked, learned) | {"written": into is not None})
+        return code
     console = wide_console()
     _show(asked, learned, console)
-    if into:
-        console.print(f"written: {config_path}")
-    return 0
+    if parts is not None:
+        said = f"{learned.logs} logs, {learned.read} of them read now, {len(learned.left_out)} left out"
+        console.print(f"{said} (kept in {parts})", soft_wrap=True)
+        for row in learned.left_out:
+            say(f"{row['path']}: left out, {row['kind']}: {row['text']}")
+    if into is not None:
+        console.print(f"written: {into}")
+    return code

@@ -1,12 +1,13 @@
-"""``gateway convert``: other recordings into CAN logs."""
+"""``gateway convert``: other recordings into CAN logs, and logs of one format into those of another."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from gateway.bus.logs import open_writer
-from gateway.cli.present import print_json
-from gateway.errors import InputError
+from gateway.bus.ring import read_recording
+from gateway.cli.present import print_json, say
+from gateway.errors import InputError, InputErrors
 from gateway.vecu.crank.capture import read_capture
 from gateway.vecu.crank.tooth_frames import Format, tooth_frames
 
@@ -28,3 +29,60 @@ def convert_teeth(capture: Path, log: Path, *, channel: str, edge: str, frame: s
     else:
         print(f"{capture}: {teeth.edges} {edge} edges in {teeth.duration_s:.3f} s -> {log}: {len(frames)} frames")
     return 0
+
+
+#: Buses of a batch (``FRAME["bus"]`` is a byte).
+_MOST = 256
+
+
+def convert_log(source: Path, log: Path, *, json: bool) -> int:
+    """Write a log in another format; returns the exit code.
+
+    It is read twice: formats whose channels have names get these, in the order in which they come.
+
+    Raises:
+        InputError, InputErrors: a log that is damaged; what came before has been written.
+    """
+    if log.exists() and source.exists() and log.samefile(source):
+        raise InputError("a log is not converted into itself", file=log)
+    wrong: list[InputError] = []
+    names = _channels(source)
+    reader = read_recording(source, {name: k for k, name in enumerate(names)})
+    count = 0
+    with open_writer(log, interfaces=dict(enumerate(names))) as writer:
+        try:
+            for frames in reader:
+                if reader.origin_ns:
+                    frames["t_ns"] += reader.origin_ns
+                writer.write(frames)
+                count += len(frames)
+        except InputError as error:
+            wrong.append(error)
+    wrong += reader.problems
+    facts = {"log": str(log), "frames": count, "channels": names, "reasons": [str(error) for error in wrong]}
+    if json:
+        print_json(facts)
+    else:
+        print(f"{source}: {count} frames of {', '.join(names) or 'no channel'} -> {log}")
+        if reader.passed_over:
+            say(f"{source}: {len(reader.passed_over)} places could not be read: {reader.passed_over[0]}")
+    if wrong:
+        raise InputErrors(wrong)
+    return 0
+
+
+def _channels(source: Path) -> list[str]:
+    """Return the names of a log's channels; numbers stay what they are, where they can."""
+    reader = read_recording(source)
+    try:
+        for _ in reader:
+            pass
+    except InputError:
+        pass  # told when it is read again
+    seen = list(reader.seen)
+    if len(seen) > _MOST:
+        raise InputError(f"{len(seen)} channels; {_MOST} is the most that a log is written with", file=source)
+    numbers = [int(name) for name in seen if name.isdecimal()]
+    if seen and len(numbers) == len(seen) and max(numbers) < _MOST:
+        return [str(number) for number in range(max(numbers) + 1)]
+    return seen

@@ -87,7 +87,8 @@ def fleet_run(
         raise InputError("the memories are fresh and carried", key="--memory", value=memory)
     if scheduler is not None and workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=workers)
-    from gateway.fleet.run import FAILED, Order, default_workers, run  # noqa: PLC0415 - behind need()
+    from gateway.fleet.pool import default_workers  # noqa: PLC0415 - behind need()
+    from gateway.fleet.run import FAILED, Order, run  # noqa: PLC0415
 
     order = Order(
         find(logs, device),

@@ -10,7 +10,9 @@ from pathlib import Path
 
 from gateway.bus.log_source import ARCHIVE, compression_of
 from gateway.bus.logs import FORMATS
+from gateway.bus.readers.parquet import is_frame_log
 from gateway.bus.ring import segments
+from gateway.common.extras import installed
 from gateway.errors import InputError
 
 #: Hexadecimal digits of a digest that names a recording.
@@ -62,7 +64,9 @@ class Recording:
 
 
 def is_log(path: Path) -> bool:
-    """Tell by its name whether a file is a log."""
+    """Tell by its name whether a file is a log; of Parquet, which may be any table, by its columns."""
+    if path.suffix.lower() == ".parquet":
+        return installed("parquet") and is_frame_log(path)
     packed = compression_of(path)
     if packed == ARCHIVE:
         return True

@@ -129,9 +129,18 @@ def judge(task: Task) -> list[Outcome]:
     for recording in task.recordings:
         outcome = _one(task.setup, config, recording, before)
         outcomes.append(outcome)
-        if _memory(task.setup, outcome.log).exists():
+        if _memory(task.setup, outcome.log).exists() and _is_next(task.setup, outcome):
             before = outcome.log
     return outcomes
+
+
+def _is_next(setup: Setup, outcome: Outcome) -> bool:
+    """Tell whether a memory goes on from a recording: not from a copy, whose memory stands where the first one is."""
+    if outcome.fresh:
+        return True
+    rows = Verdicts(setup.out).rows("logs", outcome.log)
+    path = str(outcome.recording.path)
+    return all(row["path"] == path or not Path(row["path"]).exists() for row in rows)
 
 
 def _memory(setup: Setup, log: str) -> Path:
@@ -144,11 +153,23 @@ def unreadable(recording: Recording) -> str:
     return hashlib.sha256(str(recording.path).encode()).hexdigest()[:DIGITS]
 
 
+def log_of(setup: Setup, recording: Recording) -> str:
+    """Return what names a recording: its contents; with a memory that is carried, also whose it is.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    contents_of = recording.digest()
+    if not setup.carried:
+        return contents_of
+    return hashlib.sha256(f"{recording.device} {contents_of}".encode()).hexdigest()[:DIGITS]
+
+
 def _one(setup: Setup, config: Config, recording: Recording, before: str) -> Outcome:
     begun = time.monotonic()
     verdicts = Verdicts(setup.out)
     try:
-        log = recording.digest()
+        log = log_of(setup, recording)
     except InputError as error:
         log = unreadable(recording)
         return refuse(verdicts, recording, log, "unreadable", str(error))

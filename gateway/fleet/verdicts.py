@@ -7,7 +7,7 @@ table       a row
 ``dtcs``    a DTC of a log: status at the end, first and last failure, occurrences, evidence
 ``tests``   a test of a log: results, the nearest to a failure (``ratio``, 1 at the limit), near misses
 ``events``  a change of a DTC's status in a log, in order
-``errors``  what was wrong with a log: damaged, cut off, empty, foreign, failed, killed its worker
+``errors``  what was wrong with a log: damaged, cut off, empty, foreign, failed, killed its worker, a copy
 ==========  ======================================================================================================
 
 Files are named by the digest of the log's contents, written under another name and renamed; that in ``logs`` comes
@@ -17,6 +17,7 @@ Nothing in the tables depends on when, where or how fast they were made.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.errors import InputError
-from gateway.fleet.corpus import Recording
+from gateway.fleet.corpus import DIGITS, Recording
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,7 +76,7 @@ def _schema(table: str) -> pa.Schema:
     return pa.schema([pa.field(name, types[kind]) for name, kind in TABLES[table].items()])
 
 
-def _write_table(path: Path, table: str, rows: Sequence[Row]) -> None:
+def write_table(path: Path, table: str, rows: Sequence[Row]) -> None:
     """Write a file that is there whole or not at all."""
     import pyarrow as pa  # noqa: PLC0415 - an extra
     import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
@@ -110,7 +111,7 @@ class Verdicts:
                 (self.folder / table).mkdir(parents=True, exist_ok=True)
                 empty = self.folder / table / "none.parquet"
                 if not empty.exists():
-                    _write_table(empty, table, [])
+                    write_table(empty, table, [])
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror or error}", file=self.folder) from error
 
@@ -128,7 +129,7 @@ class Verdicts:
             rows = getattr(verdict, table)
             path = self.path(table, log)
             if rows:
-                _write_table(path, table, rows)
+                write_table(path, table, rows)
             else:
                 path.unlink(missing_ok=True)
 
@@ -136,6 +137,31 @@ class Verdicts:
         """Take a log's rows away."""
         for table in TABLES:
             self.path(table, log).unlink(missing_ok=True)
+
+    def name(self, log: str, recording: Recording) -> None:
+        """Have a log's rows name a recording with its contents."""
+        rows = self.rows("logs", log)
+        if not rows or (rows[0]["path"], rows[0]["device"]) == (str(recording.path), recording.device):
+            return
+        before = rows[0]["path"]
+        verdict = Verdict(**{table: self.rows(table, log) for table in TABLES})
+        for table, columns in TABLES.items():
+            for row in getattr(verdict, table):
+                row["device"] = recording.device
+                if "path" in columns:
+                    row["path"] = str(recording.path)
+                if "text" in columns:
+                    row["text"] = row["text"].replace(before, str(recording.path))
+        self.write(log, verdict)
+
+    def tell_copy(self, recording: Recording, log: str, first: Recording | None) -> None:
+        """Write that a recording has the contents of another one, which is judged; None: it has not."""
+        path = self.path("errors", hashlib.sha256(f"copy {recording.path}".encode()).hexdigest()[:DIGITS])
+        if first is None:
+            path.unlink(missing_ok=True)
+            return
+        text = f"the same contents as {first.path}: counted once"
+        write_table(path, "errors", error_rows(log, recording, "copy", [text]))
 
     def rows(self, table: str, log: str | None = None) -> list[Row]:
         """Return the rows of a table, of one log or of all, in order of their logs; times in nanoseconds.
@@ -218,6 +244,10 @@ class Manifest:
             self.done[row["path"]] = Done(files, row["log"], row["state"])
         except (ValueError, KeyError, TypeError):
             return  # a line that a kill has cut; its recording is looked at again
+
+    def paths(self, log: str) -> list[str]:
+        """Return the recordings with these contents."""
+        return [path for path, done in self.done.items() if done.log == log]
 
     def add(self, path: Path, done: Done, more: Mapping[str, Any]) -> None:
         """Note that a recording has been done.

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import ERROR, EXTENDED, FD_LENGTHS, empty, put_message
 from gateway.bus.log_source import CutOffError
-from gateway.bus.logs import FORMATS, read_log
+from gateway.bus.logs import read_log
 from gateway.bus.readers import blf
 from gateway.bus.readers.asc import date_ns
 from gateway.errors import InputError
@@ -96,7 +96,7 @@ CARRIES = {
 }
 
 
-@pytest.mark.parametrize("suffix", sorted(FORMATS))
+@pytest.mark.parametrize("suffix", sorted(CARRIES))
 def test_random_logs_are_read_as_python_can_reads_them(suffix, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
 

@@ -68,6 +68,8 @@ def test_the_command_measures_and_writes(tmp_path, drive):
     assert shown.exit_code == 0, shown.output
     assert config.read_text() == CONFIG, "nothing is written unasked"
     said = json.loads(shown.stdout)
+    fleet = calibrate(config, healthy, "--parts", tmp_path / "parts", "--workers", 0, "--json")
+    assert json.loads(fleet.stdout)["sensors"] == said["sensors"], "kept readings are those of the log"
     rows = {name: (told, value, sd) for name, told, value, sd in said["sensors"][0]["rows"]}
     for k in range(2):
         told, value, sd = rows[f"channel[{k}].noise"]

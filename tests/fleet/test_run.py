@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -162,6 +163,82 @@ def test_a_memory_that_is_carried_ages_over_a_cars_logs(fleet):
     write_log(logs / "A" / "05.log", seed=77, frames=300)
     with pytest.raises(InputError, match=r"05\.log: comes before 1\.log"):
         run(order(fleet, "whole", carried=True))
+
+
+def test_the_same_contents_count_once_and_are_told(fleet):
+    """Whoever is judged first: the verdict names the first path, each other one is a row of errors."""
+    first = fleet / "logs" / "car0" / "00000.log"
+    copy = fleet / "logs" / "car3" / "copy.log"
+    copy.write_bytes(first.read_bytes())
+    for device in ("car1", "car2"):
+        (fleet / "logs" / device / "empty.log").write_bytes(b"")
+    result = run(order(fleet))
+    assert sorted(path.name for path in result.copies) == ["copy.log", "empty.log"]
+    verdicts = Verdicts(fleet / "out")
+    errors = {(row["kind"], Path(row["path"]).parent.name): row["text"] for row in verdicts.rows("errors")}
+    assert set(errors) == {("copy", "car3"), ("copy", "car2"), ("empty", "car1")}
+    assert str(first) in errors["copy", "car3"]
+    backwards = order(fleet, "back")
+    run(replace(backwards, recordings=list(reversed(backwards.recordings))))
+    assert tables_hash(fleet / "back") == tables_hash(fleet / "out")
+    # The first one goes: the copy is the log now.
+    first.unlink()
+    copy.rename(copy.with_name("moved.log"))
+    run(order(fleet))
+    (row,) = (row for row in verdicts.rows("logs") if Path(row["path"]).name in ("moved.log", "copy.log", "00000.log")
+              and row["begin"] == 1_700_000_000 * 10**9)  # fmt: skip
+    assert (Path(row["path"]).name, row["device"]) == ("moved.log", "car3")
+
+
+def test_a_log_that_goes_on_counts_once(fleet):
+    """A log was judged while it was still being written: its verdict gives way to that of the whole."""
+    path = fleet / "logs" / "car1" / "growing.log"
+    whole = write_log(path, seed=5, frames=300).read_bytes()
+    path.write_bytes(whole[: len(whole) // 2 + 7])
+    run(order(fleet))
+    verdicts = Verdicts(fleet / "out")
+    (half,) = (row for row in verdicts.rows("logs") if row["path"].endswith("growing.log"))
+    path.write_bytes(whole)
+    assert judged(run(order(fleet))) == ["growing.log"]
+    (row,) = (row for row in verdicts.rows("logs") if row["path"].endswith("growing.log"))
+    assert (half["frames"], row["frames"]) == (150, 300)
+    assert not [row for row in verdicts.rows("errors") if row["path"].endswith("growing.log")], "cut off no more"
+    run(order(fleet, "fresh"))
+    assert tables_hash(fleet / "fresh") == tables_hash(fleet / "out")
+
+
+def test_a_log_that_grows_while_it_is_judged_is_new_to_the_next_run(fleet):
+    path = fleet / "logs" / "car1" / "growing.log"
+    text = write_log(path, seed=5, frames=300).read_text()
+
+    def progress(outcome, left):
+        if outcome.recording.path.name == "growing.log":
+            path.write_text(text + text.splitlines()[-1].replace("(17", "(18") + "\n")
+
+    run(order(fleet), progress)
+    assert judged(run(order(fleet))) == ["growing.log"]
+    assert run(order(fleet)).outcomes == []
+
+
+def test_a_copy_does_not_take_a_carried_memory_back(fleet):
+    """Logs 0 to 3 of a car, and behind 2 a copy of 0: what 3 finds is the memory after 2."""
+    logs = fleet / "logs"
+    for path in logs.rglob("*.log"):
+        path.unlink()
+    for k in range(4):
+        write_log(logs / "A" / f"{k}.log", seed=k, frames=300, peak=1200.0 if k in (1, 3) else 600.0,
+                  begin_s=1_700_000_000 + 3600 * k)  # fmt: skip
+    run(order(fleet, "without", carried=True))
+    (logs / "A" / "2z.log").write_bytes((logs / "A" / "0.log").read_bytes())
+    run(order(fleet, "with", carried=True))
+    assert tables_hash(fleet / "with", but=("errors",)) == tables_hash(fleet / "without", but=("errors",))
+    assert [row["kind"] for row in Verdicts(fleet / "with").rows("errors")] == ["copy"]
+    hidden = logs / "A" / "3.log"
+    hidden.rename(logs / "A" / ".3")
+    run(order(fleet, "steps", carried=True))
+    (logs / "A" / ".3").rename(hidden)
+    run(order(fleet, "steps", carried=True))
+    assert tables_hash(fleet / "steps") == tables_hash(fleet / "with")
 
 
 def test_a_changed_threshold_turns_one_verdict(fleet):

@@ -16,6 +16,8 @@ WORDS = FRAME.itemsize // 8
 _WIDEST = 100_000
 #: Channel of a frame whose log names none.
 NO_CHANNEL = -(1 << 40)
+#: Byte of a frame where its payload begins.
+DATA = FRAME.itemsize - 64
 #: Where the second word has flags and length.
 FLAGS, LENGTH = 40, 48
 

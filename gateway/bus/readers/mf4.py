@@ -20,10 +20,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import NO_CHANNEL, Names, Read, placed
+from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
 from gateway.errors import InputError
+from gateway.jit import kernel
 
 #: Header of a block: mark, length, number of links; where the first one is.
 _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
@@ -31,6 +32,8 @@ _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
 _BUS_EVENT = 2
 #: Structures of frames, and what their identifiers get.
 _KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+#: It looks through all frames for messages otherwise, for an extraction of its own.
+_OPEN: dict[str, Any] = {"process_bus_logging": False}
 #: Records that are asked of asammdf at once: what a call costs besides is small then.
 _RECORDS = 250_000
 
@@ -106,7 +109,9 @@ class _Group:
         if len(self.frames) or not self.more:
             return
         count = min(_RECORDS, self._count - self._next)
-        found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=True)
+        # With conversions: a recorder may keep the DLC as length, and what all frames have in common (CANedge's channel
+        # and IDE) as a formula of the record's number, a virtual channel.
+        found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=False)
         self._next += count
         self.frames, self.channel = _frames(found, self._kind, self._begin_ns, self._names)
 
@@ -148,14 +153,30 @@ def _frames(found: Any, kind: str, begin_ns: int, names: Names) -> tuple[Frames,
     return frames, placed(np.broadcast_to(channel.astype(np.int64), count), names)
 
 
+@kernel
+def put_rows(data: Any, lengths: Any, rows: Any, first: int) -> int:
+    """Copy payloads that lie in the rows of a table into frames; returns how many bytes.
+
+    Args:
+        data: bytes, shape (frames, width).
+        lengths: of each payload, at most the width.
+        rows: frames as bytes, shape (frames, 80), zero where payloads go.
+        first: byte of a frame where its payload goes.
+    """
+    copied = 0
+    for k in range(rows.shape[0]):
+        for j in range(lengths[k]):
+            rows[k, first + j] = data[k, j]
+        copied += lengths[k]
+    return copied
+
+
 def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]) -> None:
-    """Put payloads into frames; bytes beyond a frame's length are zero."""
+    """Put payloads into frames, whose bytes beyond them stay zero."""
     width = min(data.shape[1], 64)
-    lengths = np.minimum(lengths.astype(np.int64), width)
-    if int(lengths.min(initial=width)) == width:
-        frames["data"][:, :width] = data[:, :width]
-    else:
-        frames["data"][:, :width] = np.where(np.arange(width) < lengths[:, None], data[:, :width], 0)
+    lengths = np.clip(lengths.astype(np.int64), 0, width)
+    rows = frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
+    put_rows(np.ascontiguousarray(data), lengths, rows, DATA)
     frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
 
 
@@ -234,7 +255,7 @@ class Mf4:
 
         with _tidy():
             # It maps a file that has a name, and reads another one whole.
-            mdf = MDF(self._path if stream is None else BytesIO(stream.read()))
+            mdf = MDF(self._path if stream is None else BytesIO(stream.read()), **_OPEN)
         try:
             yield from _joined(_groups(mdf, names))
         finally:

@@ -1,0 +1,257 @@
+"""Frame logs in Parquet: a row a frame.
+
+=============  ==========================================================================================
+column         what
+=============  ==========================================================================================
+``t``          UTC: timestamp of any unit, or whole nanoseconds since 1970 (int64)
+``id``         identifier without flags, a whole number
+``data``       payload: binary, or a list of bytes
+``extended``   boolean; missing: identifiers above 0x7FF are
+``fd``         boolean; missing: payloads above 8 bytes are
+``channel``    text, or a number; missing or null: none
+``remote``, ``error``, ``brs``, ``esi``, ``own``  boolean; missing: false
+=============  ==========================================================================================
+
+The first three must be there. The footer is at the file's end: one that is cut off cannot be read at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
+from gateway.bus.log_source import CutOffError, compression_of
+from gateway.bus.readers.batch import DATA, Names, Read
+from gateway.errors import InputError, nearest
+from gateway.jit import kernel
+
+#: Columns that must be there, and those that may be.
+NEEDED = ("t", "id", "data")
+FLAGS_OF_ID = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR}
+FLAGS = {"fd": FD, "brs": BRS, "esi": ESI, "own": OWN}
+_MAGIC = b"PAR1"
+
+
+@kernel
+def scatter(raw: Any, ends: Any, rows: Any, first: int) -> int:
+    """Copy payloads that lie one behind the other into frames.
+
+    Args:
+        raw: bytes.
+        ends: where each begins, and where the last one ends, shape (frames + 1,).
+        rows: frames as bytes, shape (frames, 80), zero where payloads go.
+        first: byte of a frame where its payload goes.
+
+    Returns:
+        the first frame whose payload is longer than 64 bytes, -1: none.
+    """
+    for k in range(rows.shape[0]):
+        begin, count = ends[k], ends[k + 1] - ends[k]
+        if count > 64 or count < 0:
+            return k
+        for j in range(count):
+            rows[k, first + j] = raw[begin + j]
+    return -1
+
+
+def is_frame_log(path: Path) -> bool:
+    """Tell whether a Parquet file has the columns of frames, and not those of signals or anything else."""
+    from pyarrow import ArrowException  # noqa: PLC0415 - an extra
+    from pyarrow.parquet import read_schema  # noqa: PLC0415
+
+    try:
+        return set(NEEDED) <= set(read_schema(path).names)
+    except (OSError, ArrowException):
+        return path.stem.endswith(".frames")  # as we name them; what is wrong with it is told when it is read
+
+
+class Parquet:
+    """Reads Parquet (see :class:`gateway.bus.readers.batch.Reader`).
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.passed_over: list[str] = []
+        self.origin_ns = 0
+
+    def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
+        """Yield a log's frames."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.parquet as pq  # noqa: PLC0415
+
+        source = BytesIO(stream.read()) if compression_of(self._path) else stream
+        head = source.read(4)
+        if head != _MAGIC and head:
+            raise InputError("not a Parquet file: it does not begin with PAR1", file=self._path)
+        source.seek(0)
+        frames = 0
+        try:
+            file = pq.ParquetFile(source, pre_buffer=False)
+        except (pa.ArrowInvalid, OSError) as error:
+            text = "cut off: its footer, which says where all is, is missing" if head else "no frame: the file is empty"
+            raise CutOffError(text, file=self._path) from error
+        with file:
+            columns = self._columns(file.schema_arrow)
+            for batch in file.iter_batches(batch_size=chunk, columns=columns):
+                taken = self._frames({name: batch.column(name) for name in columns}, frames)
+                yield taken, _channels(batch, len(taken), names)
+                frames += len(taken)
+
+    def _columns(self, schema: Any) -> list[str]:
+        """Return the columns that are read.
+
+        Raises:
+            InputError: one that must be there is missing, or has another type.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
+        has = list(schema.names)
+        for name in NEEDED:
+            if name not in has:
+                known = f"it has {', '.join(has[:12])}{', ...' if len(has) > 12 else ''}"
+                text = f"no such column; a log of frames has {', '.join(NEEDED)}, {known}{nearest(name, has)}"
+                raise InputError(text, file=self._path, key=name)
+        kinds = {"t": _is_time, "id": pa.types.is_integer, "data": _is_bytes, "channel": _is_channel}
+        kinds |= dict.fromkeys((*FLAGS_OF_ID, *FLAGS), pa.types.is_boolean)
+        told = {"t": "a timestamp, or int64 nanoseconds", "id": "a whole number", "channel": "text or a whole number"}
+        found = []
+        for name, fits in kinds.items():
+            if name not in has:
+                continue
+            kind = schema.field(name).type
+            if not fits(kind):
+                wanted = told.get(name, "binary, or a list of bytes" if name == "data" else "boolean")
+                raise InputError(f"this column is {wanted}", file=self._path, key=name, value=str(kind))
+            found.append(name)
+        return found
+
+    def _frames(self, columns: Mapping[str, Any], before: int) -> Frames:
+        """Return the frames of a batch of columns."""
+        for name in (*NEEDED, *(name for name in columns if name not in (*NEEDED, "channel"))):
+            if columns[name].null_count:
+                row = before + int(np.flatnonzero(columns[name].is_null().to_numpy(zero_copy_only=False))[0])
+                raise InputError(f"no value in row {row}", file=self._path, key=name)
+        count = len(columns["t"])
+        frames = empty(count)
+        frames["t_ns"] = self._times(columns["t"])
+        ids = columns["id"].to_numpy(zero_copy_only=False)
+        wrong = (ids < 0) | (ids > ID_MASK)
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
+            raise InputError(
+                f"no identifier, in row {before + row}: 0 to 0x1FFFFFFF", file=self._path, key="id", value=int(ids[row])
+            )
+        can_id = ids.astype(np.uint32)
+        if "extended" not in columns:
+            can_id |= np.where(can_id > 0x7FF, np.uint32(EXTENDED), np.uint32(0))
+        self._put_payloads(frames, columns["data"], before)
+        for name, flag in FLAGS_OF_ID.items():
+            if name in columns:
+                can_id |= np.where(_booleans(columns[name]), np.uint32(flag), np.uint32(0))
+        frames["can_id"] = can_id
+        flags = np.zeros(count, np.uint8)
+        if "fd" not in columns:
+            flags |= np.where(frames["length"] > 8, np.uint8(FD), np.uint8(0))
+        for name, flag in FLAGS.items():
+            if name in columns:
+                flags |= np.where(_booleans(columns[name]), np.uint8(flag), np.uint8(0))
+        frames["flags"] = flags
+        return frames
+
+    def _times(self, column: Any) -> NDArray[np.int64]:
+        """Return stamps [ns].
+
+        Raises:
+            InputError: they are beyond the years that 64 bits of nanoseconds hold.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
+        try:
+            if pa.types.is_timestamp(column.type):
+                column = column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64())
+        except pa.ArrowInvalid as error:
+            raise InputError(" ".join(str(error).split()), file=self._path, key="t") from error
+        found: NDArray[np.int64] = column.to_numpy(zero_copy_only=False)
+        return found
+
+    def _put_payloads(self, frames: Frames, column: Any, before: int) -> None:
+        """Put payloads into frames.
+
+        Raises:
+            InputError: one is longer than 64 bytes.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
+        kind = column.type
+        if pa.types.is_fixed_size_binary(kind) or pa.types.is_dictionary(kind):
+            column = column.cast(pa.binary())
+        if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+            ends = column.offsets.to_numpy()
+            if column.values.null_count:
+                raise InputError("a payload has bytes without a value", file=self._path, key="data")
+            raw = column.values.to_numpy(zero_copy_only=False)
+        else:
+            wide = pa.types.is_large_binary(column.type)
+            _, places, content = column.buffers()
+            ends = np.frombuffer(places, np.int64 if wide else np.int32)[column.offset :][: len(column) + 1]
+            raw = np.frombuffer(content, np.uint8) if content is not None else np.zeros(0, np.uint8)
+        ends = ends.astype(np.int64)
+        rows = frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
+        long = scatter(raw, ends, rows, DATA)
+        if long >= 0:
+            text = f"a payload above 64 bytes, in row {before + long}"
+            raise InputError(text, file=self._path, key="data", value=int(ends[long + 1] - ends[long]))
+        frames["length"] = np.diff(ends)
+
+
+def _is_time(kind: Any) -> bool:
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_int64(kind))
+
+
+def _is_bytes(kind: Any) -> bool:
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
+        return bool(pa.types.is_uint8(kind.value_type))
+    return bool(pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind))
+
+
+def _is_channel(kind: Any) -> bool:
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    plain = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(plain) or pa.types.is_large_string(plain) or pa.types.is_integer(plain))
+
+
+def _booleans(column: Any) -> NDArray[np.bool_]:
+    found: NDArray[np.bool_] = column.to_numpy(zero_copy_only=False)
+    return found
+
+
+def _channels(batch: Any, count: int, names: Names) -> NDArray[np.int64]:
+    """Return the places of the frames' channels among the names."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    if "channel" not in batch.schema.names:
+        return np.full(count, names.place("none"), np.int64)
+    column = batch.column("channel")
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    used = column.indices.fill_null(-1).to_numpy(zero_copy_only=False)
+    known = column.dictionary.to_pylist()
+    places = np.zeros(len(known) + 1, np.int64)  # the last one: of those without a channel
+    for place in np.unique(used).tolist():
+        places[place] = names.place("none" if place < 0 or known[place] is None else str(known[place]))
+    found: NDArray[np.int64] = places[used]
+    return found
