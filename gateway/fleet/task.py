@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ from gateway.runtime.replay import replay
 
 #: Changes of status that are kept of a log; more is told.
 MOST_EVENTS = 10_000
+#: Characters of a parameter that may be the name of a file.
+_LONGEST_NAME = 1000
 
 
 @dataclass(frozen=True)
@@ -100,20 +103,41 @@ class Outcome:
 
 
 def digest_of(config: Config, maps: tuple[str, ...]) -> str:
-    """Return what names a configuration with its databases, and the version that runs it.
+    """Return what names a configuration with all files that it consists of, and the version that runs it.
 
     Raises:
-        InputError: a database cannot be read.
+        InputError: a file cannot be read.
     """
     total = hashlib.sha256(f"{__version__} {maps}".encode())
     total.update(json.dumps(config.model_dump(mode="json"), sort_keys=True).encode())
-    for bus in config.bus:
-        for path in bus.database:
-            try:
-                total.update(path.read_bytes())
-            except OSError as error:
-                raise InputError(error.strerror or str(error), file=path) from error
+    for path in (*(path for bus in config.bus for path in bus.database), *_files_of_monitors(config)):
+        try:
+            total.update(path.read_bytes())
+        except OSError as error:
+            raise InputError(error.strerror or str(error), file=path) from error
     return total.hexdigest()[:DIGITS]
+
+
+def _files_of_monitors(config: Config) -> Iterator[Path]:
+    """Yield the files that monitors are made of: models, tables that their parameters name, modules of own types."""
+    for entry in config.monitor:
+        for value in _texts(entry.model_dump(mode="json")):
+            path = entry.folder / value
+            if len(value) < _LONGEST_NAME and "\0" not in value and path.is_file():
+                yield path
+        module, colon, _ = entry.type.partition(":")
+        found = find_spec(module) if colon else None
+        if found is not None and found.origin is not None and Path(found.origin).is_file():
+            yield Path(found.origin)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield all texts in a value of JSON."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from _texts(inner)
 
 
 def judge(task: Task) -> list[Outcome]:
