@@ -333,14 +333,22 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
 
 
 @kernel
-def _agree(s: State, c: Const) -> bool:
-    """Tell whether all observers find the same faults of the actuators, as far as they know them."""
+def _agree(s: State, c: Const, starts: bool) -> bool:
+    """Tell whether all observers find the same faults of the actuators, as far as they know them.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        starts: the start is just over: what it has found it knows less well than observers do in the long run.
+    """
     o = c.bank
     for k in range(1, o.p + 1):
         for i in range(o.m):
             apart = abs(s.bank.z[k, o.n + i] - s.bank.z[0, o.n + i])
-            spread = sqrt(c.jump.variance[k, i] + c.jump.variance[0, i])
-            if apart > c.actuator[i] + 4.0 * spread:
+            variance = c.jump.variance[k, i] + c.jump.variance[0, i]
+            if starts:
+                variance = max(variance, s.start.p[k, o.n + i, o.n + i] + s.start.p[0, o.n + i, o.n + i])
+            if apart > c.actuator[i] + 4.0 * sqrt(variance):
                 return False
     return True
 
@@ -354,7 +362,7 @@ def _recover(s: State, c: Const, y: f8s, u: f8s) -> None:
     """
     o = c.bank
     bank.step(s.bank, o, y, u)
-    well = _agree(s, c)
+    well = _agree(s, c, False)
     for i in range(o.m):
         if abs(s.bank.z[0, o.n + i]) >= c.actuator[i]:
             well = False
@@ -406,7 +414,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     if s.started == 0:
         if start.step(s.start, c.start, o, s.bank.z, y, u):
             s.started = 1
-            s.unexplained = 0 if _agree(s, c) else 1
+            s.unexplained = 0 if _agree(s, c, True) else 1
         return
     if s.unexplained == 1:
         _recover(s, c, y, u)
