@@ -159,6 +159,7 @@ def test_a_configuration_without_cusum_tests_is_refused(tmp_path):
     path = shipped("configs/steering.toml")
     with pytest.raises(InputError, match="no monitor here has CUSUM tests"):
         learn(load_config(path), [tmp_path / "none.log"], file=path)
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
     said = CliRunner().invoke(app, ["calibrate", str(shipped("configs/diagnostics.toml")), str(tmp_path / "a.log")])
     assert said.exit_code != 0
     assert "no monitor here has thresholds that logs can set" in str(said.exception)

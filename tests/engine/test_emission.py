@@ -179,6 +179,7 @@ def test_batches_change_neither_frames_nor_events(tmp_path_factory, values, data
     assert run([]) == run(cuts)
 
 
+@pytest.mark.costly
 def test_more_than_one_pass_can_hold(made):
     engine = made(listen=False)
     sent = engine.process(frames_of(np.arange(5000) % 100), lambda events: None)

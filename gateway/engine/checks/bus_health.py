@@ -237,7 +237,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
         if controller & ACTIVE:
             h.passed |= 1 << OFF
             if h.bad & (1 << OFF):
-                h.bad &= ~(1 << OFF)
+                h.bad &= 0xFF ^ (1 << OFF)
                 heard = RUNNING
         if controller & RX_OVERFLOW and heard == 0:
             heard = LOSS

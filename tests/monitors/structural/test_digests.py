@@ -96,7 +96,11 @@ def test_calibrate_writes_them_and_begins_anew_where_they_do_not_fit(tmp_path, c
     writer = open_writer(log)
     writer.write(motor_data.frames_of(motor_data.drive(20, seed=3)))
     writer.close()
-    assert calibrate_logs(path, [log], mtfa=3600.0, margin=0.5, floor=25.0, into=True, json=True) == 0
+    code = calibrate_logs(
+        path, [str(log)], mtfa=3600.0, margin=0.5, floor=25.0, into=path,
+        parts=None, scheduler=None, workers=None, json=True,
+    )  # fmt: skip
+    assert code == 0
     monitor, params = monitor_of(load_config(path).monitor[0])
     assert params.digests == digests_of(path) != was
     assert set(params.nu) == set(params.thresholds) == set(params.digests)
