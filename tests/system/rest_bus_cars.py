@@ -72,10 +72,12 @@ class Monitor:
     def __init__(self, database, interface=("-i", "socketcan", "-c", "vcan0"), settings="{}"):
         self._ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 400, 160, 0, 0))
+        # Who starts the tests may have a smaller terminal, and say so: xdist does.
+        others = {name: value for name, value in os.environ.items() if name not in ("LINES", "COLUMNS")}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "cantools", "monitor", *interface, "--no-strict", str(database)],
             stdin=theirs, stdout=theirs, stderr=theirs, close_fds=True,
-            env=os.environ | {"TERM": "xterm", "CAN_CONFIG": settings},
+            env=others | {"TERM": "xterm", "CAN_CONFIG": settings},
         )  # fmt: skip
         os.close(theirs)
         self._said = []

@@ -71,9 +71,8 @@ def test_a_rest_bus_of_others_on_loopback(car, tmp_path):
                     cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
                 )  # fmt: skip
                 assert played.returncode == 0, played.stderr
-                # What the terminal was sent is read letter by letter: minutes, where the machine is busy.
-                wait_for(lambda: any(one in monitor.screen for one in checked or sent), seconds=500.0)
-                wait_for(lambda: rising is None or rising.rpartition(".")[2] in monitor.screen, seconds=500.0)
+                wait_for(lambda: any(one in monitor.screen for one in checked or sent))
+                wait_for(lambda: rising is None or rising.rpartition(".")[2] in monitor.screen)
             finally:
                 listener.close()
                 monitor.close()
