@@ -76,7 +76,9 @@ class Monitor:
         others = {name: value for name, value in os.environ.items() if name not in ("LINES", "COLUMNS")}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "cantools", "monitor", *interface, "--no-strict", str(database)],
-            stdin=theirs, stdout=theirs, stderr=theirs, close_fds=True,
+            # python-can warns of each message that comes in two parts: on the terminal that would scroll away what
+            # curses takes to be there, and does not draw again.
+            stdin=theirs, stdout=theirs, stderr=subprocess.DEVNULL, close_fds=True,
             env=others | {"TERM": "xterm", "CAN_CONFIG": settings},
         )  # fmt: skip
         os.close(theirs)
