@@ -52,6 +52,16 @@ def slow(monkeypatch):
     return SlowDisk(monkeypatch)
 
 
+def writing(make, slow):
+    """Return a gateway whose thread writes a failure, which the disk holds up."""
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    return rig
+
+
 def test_while_a_disk_takes_its_time_testers_are_answered_and_nothing_is_told_early(make, slow):
     rig = make(extra=FRAMES + "[output.uds]\n")
     rig.gateway.write_beside()
@@ -130,11 +140,7 @@ def test_attempts_that_take_long_hold_nobody_up_and_all_is_written_at_their_end(
 
 
 def test_a_successor_is_made_without_waiting_for_the_disk(make, slow):
-    rig = make()
-    rig.gateway.write_beside()
-    rig.wait(50)
-    slow.stall()
-    rig.fail(0)
+    rig = writing(make, slow)
     assert rig.gateway.writing, "a reload waits for this one"
     slow.go_on(rig)
     rig.wait(20)
@@ -169,11 +175,7 @@ def test_one_that_has_finished_without_a_successor_writes_again(make, slow):
 
 
 def test_a_file_deleted_while_a_thread_writes_is_written_anew(make, slow):
-    rig = make()
-    rig.gateway.write_beside()
-    rig.wait(50)
-    slow.stall()
-    rig.fail(0)
+    rig = writing(make, slow)
     for file in rig.gateway.store.path.parent.glob("m.sqlite*"):
         file.unlink()
     for _ in range(3):  # the write under way, the one into the new file, the one of what that tells
@@ -183,11 +185,7 @@ def test_a_file_deleted_while_a_thread_writes_is_written_anew(make, slow):
 
 
 def test_a_clear_waits_for_the_thread_and_what_it_wrote_does_not_come_back(make, slow):
-    rig = make()
-    rig.gateway.write_beside()
-    rig.wait(50)
-    slow.stall()
-    rig.fail(0)
+    rig = writing(make, slow)
     timer = threading.Timer(0.05, slow.let_go)
     timer.start()
     assert rig.gateway.controls.clear(0xFFFFFF)
@@ -236,11 +234,7 @@ def test_what_waits_to_be_told_is_told_before_it_is_cleared_not_after(make, slow
 
 
 def test_the_end_waits_for_the_thread(make, slow):
-    rig = make()
-    rig.gateway.write_beside()
-    rig.wait(50)
-    slow.stall()
-    rig.fail(0)
+    rig = writing(make, slow)
     timer = threading.Timer(0.05, slow.let_go)
     timer.start()
     rig.gateway.stop(rig.now)

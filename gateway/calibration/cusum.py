@@ -13,13 +13,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.calibration.logs import Chosen, Progress, batches, of_kind, refuse, watch
+from gateway.calibration.logs import Chosen, Progress, Replay, of_kind, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.monitors.contract import CusumCalibration
-from gateway.runtime.app import Gateway
 
 #: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
 _NEVER = 1e9
@@ -112,25 +111,14 @@ def _of_log(
     progress: Progress,
 ) -> Part:
     """Replay a log; returns what is taken of each monitor's state at its end."""
-    chosen = of_kind(config, CusumCalibration)
-    failed: set[str] = set()
-    gateway = Gateway(config, None, file=file)
-    watch(gateway, failed)
-    begun = last = 0
-    try:
-        for frames in batches(config, log, progress, maps):
-            if not begun:
-                begun = int(frames[0]["t_ns"])
-                gateway.start(begun)
-            gateway.feed(gateway.without_own(frames))
-            last = int(frames[-1]["t_ns"])
-        arrays = {}
-        for each in chosen:
-            state = gateway.engine.state_of(gateway.engine.place_of(each.name))[0]
+    with Replay(config, file) as replay:
+        for frames in replay.frames(log, maps, progress):
+            replay.gateway.feed(frames)
+        engine, arrays = replay.gateway.engine, {}
+        for each in of_kind(config, CusumCalibration):
+            state = engine.state_of(engine.place_of(each.name))[0]
             arrays[each.name] = np.array(taken(each.calibration, state), np.float64)
-    finally:
-        gateway.close()
-    return Part((last - begun) * 1e-9, tuple(sorted(failed)), arrays)
+    return Part(replay.seconds, tuple(sorted(replay.failed)), arrays)
 
 
 def sums_of_log(

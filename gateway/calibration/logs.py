@@ -121,6 +121,46 @@ def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, 
         end_ns += block_ns
 
 
-def watch(gateway: Gateway, failed: set[str]) -> None:
-    """Collect the DTCs that a log sets."""
-    gateway.listen(lambda event: failed.add(str(event["dtc"])) if event["event"] == "dtc" else None)
+class Replay:
+    """A gateway of its own for one healthy log; it is closed at the end of ``with``.
+
+    Args:
+        config: the configuration.
+        file: of it, for errors.
+
+    Attributes:
+        gateway: that the log's frames are fed to.
+        failed: DTCs that the log sets.
+        begun_ns, last_ns: time of the log's first and latest frame, 0 before it.
+    """
+
+    def __init__(self, config: Config, file: Path | None) -> None:
+        self._config = config
+        self.gateway = Gateway(config, None, file=file)
+        self.failed: set[str] = set()
+        self.begun_ns = self.last_ns = 0
+        self.gateway.listen(lambda event: self.failed.add(str(event["dtc"])) if event["event"] == "dtc" else None)
+
+    def __enter__(self) -> Replay:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.gateway.close()
+
+    @property
+    def seconds(self) -> float:
+        """How long the log is so far [s]."""
+        return (self.last_ns - self.begun_ns) * 1e-9
+
+    def frames(self, log: Path, maps: Sequence[str], progress: Progress) -> Iterator[Frames]:
+        """Yield a log's frames without the gateway's own, batch by batch, to be fed; it is started with the first.
+
+        Raises:
+            InputError, InputErrors: as of :func:`read_even`.
+        """
+        for frames in batches(self._config, log, progress, maps):
+            if not self.begun_ns:
+                self.begun_ns = int(frames[0]["t_ns"])
+                self.gateway.start(self.begun_ns)
+            yield self.gateway.without_own(frames)
+            self.last_ns = int(frames[-1]["t_ns"])

@@ -11,12 +11,11 @@ import tomlkit
 from pydantic import BaseModel
 
 from gateway.calibration.file import put, rounded
-from gateway.calibration.logs import Chosen, Progress, batches, of_kind
+from gateway.calibration.logs import Chosen, Progress, Replay, of_kind
 from gateway.calibration.part import Part, Parts
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import Refinement
-from gateway.runtime.app import Gateway
 
 #: Keys that a replay for learning sets and a configuration is not to hold.
 _REPLAY = ("learning",)
@@ -62,18 +61,10 @@ def _replayed(
     config: Config, log: Path, file: Path | None, maps: Sequence[str], progress: Progress
 ) -> tuple[float, Any]:
     """Replay a log; returns its seconds, and the only monitor's state at its end."""
-    gateway = Gateway(config, None, file=file)
-    begun = last = 0
-    try:
-        for frames in batches(config, log, progress, maps):
-            if not begun:
-                begun = int(frames[0]["t_ns"])
-                gateway.start(begun)
-            gateway.feed(gateway.without_own(frames))
-            last = int(frames[-1]["t_ns"])
-        return (last - begun) * 1e-9, gateway.engine.state_of(0)[0].copy()
-    finally:
-        gateway.close()
+    with Replay(config, file) as replay:
+        for frames in replay.frames(log, maps, progress):
+            replay.gateway.feed(frames)
+        return replay.seconds, replay.gateway.engine.state_of(0)[0].copy()
 
 
 def of_log(

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, REMOTE, Frames
 from gateway.calibration.file import put, rounded
-from gateway.calibration.logs import Chosen, Progress, batches, of_kind, watch
+from gateway.calibration.logs import Chosen, Progress, Replay, of_kind
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
 from gateway.errors import InputError
 from gateway.monitors.contract import SensorCalibration
-from gateway.runtime.app import Gateway
 from gateway.signals.decode import lookup
 from gateway.signals.payloads import columns
 from gateway.signals.tables import SignalRef, compile_plan
@@ -114,26 +113,15 @@ def of_log(
     databases = dict(enumerate(found.databases))
     wired = wire(found.monitors[0], databases, {bus.name: k for k, bus in enumerate(config.bus)})
     reader = _Reader(alone, [place for place in wired.inputs if place is not None], databases)
-    failed: set[str] = set()
-    gateway = Gateway(alone, None, file=file)
-    watch(gateway, failed)
-    begun = last = 0
-    try:
-        for frames in batches(alone, log, progress, maps):
-            if not begun:
-                begun = int(frames[0]["t_ns"])
-                gateway.start(begun)
-            own = gateway.without_own(frames)
-            reader.take(own)
-            gateway.feed(own)
-            last = int(frames[-1]["t_ns"])
-    finally:
-        gateway.close()
+    with Replay(alone, file) as replay:
+        for frames in replay.frames(log, maps, progress):
+            reader.take(frames)
+            replay.gateway.feed(frames)
     period_ns = chosen.calibration.period_ms(chosen.params) * 1e6
     records = list(reader.records(period_ns))
     readings = {chosen.name: np.concatenate(records)} if records else {}
     rows = [len(record) for record in records]
-    return Part((last - begun) * 1e-9, tuple(sorted(failed)), readings, {"rows": rows})
+    return Part(replay.seconds, tuple(sorted(replay.failed)), readings, {"rows": rows})
 
 
 def _records(part: Part) -> list[Array]:

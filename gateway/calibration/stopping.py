@@ -17,13 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.calibration.logs import Progress, batches, of_kind, parts, refuse, watch
+from gateway.calibration.logs import Progress, Replay, of_kind, parts, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.errors import InputError
 from gateway.fdi.stopping import assured
 from gateway.monitors.contract import Calibration
-from gateway.runtime.app import Gateway
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000
@@ -129,34 +128,25 @@ def of_log(
     """
     chosen = of_kind(config, Calibration)
     found: dict[str, list[Array]] = {each.name: [] for each in chosen}
-    failed: set[str] = set()
-    blocks = 0
-    gateway = Gateway(config, None, file=file)
-    watch(gateway, failed)
-    places = {each.name: gateway.engine.place_of(each.name) for each in chosen}
-    rules = [(c.name, c.calibration.rules(gateway.engine.state_of(places[c.name])[0])) for c in chosen]
-    begun = 0
-    end_ns = 0
-    try:
-        for frames in batches(config, log, progress, maps):
-            if not begun:
-                begun = int(frames[0]["t_ns"])
-                end_ns = begun + WARM_UP_NS
-                gateway.start(begun)
-            for part, ended in parts(gateway.without_own(frames), end_ns, BLOCK_NS):
-                gateway.feed(part)
+    blocks = end_ns = 0
+    with Replay(config, file) as replay:
+        engine = replay.gateway.engine
+        rules = [(c.name, c.calibration.rules(engine.state_of(engine.place_of(c.name))[0])) for c in chosen]
+        for frames in replay.frames(log, maps, progress):
+            warm_ns = replay.begun_ns + WARM_UP_NS
+            end_ns = end_ns or warm_ns
+            for part, ended in parts(frames, end_ns, BLOCK_NS):
+                replay.gateway.feed(part)
                 if not ended:
                     continue
                 for name, states in rules:
-                    if end_ns > begun + WARM_UP_NS:
+                    if end_ns > warm_ns:
                         found[name].append(np.array(states["peak"]))
                     states["peak"] = 0.0
-                blocks += end_ns > begun + WARM_UP_NS
+                blocks += end_ns > warm_ns
                 end_ns += BLOCK_NS
-    finally:
-        gateway.close()
     arrays = {c.name: np.reshape(np.array(found[c.name]), (blocks, len(c.calibration.names))) for c in chosen}
-    return Part(blocks * BLOCK_NS * 1e-9, tuple(sorted(failed)), arrays)
+    return Part(blocks * BLOCK_NS * 1e-9, tuple(sorted(replay.failed)), arrays)
 
 
 def merged(config: Config, said: Parts) -> Levels:

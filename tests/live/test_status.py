@@ -7,31 +7,12 @@ import stat
 import numpy as np
 import pytest
 from daemon_rig import World
+from talkative import CONFIG, DBC
 
 from gateway.engine.buckets import TickRow
 from gateway.errors import InputError
 from gateway.live import status as module
 from gateway.live.status import StatusSocket
-
-CONFIG = """
-[[bus]]
-name = "a"
-uri = "virtual:a"
-bitrate = 500000
-database = ["one.dbc"]
-
-[[monitor]]
-name = "level"
-type = "signal"
-signal = [{ signal = "One.Level", plausible = [0, 10], failed_ms = 100 }]
-"""
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A B
-BO_ 256 One: 8 A
- SG_ Level : 0|16@1- (0.01,0) [-300|300] "V" B
-"""
 
 
 class Client:

@@ -19,6 +19,7 @@ from gateway.config.load import load_config
 from gateway.live.status import ENOUGH_BYTES, StatusSocket
 from gateway.runtime.app import Gateway
 
+#: A gateway of one message and one monitor; tests/live/test_status.py has it too.
 CONFIG = """
 name = "talkative"
 [[bus]]
