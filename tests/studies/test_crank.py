@@ -7,11 +7,13 @@ import pytest
 from gateway_studies.crank.cases import Train, with_fault
 from gateway_studies.crank.figures import ALPHA, BETA, GAIN, GAMMA, PULSES, fault_signal, paper_run
 from gateway_studies.crank.follow import follower
+from gateway_studies.crank.outside import _outcomes
 from gateway_studies.crank.table import GRACE, judge, monte_carlo
 from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway.fdi.wheel import Wheel
+from gateway.jit import COMPILED
 from gateway.monitors.crank.constant_speed import displacement
 
 pytestmark = pytest.mark.long
@@ -119,3 +121,14 @@ def test_the_command(tmp_path):
     assert text.exit_code == 0
     assert "within 2 teeth of the gap" in text.stdout
     assert "threshold" in text.stdout
+
+
+@pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of pulses")
+@pytest.mark.parametrize(("wheel", "seed"), [("36-1", 20261123), ("60-2", 31)])
+def test_strong_ripple_is_learned_without_a_report(wheel, seed):
+    """What learning takes from the filter is as uncertain as itself; a late decision waits for the gap.
+
+    Before, the first of these lost synchronisation when the ripple was learned, the second had an added pulse.
+    """
+    found = {row.method: row for row in _outcomes(("order, 850 rpm", "4 x 12 %", wheel, 16, seed))}
+    assert (found["adaptive"].reports, found["adaptive"].wrong) == (0, 0), found["adaptive"].named
