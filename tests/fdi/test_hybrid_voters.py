@@ -122,6 +122,7 @@ def test_one_dead_channel_latches_the_scheme_at_600_ms():
     assert np.abs(follow("tracking", IDEAL, run_of(y)).value - stroke()).sum() < 0.5
 
 
+@pytest.mark.costly
 def test_ten_microvolts_of_noise_latch_the_scheme_from_the_start():
     print("seeds 0 to 19")
     for seed in range(20):
@@ -152,6 +153,7 @@ def test_of_three_channels_those_that_agree_are_believed():
     assert set(used[21:600]) == {0b011}
 
 
+@pytest.mark.costly
 def test_every_voter_gives_the_truth_of_perfect_channels():
     run = make(Case("none"), IDEAL, 0)
     for name in VOTERS:

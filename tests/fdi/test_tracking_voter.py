@@ -163,6 +163,7 @@ def test_it_is_back_within_five_samples_of_agreement(seed, length, channels, lev
     assert result["used"][-1] > 0
 
 
+@pytest.mark.costly
 @settings(max_examples=examples(100))
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 3.0), st.sampled_from([2, 3]))
 def test_healthy_channels_are_never_isolated(seed, hertz, channels):

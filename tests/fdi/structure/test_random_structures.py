@@ -211,6 +211,7 @@ def test_a_singular_differential_loop():
     assert found.status[e4][0] == Solvable.NONE
 
 
+@pytest.mark.costly
 def test_the_limit_says_what_to_do():
     model = random_model(1, 20, 5)
     count = len(find_msos(counted(model)))

@@ -81,10 +81,12 @@ def test_2677_candidates(candidates):
     assert len(candidates) == 2677
 
 
+@pytest.mark.costly
 def test_table_iv(candidates):
     assert candidates.table == TABLE_IV
 
 
+@pytest.mark.costly
 def test_as_printed(truck):
     """With e20 = f_4(gear, omega_e), as printed, there are 89 sets, and Table IV is wrong but for its static rows."""
     printed = replace(

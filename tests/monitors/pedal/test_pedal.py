@@ -177,6 +177,7 @@ def test_all_channels_dead_is_invalid_and_heals():
     assert engine.readout()["pedal"]["quality"] == AGREED
 
 
+@pytest.mark.costly
 def test_a_jump_of_all_channels_together():
     """Both sensors of the accelerator rise with the pedal: a jump of their supply is one of both."""
     engine = engine_of("accelerator")
@@ -202,6 +203,7 @@ def test_a_reading_beyond_the_travel():
     assert seen.events[0][3]["position [%]"] == pytest.approx(-5.5, abs=0.05)
 
 
+@pytest.mark.costly
 def test_the_voted_frame_leaves_in_the_batch_of_its_input():
     frames = drive(fault("short_to_ground", (2,)))
     engine = engine_of(send=True)
@@ -235,6 +237,7 @@ def test_both_pedals_have_their_own_message_and_dtcs():
         assert len(set(codes)) == len(codes), "each fault its own"
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("voter", ["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"])
 def test_every_voter_can_be_chosen(voter):
     frames = drive(stroke="exponential", at_s=(0.05,))
@@ -252,6 +255,7 @@ def test_every_voter_can_be_chosen(voter):
     assert (max(off) == 0) == (voter == "tracking")
 
 
+@pytest.mark.costly
 def test_the_value_is_invalid_when_samples_stay_away():
     frames = drive(seconds=0.3)
     engine = engine_of(send=True)
@@ -269,6 +273,7 @@ def test_the_value_is_invalid_when_samples_stay_away():
     assert engine.readout()["pedal"]["quality"] == AGREED
 
 
+@pytest.mark.costly
 def test_frames_lost_on_the_bus_are_no_fault():
     frames = drive(seconds=amount(10.0, 10.0, 0.5))
     kept = np.random.default_rng(2).random(len(frames)) > 0.1

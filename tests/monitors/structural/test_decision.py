@@ -53,6 +53,7 @@ def step(s, c, fired, seconds):
     return results, evidence
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("seed", range(3))
 def test_many_faults(seed):
     s, c, signatures = monitor(seed)
@@ -96,6 +97,7 @@ def up_and_down(s, c, fired, chatters, seconds):
     return told
 
 
+@pytest.mark.costly
 def test_one_that_is_up_and_down_does_not_keep_all_from_being_told():
     s, c, signatures = monitor(0)
     c.confirm_ns = 10 * PERIOD_NS
@@ -116,6 +118,7 @@ def test_a_test_that_was_up_for_a_moment_accuses_nobody():
         assert contract.FAILED not in results.values()
 
 
+@pytest.mark.costly
 def test_a_size_that_nothing_says_is_no_number():
     """The current of a winding is 0: its resistance may be anything."""
     s, c, signatures = monitor(0)

@@ -111,6 +111,7 @@ def test_a_fast_signal_waits_for_a_slow_one(tmp_path):
     assert np.abs(fed.residuals).max() < 0.01 + R * 0.01 + K * 0.1
 
 
+@pytest.mark.costly
 def test_sets_faster_than_the_period_says(tmp_path):
     """Messages each 10 ms, period_ms = 100 by mistake: the integrals take the time that it was, not ten times of it."""
     frames = motor_data.frames_of(motor_data.drive(4.0, seed=3))

@@ -163,6 +163,7 @@ def test_sensitivities_are_the_derivatives_of_the_model():
         assert s["does"][BRAKE] == pytest.approx(found, rel=1e-6)
 
 
+@pytest.mark.costly
 def test_what_nothing_is_known_of_goes_back_to_its_prior_but_the_machine_stays():
     """At rest a road does not change, however long; on the way it is forgotten, and the covariance stays one."""
     s, c, _, _ = records()
