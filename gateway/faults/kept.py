@@ -134,12 +134,16 @@ class KeptStore(Store):
     @property
     def log_is_due(self) -> bool:
         """Whether :meth:`tend_log` has something to do."""
-        return super().log_is_due and not (self.detached or self._suspect)
+        return self.path is not None and self._logged >= write_ahead.MANY and not (self.detached or self._suspect)
 
     def tend_log(self) -> None:
-        """Do for the log of the file what a commit should not have to do (see :meth:`Store.tend_log`)."""
-        if self.look():  # else the name is another file's
-            super().tend_log()
+        """Do for the log of the file what a commit should not have to do; nobody else uses this store meanwhile."""
+        self._logged = 0
+        if self.path is not None and self.look():
+            with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
+                write_ahead.lengthen(self._db, self.path, self._wal)
+            with suppress(sqlite3.Error):
+                write_ahead.copy(self._db)
 
     def note_unsaved(self, unsaved: bool) -> None:
         """Let other processes see whether this one has changes that the file does not have."""

@@ -6,7 +6,7 @@ others may see. A write can be done by a thread beside the gateway, with copies 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass
@@ -332,10 +332,10 @@ class Ledger:
                 work.exception(patience_s)
         return not work.done()
 
-    def tend(self, writer: Writer) -> None:
+    def tend(self, writer: Writer, work: Callable[[], None]) -> None:
         """Have a thread do, between writes, what the file's log needs; :meth:`under_way` tells how long it takes."""
-        if self.store.log_is_due and not self.under_way():
-            self._tending = writer.submit(self.store.tend_log)
+        if not self.under_way():
+            self._tending = writer.submit(work)
 
     def join(self) -> bool:
         """Wait for the thread that writes; what it could not write is to be written still. Returns whether one did."""

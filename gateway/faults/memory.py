@@ -233,9 +233,9 @@ class FaultMemory(Readable):
         """Tell whether a thread writes still, after waiting so long at most [s]."""
         return self._held.under_way(patience_s)
 
-    def tend(self, writer: Writer) -> None:
+    def tend(self, writer: Writer, work: Callable[[], None]) -> None:
         """Have a thread do, between writes, what the file's log needs (see :meth:`under_way`)."""
-        self._held.tend(writer)
+        self._held.tend(writer, work)
 
     def join(self) -> bool:
         """Wait for the thread that writes: the store is for this one then. Returns whether one did."""

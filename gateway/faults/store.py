@@ -312,18 +312,6 @@ class Store:
             rows.write(self._db, changes)
         self._logged += 2 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
 
-    @property
-    def log_is_due(self) -> bool:
-        """Whether :meth:`tend_log` has something to do."""
-        return self.path is not None and self._logged >= write_ahead.MANY
-
-    def tend_log(self) -> None:
-        """Do for the log of the file what a commit should not have to do; others may use the store meanwhile."""
-        self._logged = 0
-        if self.path is not None:
-            with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
-                write_ahead.tend(self.path, self._open_database, PATIENCE_S)
-
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""
         with self._reading():

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 #: Length that the log gets, in pages of :data:`PAGE` bytes; SQLite copies by itself what is longer.
@@ -25,20 +24,13 @@ ROOM = 64 << 20
 _STEP = 64 << 10
 
 
-def is_short(database: Path) -> bool:
-    """Tell whether the log could have its length, and does not."""
-    try:
-        return Path(f"{database}-wal").stat().st_size < LENGTH and shutil.disk_usage(database.parent).free >= ROOM
-    except OSError:
-        return False
-
-
-def lengthen(db: sqlite3.Connection, database: Path) -> None:
-    """Give the log its length.
+def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> None:
+    """Give the log its length, if there is room on the disk.
 
     Args:
-        db: a connection to the database that is used for nothing else meanwhile.
+        db: the connection to the database, which nobody else uses meanwhile.
         database: its file.
+        known: device and inode of its log: what has that name now may belong to another file.
 
     Raises:
         sqlite3.Error: somebody else writes for long.
@@ -46,7 +38,11 @@ def lengthen(db: sqlite3.Connection, database: Path) -> None:
     """
     log = os.open(f"{database}-wal", os.O_WRONLY | os.O_CLOEXEC)
     try:
-        size = os.fstat(log).st_size
+        found = os.fstat(log)
+        size = found.st_size
+        short = size < LENGTH and shutil.disk_usage(database.parent).free >= ROOM
+        if not short or (found.st_dev, found.st_ino) != known:
+            return
         while size < LENGTH:
             db.execute("BEGIN IMMEDIATE")  # nobody else appends now
             try:
@@ -59,24 +55,10 @@ def lengthen(db: sqlite3.Connection, database: Path) -> None:
         os.close(log)
 
 
-def tend(database: Path, connect: Callable[..., sqlite3.Connection], patience_s: float) -> None:
-    """Give the log its length, and copy into the database what it has.
-
-    Args:
-        database: the file, which others may use meanwhile.
-        connect: opens it, as ``sqlite3.connect`` does.
-        patience_s: how long another writer is waited for [s].
+def copy(db: sqlite3.Connection) -> None:
+    """Copy into the database what the log has; others may read and write meanwhile.
 
     Raises:
-        sqlite3.Error, OSError: it could not be done; nothing is lost by that.
+        sqlite3.Error: it could not be done; nothing is lost by that.
     """
-    database = database.resolve()  # SQLite keeps the log beside the file itself
-    uri = f"{database.as_uri()}?mode=rw"  # one that is gone is not made anew
-    db = connect(uri, isolation_level=None, timeout=patience_s, uri=True)
-    try:
-        db.execute("PRAGMA synchronous = FULL")
-        if is_short(database):
-            lengthen(db, database)
-        db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-    finally:
-        db.close()
+    db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()

@@ -210,8 +210,8 @@ class Upkeep:
 
     def tend(self) -> None:
         """Have the thread look after the file's log, if nothing waits to be written."""
-        if self._writer is not None and not self._paused and self._memory.clean:
-            self._memory.tend(self._writer)
+        if self._writer is not None and not self._paused and self._memory.clean and self._store.log_is_due:
+            self._memory.tend(self._writer, self._store.tend_log)
 
     def _judge(self, t_ns: int, sink: Sink) -> bool:
         """Report what became of the file, where that is news; returns whether there was any."""

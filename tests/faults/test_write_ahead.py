@@ -147,21 +147,20 @@ def test_a_disk_that_is_nearly_full_keeps_its_room(store, monkeypatch):
     assert not store.log_is_due, "it is not tried again and again"
 
 
-def test_the_log_of_a_file_with_another_name_is_found(tmp_path):
-    (tmp_path / "disk").mkdir()
-    name = tmp_path / "name #1?.sqlite"
-    name.symlink_to(tmp_path / "disk" / "f.sqlite")
-    store = KeptStore(name)
+@pytest.mark.parametrize("which", ["deleted", "replaced", "another log"])
+def test_nothing_is_done_to_files_that_are_not_ours(store, which):
+    store.save(Changes(records=[record(1)]))
+    log = log_of(store)
+    for file in (store.path, log) if which != "another log" else (log,):
+        file.rename(f"{file}.old")
+        if which != "deleted":
+            file.write_bytes(b"of somebody else")
     store.tend_log()
-    assert (tmp_path / "disk" / "f.sqlite-wal").stat().st_size == write_ahead.LENGTH
-    store.close()
-
-
-def test_a_file_that_is_gone_is_not_made_anew_by_tending(store):
-    for file in store.path.parent.glob("f.sqlite*"):
-        file.unlink()
-    Store.tend_log(store)
-    assert not store.path.exists()
+    if which == "deleted":
+        assert not store.path.exists()
+        assert not log.exists()
+    else:
+        assert log.read_bytes() == b"of somebody else"
 
 
 def test_unchanged_freeze_frames_are_left_and_gone_ones_go(store):
