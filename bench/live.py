@@ -4,7 +4,9 @@ Both get the same frames from a process of their own, as ``struct can_frame``: o
 raw socket, or (``--interface vcan0``) over SocketCAN. 16 messages with alive counter and CRC, each frame checked and
 decoded. Every 20 ms one frame has a wrong CRC: a DTC frame must follow, and the next good frame heals it.
 
-    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--json]
+    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--parts] [--json]
+
+``--parts`` shows where a verdict's time goes, beside what the disk takes to keep one block that was there before.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import select
 import socket
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -33,6 +36,8 @@ from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
@@ -103,8 +108,78 @@ class StructBus(SocketCanBus):
         """Take all."""
 
 
-def our_side(opener: object, config: Path, memory: Path | None, ready: object, end: object, out: object) -> None:
+#: What happens on the way of a verdict, in order; the frame's way to the sender ends it.
+PARTS = (
+    "frame received, judged, entered",
+    "handed to the thread that writes",
+    "transaction: SQLite, its log synchronised",
+    "the loop goes on",
+    "told: event, DTC frame made",
+    "DTC frame sent",
+)
+#: Syncs of one block, to compare with.
+SYNCS = 256
+
+
+class Marks:
+    """When a verdict was where; one that is under way at a time."""
+
+    def __init__(self) -> None:
+        self.rows: list[list[float]] = []
+        self._put_before(FaultMemory, "begin", 0)
+        self._put_before(KeptStore, "save", 1)
+        self._put_after(KeptStore, "save", 2)
+        self._put_before(FaultMemory, "join", 3)
+        self._put_before(Link, "send", 4)
+
+    def _mark(self, place: int) -> None:
+        if place == 0:
+            self.rows.append([])
+        if self.rows and len(self.rows[-1]) == place:
+            self.rows[-1].append(time.perf_counter())
+
+    def _put_before(self, kind: type, name: str, place: int) -> None:
+        inner = getattr(kind, name)
+
+        def marked(*args: object, **more: object) -> object:
+            self._mark(place)
+            return inner(*args, **more)
+
+        setattr(kind, name, marked)
+
+    def _put_after(self, kind: type, name: str, place: int) -> None:
+        inner: Callable[..., object] = getattr(kind, name)
+
+        def marked(*args: object, **more: object) -> object:
+            made = inner(*args, **more)
+            self._mark(place)
+            return made
+
+        setattr(kind, name, marked)
+
+
+def sync_times(folder: Path) -> list[float]:
+    """Return how long the disk takes to keep a block that was there before, again and again [ms]."""
+    times = []
+    file = os.open(folder / "block", os.O_RDWR | os.O_CREAT)
+    os.write(file, bytes(4096))
+    os.fsync(file)
+    for k in range(SYNCS):
+        time.sleep(0.004)
+        begun = time.perf_counter()
+        os.pwrite(file, bytes([k % 256]) * 4096, 0)
+        os.fdatasync(file)
+        times.append((time.perf_counter() - begun) * 1e3)
+    os.close(file)
+    return times
+
+
+def our_side(
+    opener: object, config: Path, memory: Path | None, ready: object, end: object, out: object, *, parts: bool = False
+) -> None:
     """Run the gateway's live loop in this process."""
+    marks = Marks() if parts else None
+    syncs = sync_times(config.parent) if parts else []
     gateway = Gateway(load_config(config), memory)
     gateway.write_beside()
     from gateway.live.clock import Clock  # noqa: PLC0415 - storm.py uses this file with earlier gateways
@@ -120,7 +195,8 @@ def our_side(opener: object, config: Path, memory: Path | None, ready: object, e
     live.run(end.is_set)
     for _ in range(200):
         live.turn()
-    out.put({"decoded": gateway.engine.counters()["decoded"], "lost": link.statistics.overflow})
+    found = {"decoded": gateway.engine.counters()["decoded"], "lost": link.statistics.overflow, "syncs": syncs}
+    out.put(found | {"marks": marks.rows if marks else []})
     link.close()
     gateway.close()
 
@@ -188,7 +264,7 @@ def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes
     begun = time.perf_counter()
     sent = full = 0
     next_wrong, asked, waiting = EVERY_S, 0.0, -1  # message whose DTC is waited for
-    times = []
+    times, spans = [], []
     while (now := time.perf_counter() - begun) < seconds:
         due = int(now * rate)
         while sent < due:
@@ -214,14 +290,39 @@ def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes
                 got = sock.recv(72)
                 # A change (index 0) of this message's DTC: bits 8 to 15 of the DTC are the message.
                 if got[0] == DTC_ID & 0xFF and got[9] == waiting and got[13] == 0:
-                    times.append((time.perf_counter() - asked) * 1e3)
+                    told = time.perf_counter()
+                    times.append((told - asked) * 1e3)
+                    spans.append((asked, told))
                     waiting = -1
         except BlockingIOError:
             pass
         if waiting >= 0 and time.perf_counter() - asked > 1.0:
             times.append(1e3)
             waiting = -1
-    return {"sent": sent, "full": full, "times": times}
+    return {"sent": sent, "full": full, "times": times, "spans": spans}
+
+
+def parts_of(found: dict) -> list[dict]:
+    """Return the parts of the verdicts that were told at once [ms]."""
+    rows = []
+    for asked, told in found["spans"]:
+        marks = [row for row in found["marks"] if len(row) == len(PARTS) - 1 and asked < row[0] and row[-1] < told]
+        if len(marks) == 1:
+            rows.append(np.diff([asked, *marks[0], told]) * 1e3)
+    if not rows:
+        return []
+    table = np.asarray(rows)
+    named = [*zip(PARTS, table.T, strict=True), ("all", table.sum(axis=1))]
+    named.append(("beside: fdatasync of a block that was there", np.asarray(found["syncs"])))
+    return [
+        {
+            "part": name,
+            "verdicts": len(values),
+            "p50_ms": round(float(np.percentile(values, 50)), 3),
+            "p99_ms": round(float(np.percentile(values, 99)), 3),
+        }
+        for name, values in named
+    ]
 
 
 def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float) -> dict:
@@ -282,13 +383,31 @@ def sustained(side: object, interface: str | None, memory: bool, seconds: float)
     return best
 
 
+def show_parts(options: argparse.Namespace) -> None:
+    """Print where a verdict's time goes at each rate."""
+    tables = {}
+    for rate in options.rates:
+        found = measure(partial(our_side, parts=True), options.interface, True, rate, options.seconds)
+        tables[rate] = parts_of(found)
+        if not options.json:
+            print(f"{f'at {rate} frames/s, ms':46}{'p50':>8}{'p99':>8}{'verdicts':>10}")
+            for row in tables[rate]:
+                print(f"{row['part']:46}{row['p50_ms']:>8}{row['p99_ms']:>8}{row['verdicts']:>10}")
+    if options.json:
+        print(json.dumps(tables, indent=2))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rates", type=int, nargs="+", default=[4000, 20_000, 80_000])
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--interface", help="SocketCAN interface instead of a unix socket")
+    parser.add_argument("--parts", action="store_true", help="only the parts of a verdict, memory durable")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if options.parts:
+        show_parts(options)
+        return
     sides = [
         ("gateway, memory durable", our_side, True),
         ("gateway, memory in process", our_side, False),

@@ -46,6 +46,14 @@ class DtcStatus(NamedTuple):
     status: int
 
 
+class DtcState(NamedTuple):
+    """A DTC as its frames have it: code, status byte, failures."""
+
+    dtc: int
+    status: int
+    occurrence: int
+
+
 @dataclass(frozen=True)
 class Entry:
     """What the memory knows of one DTC, for readers."""

@@ -85,20 +85,22 @@ class EventMemory:
             return
         record.become(status, cycles)
         risen = int(status) & ~int(old)
+        freezes = risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED)
+        observed = failure.observe() if freezes or risen & _TEST_FAILED else Observed()
         if risen & _TEST_FAILED:
-            self._note_failure(record, failure)
+            self._note_failure(record, failure, observed)
         if risen & _CONFIRMED:
             record.last_confirmed = self._held.next_in_order()
             if record.first_confirmed is None:
                 record.first_confirmed = record.last_confirmed
-        if risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED):
+        if freezes:
             prestored = self._prestored.pop(definition.id, None)
-            frame = prestored or FreezeFrame(0, failure.t_ns, finite(failure.observe().frame))
+            frame = prestored or FreezeFrame(0, failure.t_ns, finite(observed.frame))
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
         became = self._held.permanent.on_failed(definition, status, failure.t_ns)
         self._held.note_permanent(became)
 
-    def _note_failure(self, record: Record, failure: Failure) -> None:
+    def _note_failure(self, record: Record, failure: Failure, observed: Observed) -> None:
         sequence = self._held.next_in_order()
         record.occurrence = min(record.occurrence + 1, MOST_OCCURRENCES)
         self._held.touch(record.id)
@@ -107,7 +109,7 @@ class EventMemory:
         record.first_failed = sequence if record.first_failed is None else record.first_failed
         record.last_failed = sequence
         record.evidence = failure.evidence
-        record.inputs = finite(failure.observe().inputs)
+        record.inputs = finite(observed.inputs)
 
     # Room
 

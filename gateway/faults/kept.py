@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gateway.errors import InputError
-from gateway.faults import rows
+from gateway.faults import rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
@@ -130,6 +130,20 @@ class KeptStore(Store):
         if self.path is not None and not self.detached and not self._is_in_place():
             self._suspect = True
         return not self._suspect
+
+    @property
+    def log_is_due(self) -> bool:
+        """Whether :meth:`tend_log` has something to do."""
+        return self.path is not None and self._logged >= write_ahead.MANY and not (self.detached or self._suspect)
+
+    def tend_log(self) -> None:
+        """Do for the log of the file what a commit should not have to do; nobody else uses this store meanwhile."""
+        self._logged = 0
+        if self.path is not None and self.look():
+            with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
+                write_ahead.lengthen(self._db, self.path, self._wal)
+            with suppress(sqlite3.Error):
+                write_ahead.copy(self._db)
 
     def note_unsaved(self, unsaved: bool) -> None:
         """Let other processes see whether this one has changes that the file does not have."""
@@ -303,6 +317,7 @@ class KeptStore(Store):
     def _note_place(self) -> None:
         if self.path is not None and not self.detached:
             self._inode, self._wal = _inode(self.path), _inode(Path(f"{self.path}-wal"))
+            self._logged = write_ahead.MANY
 
     def _is_in_place(self) -> bool:
         assert self.path is not None

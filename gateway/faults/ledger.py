@@ -6,13 +6,13 @@ others may see. A write can be done by a thread beside the gateway, with copies 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, wait
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.faults.beside import Work, Writer
 from gateway.faults.interventions import DONE, Intervention, Interventions
 from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
@@ -22,13 +22,6 @@ from gateway.faults.store import Store, StoreError
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be
 #: given up.
 SEQUENCE, OVERFLOW = "sequence", "overflow"
-
-
-def _copy(record: Record) -> Record:
-    """Copy a record; what is in it is replaced later, not changed."""
-    made = copy(record)
-    made.freeze_frames = dict(record.freeze_frames)
-    return made
 
 
 def _with_entry(records: Mapping[str, Record], faults: Iterable[str]) -> list[Record]:
@@ -56,7 +49,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
 class _Write:
     """A write that a thread does, and what is in it."""
 
-    future: Future[None]
+    work: Work
     t_ns: int
     changes: Changes
     permanent: list[Permanent]
@@ -95,10 +88,11 @@ class Ledger:
         self._more = False  # whether anything waits beside records
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
-        self._stored = {fault: _copy(record) for fault, record in self.records.items()}
+        self._stored = {fault: record.copy() for fault, record in self.records.items()}
         self._failed = {record.id for record in self._stored.values() if record.occurrence}
         self._stored_permanent = self._permanent.all()
         self._write: _Write | None = None
+        self._tending: Work | None = None  # of the file's log, by the thread that writes
 
     def succeed(self, old: Ledger) -> None:
         """Go on with what another ledger of the same store holds, written or not."""
@@ -123,7 +117,7 @@ class Ledger:
     def add(self, record: Record) -> None:
         """Add the record of a fault that the store does not know; it is written when it changes."""
         self.records[record.id] = record
-        self._stored[record.id] = _copy(record)
+        self._stored[record.id] = record.copy()
         self._note_failed([record])
 
     def touch(self, fault: str) -> None:
@@ -285,7 +279,7 @@ class Ledger:
             StoreError: they could not be written; nothing of them was.
         """
         self.join()
-        self._pending.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
+        self._pending.records = [self.records[name].copy() for name in sorted(self._dirty)]
         try:
             self.store.save(self._pending, self._whole if alone else None)
         except StoreError as error:
@@ -313,37 +307,46 @@ class Ledger:
 
     # Writing beside
 
-    def begin(self, t_ns: int, executor: Executor, *, anew: bool = False) -> None:
+    def begin(self, t_ns: int, writer: Writer, *, anew: bool = False) -> None:
         """Have all changes written by a thread; :meth:`join` ends it.
 
         Args:
             t_ns: now, of the engine's clock.
-            executor: of one thread.
+            writer: the thread.
             anew: whether the file may have to be begun anew with all there is, as in an outage.
         """
         copied = self._copy_of_all() if anew or self.outage.reason else None
         whole = None if copied is None else lambda: copied
         changes = self._pending
-        changes.records = [_copy(self.records[name]) for name in sorted(self._dirty)]
+        changes.records = [self.records[name].copy() for name in sorted(self._dirty)]
         self._start_anew()
-        future = executor.submit(self.store.save, changes, whole)
-        self._write = _Write(future, t_ns, changes, self._permanent.all())
+        self._write = _Write(writer.submit(self.store.save, changes, whole), t_ns, changes, self._permanent.all())
 
     def under_way(self, patience_s: float = 0.0) -> bool:
-        """Tell whether a thread writes still, after waiting so long at most [s]."""
-        if self._write is None:
+        """Tell whether a thread is at the file still, after waiting so long at most [s]."""
+        work = self._tending if self._write is None else self._write.work
+        if work is None:
             return False
         if patience_s > 0:
-            wait([self._write.future], patience_s)
-        return not self._write.future.done()
+            with suppress(TimeoutError):
+                work.exception(patience_s)
+        return not work.done()
 
-    def join(self) -> None:
-        """Wait for the thread that writes, if one does; what it could not write is to be written still."""
+    def tend(self, writer: Writer, work: Callable[[], None]) -> None:
+        """Have a thread do, between writes, what the file's log needs; :meth:`under_way` tells how long it takes."""
+        if not self.under_way():
+            self._tending = writer.submit(work)
+
+    def join(self) -> bool:
+        """Wait for the thread that writes; what it could not write is to be written still. Returns whether one did."""
+        if self._tending is not None:
+            self._tending.result()
+            self._tending = None
         if self._write is None:
-            return
+            return False
         write, self._write = self._write, None
         try:
-            write.future.result()
+            write.work.result()
         except StoreError as error:
             self.outage.failed(write.t_ns, error.reason)
             self._pending = _joined(write.changes, self._pending)
@@ -352,6 +355,7 @@ class Ledger:
         else:
             self.outage.ended()
             self._show(write.changes, write.permanent)
+        return True
 
     def rewrite(self) -> None:
         """Have everything written by the next commit: the file is gone."""
@@ -377,7 +381,7 @@ class Ledger:
     def _copy_of_all(self) -> Changes:
         """Return all there is, as it is now."""
         whole = self._whole()
-        whole.records = [_copy(record) for record in whole.records]
+        whole.records = [record.copy() for record in whole.records]
         whole.cycles, whole.facts = dict(whole.cycles), dict(whole.facts)
         whole.identifiers = dict(whole.identifiers)
         return whole

@@ -8,7 +8,6 @@ was last written. While the file cannot be written there is a third state, told 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults import status as transition
+from gateway.faults.beside import Writer
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.clearing import Clearing
 from gateway.faults.dtc import ALL_DTCS, Dtc
@@ -224,18 +224,22 @@ class FaultMemory(Readable):
         self._now_ns = max(self._now_ns, t_ns or 0)
         return self._held.commit(self._now_ns, final=final)
 
-    def begin(self, t_ns: int, executor: Executor, *, anew: bool = False) -> None:
+    def begin(self, t_ns: int, writer: Writer, *, anew: bool = False) -> None:
         """Have all changes made durable by a thread (see :meth:`under_way`), in a new file if need be."""
         self._now_ns = max(self._now_ns, t_ns)
-        self._held.begin(self._now_ns, executor, anew=anew)
+        self._held.begin(self._now_ns, writer, anew=anew)
 
     def under_way(self, patience_s: float = 0.0) -> bool:
         """Tell whether a thread writes still, after waiting so long at most [s]."""
         return self._held.under_way(patience_s)
 
-    def join(self) -> None:
-        """Wait for the thread that writes, if one does: the store is for this one then."""
-        self._held.join()
+    def tend(self, writer: Writer, work: Callable[[], None]) -> None:
+        """Have a thread do, between writes, what the file's log needs (see :meth:`under_way`)."""
+        self._held.tend(writer, work)
+
+    def join(self) -> bool:
+        """Wait for the thread that writes: the store is for this one then. Returns whether one did."""
+        return self._held.join()
 
     def rewrite(self) -> None:
         """Have everything written by the next commit: the file is gone."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway.faults.catalogue import Catalogue, FaultDefinition
-from gateway.faults.entries import DtcStatus, Entry, entry_of
+from gateway.faults.entries import DtcState, DtcStatus, Entry, entry_of
 from gateway.faults.ledger import Ledger
 from gateway.faults.mil import is_mil_on
 from gateway.faults.records import Permanent
@@ -58,6 +58,11 @@ class Readable:
     def entry(self, fault: str) -> Entry:
         """Return what is known of one fault, also when it has not failed since it was cleared."""
         return entry_of(self._held.shown[fault])
+
+    def state(self, fault: str) -> DtcState:
+        """Return what frames tell of one fault: the short way, for each change."""
+        record = self._held.shown[fault]
+        return DtcState(record.dtc, record.status, record.occurrence)
 
     def definition(self, fault: str) -> FaultDefinition:
         """Return the definition of a fault, also of one that is only stored any more."""

@@ -63,6 +63,13 @@ class Record:
         """Counters of the status byte's transitions."""
         return Cycles(self.failed_cycles, self.passed_cycles, self.aged_cycles)
 
+    def copy(self) -> Record:
+        """Return a copy; what is in it is replaced later, not changed."""
+        made = Record.__new__(Record)
+        made.__dict__.update(self.__dict__)  # a tenth of the time that the module copy takes
+        made.freeze_frames = dict(self.freeze_frames)
+        return made
+
     def become(self, status: Status, cycles: Cycles) -> None:
         """Take what a transition of the status byte returned."""
         self.status = int(status)

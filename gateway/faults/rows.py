@@ -6,6 +6,7 @@ import json
 import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from operator import attrgetter
 from typing import Any
 
 from gateway.faults.interventions import Intervention
@@ -21,6 +22,16 @@ _SAVE_RECORD = (
     f"INSERT INTO fault ({', '.join(COLUMNS)}) VALUES ({_MARKS})"  # noqa: S608 - our own names
     f" ON CONFLICT (id) DO UPDATE SET {_UPDATE}"
 )
+_VALUES = attrgetter(*COLUMNS)
+_JSON_AT = tuple(COLUMNS.index(name) for name in JSON)
+# What stays as it is touches no page: each costs a write of 4096 bytes.
+_OTHER_FRAMES = "DELETE FROM freeze_frame WHERE fault = ? AND number NOT IN"
+_SAVE_FRAME = (
+    "INSERT INTO freeze_frame VALUES (?, ?, ?, ?) ON CONFLICT (fault, number)"
+    " DO UPDATE SET t_ns = excluded.t_ns, content = excluded.content"
+    " WHERE t_ns IS NOT excluded.t_ns OR content IS NOT excluded.content"
+)
+_SAVE_FACT = "INSERT INTO fact VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET value = excluded.value"
 SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our own names
 #: Columns of the table of interventions, named as in :class:`Intervention`.
 INTERVENTION = tuple(f.name for f in fields(Intervention))
@@ -57,16 +68,28 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
     """
     for record in changes.records:
         _write_record(db, record)
-    db.executemany(
-        "INSERT OR REPLACE INTO operation_cycle VALUES (?, ?, ?, ?)",
-        [(name, c.number, c.open, c.t_ns) for name, c in changes.cycles.items()],
-    )
+    if changes.facts:
+        db.executemany(_SAVE_FACT, changes.facts.items())
+    if any((changes.cycles, changes.recordings, changes.identifiers, changes.described, changes.answered)):
+        _write_rare(db, changes)
     if changes.permanent is not None:
         db.execute("DELETE FROM permanent")
         db.executemany(
             "INSERT INTO permanent VALUES (?, ?, ?)",
             [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
         )
+    if changes.interventions or changes.kept_interventions:
+        _write_interventions(db, changes)
+    if changes.buses is not None:
+        _write_buses(db, changes.buses)
+
+
+def _write_rare(db: sqlite3.Connection, changes: Changes) -> None:
+    """Write what few commits have."""
+    db.executemany(
+        "INSERT OR REPLACE INTO operation_cycle VALUES (?, ?, ?, ?)",
+        [(name, c.number, c.open, c.t_ns) for name, c in changes.cycles.items()],
+    )
     for r in changes.recordings:
         db.execute(
             "INSERT INTO recording (fault, t_ns, frames, dropped, log) VALUES (?, ?, ?, ?, ?)",
@@ -82,13 +105,15 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
             db.execute("DELETE FROM identifier WHERE did = ?", (did,))
         else:
             db.execute("INSERT OR REPLACE INTO identifier VALUES (?, ?)", (did, data))
-    db.executemany("INSERT OR REPLACE INTO fact VALUES (?, ?)", changes.facts.items())
     db.executemany(
         "INSERT OR REPLACE INTO catalogue VALUES (?, ?, ?, ?)",
         [(fault, *description) for fault, description in changes.described.items()],
     )
     for request, done in changes.answered.items():
         db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
+
+
+def _write_interventions(db: sqlite3.Connection, changes: Changes) -> None:
     marks = ", ".join("?" * len(INTERVENTION))
     db.executemany(
         f"INSERT OR REPLACE INTO intervention ({', '.join(INTERVENTION)}) VALUES ({marks})",  # noqa: S608 - our own names
@@ -99,8 +124,6 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
             "DELETE FROM intervention WHERE number <= ? AND number NOT IN (SELECT value FROM json_each(?))",
             (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
         )
-    if changes.buses is not None:
-        _write_buses(db, changes.buses)
 
 
 def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:
@@ -115,17 +138,15 @@ def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) ->
 
 
 def _write_record(db: sqlite3.Connection, r: Record) -> None:
-    db.execute(
-        _SAVE_RECORD,
-        [
-            json.dumps(value) if name in JSON else value
-            for name, value in ((name, getattr(r, name)) for name in COLUMNS)
-        ],
-    )
-    db.execute("DELETE FROM freeze_frame WHERE fault = ?", (r.id,))
+    values = list(_VALUES(r))
+    for place in _JSON_AT:
+        values[place] = json.dumps(values[place])
+    db.execute(_SAVE_RECORD, values)
+    frames = r.freeze_frames
+    db.execute(f"{_OTHER_FRAMES} ({', '.join('?' * len(frames))})", (r.id, *frames))
     db.executemany(
-        "INSERT INTO freeze_frame VALUES (?, ?, ?, ?)",
-        [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in r.freeze_frames.values()],
+        _SAVE_FRAME,
+        [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in frames.values()],
     )
     if r.occurrence == 0:
         db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))

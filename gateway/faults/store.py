@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from gateway.errors import GatewayError, InputError
-from gateway.faults import rows
+from gateway.faults import rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
@@ -90,6 +90,7 @@ class Store:
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
+        self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
 
@@ -158,6 +159,7 @@ class Store:
         self._refuse_damaged()
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
+        self._db.execute(f"PRAGMA wal_autocheckpoint = {write_ahead.PAGES}")
         self._db.execute("PRAGMA foreign_keys = ON")
         if version < len(MIGRATIONS):  # in one transaction: a new file is there at once
             self._db.executescript(
@@ -308,6 +310,7 @@ class Store:
         """
         with self.transaction():
             rows.write(self._db, changes)
+        self._logged += 2 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""

@@ -6,12 +6,12 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from gateway.bus.base import Bus
 from gateway.bus.uri import open_bus
+from gateway.faults.beside import Writer
 from gateway.faults.store import Connect
 from gateway.live.clock import Clock
 from gateway.live.loop import TICK_S, collect_and_freeze
@@ -60,7 +60,7 @@ class Machine:
     monotonic: Callable[[], float] = time.monotonic
     open_bus: Callable[[str, int], Bus] = open_at_once
     begin_thread: Callable[[Callable[[], None], str], Thread] = begin_thread
-    begin_writer: Callable[[], Executor] | None = begin_writer
+    begin_writer: Callable[[], Writer] | None = begin_writer
     patience_s: float = PATIENCE_S
     connect: Connect = sqlite3.connect
     tick_s: float = TICK_S

@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import ANSWER, CYCLIC, URGENT, Frames
+from gateway.errors import BusError
 
 #: Most frames that wait for a bus; an answer of 4095 bytes has 586.
 MOST = 8192
@@ -37,6 +38,13 @@ class Transmitter:
         Raises:
             BusError: the bus is gone.
         """
+        if not self._count and len(frames) == 1:  # as a DTC's is: nothing to put in order
+            try:
+                if bus.send(frames):
+                    return
+            except BusError:
+                self._add(frames)  # given up with what waits
+                raise
         self._add(frames)
         self.flush(bus)
 
@@ -64,10 +72,11 @@ class Transmitter:
 
     def _add(self, frames: Frames) -> None:
         ranks = frames["rank"]
+        present = set(ranks.tolist())
         for rank, queue in self._waiting.items():
-            mine = frames if (ranks == rank).all() else frames[ranks == rank]
-            if not len(mine):
+            if rank not in present:
                 continue
+            mine = frames if len(present) == 1 else frames[ranks == rank]
             if rank == CYCLIC and queue:
                 self._replace(queue, mine)
             room = MOST - self._count

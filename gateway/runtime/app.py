@@ -7,7 +7,6 @@ tests all drive this same class.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     Events,
 )
+from gateway.faults.beside import Writer
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
@@ -62,6 +62,7 @@ Listener = Callable[[dict[str, Any]], None]
 log = get_logger(__name__)
 
 _NO_FRAMES = empty(0)
+_TEST_FAILED = int(Status.TEST_FAILED)
 
 
 class Gateway:
@@ -220,14 +221,14 @@ class Gateway:
         """Whether all that is known is in the fault memory's file."""
         return not self.memory.unsaved
 
-    def write_beside(self, executor: Executor | None = None, patience_s: float = PATIENCE_S) -> None:
+    def write_beside(self, writer: Writer | None = None, patience_s: float = PATIENCE_S) -> None:
         """Have a thread write the fault memory: frames come whether a disk is slow or not.
 
         Args:
-            executor: of one thread, which is shut down when the gateway closes; None: a new one.
+            writer: the thread, which is shut down when the gateway closes; None: a new one.
             patience_s: how long a single change is waited for, before other things are done [s].
         """
-        self._upkeep.write_beside(executor, patience_s)
+        self._upkeep.write_beside(writer, patience_s)
         self._doubts.seek_beside()
 
     def close(self) -> None:
@@ -328,6 +329,7 @@ class Gateway:
         if cleared:
             self.controls.note(Intervention(0, "local", "", 0, "clear"))
             self.controls.forget(cleared)
+        self._upkeep.tend()
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Keep how the buses do where other processes can see it; the fault memory's file has it."""
@@ -361,7 +363,7 @@ class Gateway:
         return bool(told)
 
     def _record(self, change: DtcChange) -> None:
-        if self._recorder is not None and change.new_status & ~change.old_status & Status.TEST_FAILED:
+        if self._recorder is not None and int(change.new_status) & ~int(change.old_status) & _TEST_FAILED:
             t_ns = change.t_ns - self.engine.offset_ns
             self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
 

@@ -13,13 +13,13 @@ Everything that changes is written before it is told. Three things can happen on
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 from gateway.common.log import get_logger
 from gateway.engine.checks.memory_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.engine.core import Engine, Sink
+from gateway.faults.beside import Writer, WriterThread
 from gateway.faults.kept import KeptStore, Mishap
 from gateway.faults.memory import FaultMemory
 from gateway.faults.pace import Pace
@@ -47,9 +47,9 @@ NOTHING = Noted(0, 0)
 PATIENCE_S = 0.003
 
 
-def begin_writer() -> Executor:
+def begin_writer() -> Writer:
     """Begin the thread that writes the fault memory."""
-    return ThreadPoolExecutor(1, thread_name_prefix="fault-memory")
+    return WriterThread("fault-memory")
 
 
 class Upkeep:
@@ -77,7 +77,7 @@ class Upkeep:
         self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
         self._pace = Pace()
         self._tested = store.path is None  # whether its faults have had their first result
-        self._executor: Executor | None = None
+        self._writer: Writer | None = None
         self._patience_s = 0.0
         self._under_way = NOTHING  # what was noted when the write under way began
         self._down = False
@@ -91,13 +91,13 @@ class Upkeep:
         watched, before = self._places.values(), old._places.values()
         same = [place is None for place in watched] == [place is None for place in before]
         self._tested = old._tested and same
-        self._executor, self._patience_s = old._executor, old._patience_s
-        old._executor = None
+        self._writer, self._patience_s = old._writer, old._patience_s
+        old._writer = None
 
     @property
     def beside(self) -> bool:
         """Whether a thread writes."""
-        return self._executor is not None
+        return self._writer is not None
 
     def pause(self) -> None:
         """Begin no further write in the thread: whoever comes next reads the file."""
@@ -122,21 +122,23 @@ class Upkeep:
         """Attempts to write that failed."""
         return self._memory.outage.failures
 
-    def write_beside(self, executor: Executor | None = None, patience_s: float = PATIENCE_S) -> None:
-        """Have a thread write from now on, for a gateway whose frames do not wait.
+    def write_beside(self, writer: Writer | None = None, patience_s: float = PATIENCE_S) -> None:
+        """Have a thread write from now on, for a gateway whose frames do not wait; not where there is no file.
 
         Args:
-            executor: of one thread; it is shut down with this. None: a new one.
+            writer: it is shut down with this; None: a new one.
             patience_s: how long a single change is waited for, before other things are done [s].
         """
-        self._executor, self._patience_s = executor or begin_writer(), patience_s
+        if self._store.path is None and writer is None:
+            return
+        self._writer, self._patience_s = writer or begin_writer(), patience_s
 
     def close(self) -> None:
         """End the thread; what it writes is written first."""
         self._memory.join()
-        if self._executor is not None:
-            self._executor.shutdown()
-            self._executor = None
+        if self._writer is not None:
+            self._writer.shutdown()
+            self._writer = None
 
     def settle(self, t_ns: int, noted: Noted, sink: Sink, *, asked: bool = False, final: bool = False) -> Noted:
         """Write what waits, if it is time; returns how much of what was noted may be told.
@@ -151,8 +153,8 @@ class Upkeep:
         memory = self._memory
         if self.idle:
             return noted
-        if self._executor is not None and not final:
-            return self._settle_beside(t_ns, noted, sink, self._executor)
+        if self._writer is not None and not final:
+            return self._settle_beside(t_ns, noted, sink, self._writer)
         if memory.unsaved:
             urgent = final or asked or memory.outage.reason
             if not (urgent or self._pace.allows(t_ns, memory.unsaved)):
@@ -164,7 +166,7 @@ class Upkeep:
         self._under_way = NOTHING
         return noted
 
-    def _settle_beside(self, t_ns: int, noted: Noted, sink: Sink, executor: Executor) -> Noted:
+    def _settle_beside(self, t_ns: int, noted: Noted, sink: Sink, writer: Writer) -> Noted:
         """Have the thread write, if it is time; returns what may be told: what it has written, in an outage all."""
         memory = self._memory
         down = bool(memory.outage.reason)
@@ -174,7 +176,7 @@ class Upkeep:
         done = self._written(t_ns, sink)
         if memory.unsaved and not self._paused and self._is_time(t_ns):
             down = bool(memory.outage.reason)
-            memory.begin(t_ns, executor, anew=not self._store.look())
+            memory.begin(t_ns, writer, anew=not self._store.look())
             self._under_way = NOTHING if down else noted - done  # in an outage it is told at once
             if not down and not memory.under_way(patience_s):
                 done += self._written(t_ns, sink)
@@ -188,9 +190,9 @@ class Upkeep:
     def _written(self, t_ns: int, sink: Sink) -> Noted:
         """End a write of the thread; returns what of that which was noted is stored now."""
         memory = self._memory
-        memory.join()
+        joined = memory.join()
         done, self._under_way = self._under_way, NOTHING
-        if not memory.outage.reason and not self._store.look():
+        if joined and not memory.outage.reason and not self._store.look():
             memory.rewrite()  # written, but into a file that nobody will find
             done = NOTHING
         self._judge(t_ns, sink)
@@ -205,6 +207,11 @@ class Upkeep:
             self._memory.rewrite()
             if not self.beside:
                 self._memory.commit(t_ns)
+
+    def tend(self) -> None:
+        """Have the thread look after the file's log, if nothing waits to be written."""
+        if self._writer is not None and not self._paused and self._memory.clean and self._store.log_is_due:
+            self._memory.tend(self._writer, self._store.tend_log)
 
     def _judge(self, t_ns: int, sink: Sink) -> bool:
         """Report what became of the file, where that is news; returns whether there was any."""

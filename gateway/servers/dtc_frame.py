@@ -145,20 +145,9 @@ class DtcFrameSender(BusServer):
             del self._held[name]
             self._sent_ns[name] = t_ns
             # A change that had to wait may be outdated by a clear or a new operation cycle.
-            entry = memory.entry(name)
-            current = entry.status == change.new_status
-            fdc = change.fdc if current else self._counter_of(name)
-            self._put(
-                frames,
-                k,
-                t_ns,
-                entry.dtc.value,
-                int(entry.status),
-                fdc,
-                0,
-                count,
-                entry.occurrence,
-            )
+            dtc, status, occurrence = memory.state(name)
+            fdc = change.fdc if status == change.new_status else self._counter_of(name)
+            self._put(frames, k, t_ns, dtc, status, fdc, 0, count, occurrence)
         return frames
 
     def on_time(self, t_ns: int) -> Frames:

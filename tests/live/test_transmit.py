@@ -1,11 +1,13 @@
 """What waits for a full queue: by rank, in order, nothing lost, nothing stale."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import ANSWER, CYCLIC, URGENT, empty, put
+from gateway.errors import BusError
 from gateway.live.transmit import MOST, Transmitter
 
 
@@ -116,3 +118,25 @@ def test_send_all_waits_for_a_full_queue():
     bus = Slow()
     send_all(bus, frames(*((ANSWER, 0x10, k) for k in range(5))))
     assert np.array([mark for _, _, mark in bus.taken]).tolist() == [0, 1, 2, 3, 4]
+
+
+class Gone(Full):
+    """Takes nothing more."""
+
+    def send(self, frames):
+        raise BusError("gone")
+
+
+@pytest.mark.parametrize("rank", [URGENT, ANSWER, CYCLIC])
+def test_one_frame_alone_waits_for_a_full_queue_and_is_counted_when_the_bus_is_gone(rank):
+    bus, waiting = Full(), Transmitter()
+    waiting.send(bus, frames((rank, 0x6F0, 1)))
+    assert len(waiting) == 1
+    bus.room = 1
+    waiting.flush(bus)
+    assert bus.taken == [(rank, 0x6F0, 1)]
+    with pytest.raises(BusError):
+        waiting.send(Gone(), frames((rank, 0x6F0, 2)))
+    waiting.give_up()
+    assert waiting.given_up == 1
+    assert not len(waiting)
