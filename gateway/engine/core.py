@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
+from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
@@ -97,7 +97,7 @@ class Engine:
             sink: called with the events, each time before any later frame is handled.
         """
         if not frames.flags.carray:
-            frames = frames.copy()  # the loop is compiled for one kind of array
+            frames = copied(frames)  # the loop is compiled for one kind of array
         start, count = 0, len(frames)
         sent = []
         while start < count:
@@ -105,7 +105,7 @@ class Engine:
             self._drain(sink)
             if self._to_send.item():
                 sent.append(self._sent())
-        return np.concatenate(sent) if sent else _NO_FRAMES
+        return joined(sent) if sent else _NO_FRAMES
 
     def advance(self, t_ns: int, sink: Sink) -> Frames:
         """Let time pass without a frame, so that timers can run; returns what the monitors send.
@@ -164,7 +164,7 @@ class Engine:
         first, last = int(clock["taken"]), int(clock["sent"])
         if first == last:
             return _NO_FRAMES
-        frames = np.asarray(self.tables.outbox[first:last]).copy()
+        frames = copied(np.asarray(self.tables.outbox[first:last]))
         frames["rank"] = CYCLIC
         clock["taken"] = last
         waiting = self.tables.outbox[int(clock["fed"]) : last]["rank"]
