@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from gateway.bus.ahead import read_ahead
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
@@ -51,8 +53,12 @@ def replay(
     json: bool,
     fail_on_dtc: bool,
     junit: Path | None = None,
+    among: bool = False,
+    beside: bool = True,
 ) -> int:
     """Replay a log; returns the exit code. Arguments as the command has them (``gateway replay --help``).
+
+    ``among``: it is one of several logs, which lines of JSON name; ``beside``: a second core may read ahead.
 
     Raises:
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
@@ -62,13 +68,12 @@ def replay(
         need("serve", "reports", key="--html")
     path = find_config(config_path)
     config = _configured(path, monitor, trace=trace)
-    channels = channels_of(config, maps)
     watched = Watched(series, plot, chosen)
-    printer = EventPrinter(as_json=json)
-    reader = read_recording(log, channels)
+    printer = EventPrinter(as_json=json, log=str(log) if among else None)
+    reader = read_recording(log, channels_of(config, maps))
     parts = prepare(config, path, extra=chosen)
     injectors = _injectors(config, parts, injections, seed)
-    gateway = Gateway(config, memory, file=path, parts=parts)
+    gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
     gateway.listen(printer)
     failures = _Failures(printer, gateway)
     try:
@@ -76,17 +81,10 @@ def replay(
         traced = Trace(gateway.engine) if trace else None
         report = None if html is None else RunReport(html, gateway, path)
         with watched.of(gateway, parts, gateway if report is None else report.collector) as consumer:
-            damage = _feed(_Faulty(consumer, injectors) if injectors else consumer, reader, printer, log.name, traced)
+            fed = _Faulty(consumer, injectors) if injectors else consumer
+            damage = _feed(fed, reader, printer, log.name, traced, beside=beside)
         seconds = time.monotonic() - begun
-        found = contents(
-            reader,
-            {bus.name: bus.channel for bus in config.bus},
-            channels,
-            asked=[text.rpartition("=")[0] for text in maps],
-            damage=damage,
-            allow_empty=allow_empty,
-            allow_cut=allow_cut,
-        )
+        found = _found(reader, config, maps, damage, allow_empty=allow_empty, allow_cut=allow_cut)
         summary = gateway.summary(seconds)
         found.notes += [*_notes(found, config, summary, dict(zip(injections, injectors, strict=True))), *watched.notes]
         printer(found.event())
@@ -102,6 +100,27 @@ def replay(
     if lost := say_unless_stored(gateway.stored, memory):
         return lost
     return 1 if fail_on_dtc and printer.failures else 0
+
+
+def _found(
+    reader: Recorded,
+    config: Config,
+    maps: Sequence[str],
+    damage: InputError | None,
+    *,
+    allow_empty: bool,
+    allow_cut: bool,
+) -> Contents:
+    """Return what a log held that has been read."""
+    return contents(
+        reader,
+        {bus.name: bus.channel for bus in config.bus},
+        channels_of(config, maps),
+        asked=[text.rpartition("=")[0] for text in maps],
+        damage=damage,
+        allow_empty=allow_empty,
+        allow_cut=allow_cut,
+    )
 
 
 class _Failures:
@@ -190,6 +209,11 @@ class _Faulty:
         return self._gateway.feed(frames)
 
 
+def _may_read_ahead(log: Path) -> bool:
+    """Tell whether there is a core for it, and no pipe for which one cannot stop waiting."""
+    return len(os.sched_getaffinity(0)) > 1 and (log.is_file() or log.is_dir())
+
+
 def _watches(config: Config) -> bool:
     return bool(config.monitor) or any(bus.check for bus in config.bus)
 
@@ -200,6 +224,8 @@ def _feed(
     printer: EventPrinter,
     name: str,
     trace: Trace | None = None,
+    *,
+    beside: bool,
 ) -> InputError | None:
     """Feed a log, showing how far it is; returns what ended it early."""
     columns = (TextColumn(name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
@@ -225,7 +251,7 @@ def _feed(
         def stamped() -> Iterator[Frames]:
             nonlocal damage
             try:
-                for frames in reader:
+                for frames in read_ahead(reader) if beside and _may_read_ahead(reader.path) else reader:
                     if not seen and not printer.start_ns and len(frames):
                         printer.start_ns = int(frames[0]["t_ns"])
                     if trace is None:
