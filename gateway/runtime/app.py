@@ -258,6 +258,8 @@ class Gateway:
 
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
+        if not self._emitted:
+            return frames
         own = frames["flags"] & OWN != 0
         if not own.any():
             return frames
@@ -268,9 +270,13 @@ class Gateway:
             return self._process_piece(frames)
         sent: list[Frames] = []
         for piece, look_ns in self._meter.pieces(frames):
-            sent.append(self._process_piece(piece))
-            if look_ns is not None:
-                sent.append(self._look(look_ns))
+            if look_ns is None:
+                sent.append(self._process_piece(piece))
+            elif self.controls.receive:  # frames and time until the look in one pass of the loop
+                sent.append(self.engine.process(piece, self._on_events, look_ns))
+                self._meter.look()
+            else:
+                sent += [self._process_piece(piece), self._look(look_ns)]
         return joined(sent)
 
     def _look(self, t_ns: int) -> Frames:
