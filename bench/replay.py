@@ -1,9 +1,10 @@
 """Where the time of a replayed frame goes, part by part, and what a second core takes of it.
 
 Two configurations, each with a candump log of its own: the crankshaft of gateway.toml (bench/engine.py), and messages
-with timeout, alive counter and length alone (bench/growth.py). A part of the loop is what the configuration with it takes
-more than the one without: CPU time of the thread, the best of some rounds in turn. Then the whole, from the file to its
-last event, with and without a thread that reads ahead: wall time, pairs in turn, and CPU time of the loop's thread.
+with timeout, alive counter and length alone (bench/growth.py). A part of the loop is what the configuration with it
+takes more than the one without: CPU time of the thread, the best of some rounds in turn. Then the whole, from the file
+to its last event, with and without a thread that reads ahead: wall time, pairs in turn, and CPU time of the loop's
+thread.
 
     python bench/replay.py [--frames 500000] [--rounds 5] [--pairs 10] [--messages 100] [--json]
 """
