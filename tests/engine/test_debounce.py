@@ -3,7 +3,7 @@
 from fractions import Fraction
 from math import ceil, floor
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.engine.debounce import (
@@ -106,6 +106,7 @@ def test_counter_follows_the_reference(debounce, results):
         last = failed
 
 
+@example(Debounce(failed_after=10, passed_after=10), [(False, 12), (True, 1)])
 @given(DEBOUNCES, st.lists(st.tuples(st.booleans(), st.integers(1, 200)), min_size=1, max_size=6))
 def test_what_is_settled_one_more_pass_does_not_change(debounce, runs):
     rows = row(debounce)
