@@ -1,12 +1,11 @@
-"""Where the time of a replayed frame goes, part by part, and what a second core takes of it.
+"""Where the time of a replayed frame goes, part by part.
 
 Two configurations, each with a candump log of its own: the crankshaft of gateway.toml (bench/engine.py), and messages
 with timeout, alive counter and length alone (bench/growth.py). A part of the loop is what the configuration with it
 takes more than the one without: CPU time of the thread, the best of some rounds in turn. Then the whole, from the file
-to its last event, with and without a thread that reads ahead: wall time, pairs in turn, and CPU time of the loop's
-thread.
+to its last event.
 
-    python bench/replay.py [--frames 500000] [--rounds 5] [--pairs 10] [--messages 100] [--json]
+    python bench/replay.py [--frames 500000] [--rounds 5] [--messages 100] [--json]
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import argparse
 import json
 import os
 import platform
-import statistics
 import tempfile
 import time
 from pathlib import Path
@@ -24,7 +22,6 @@ import numpy as np
 from engine import make_log
 from growth import DBC, MESSAGE, chunks_of, shape_of, timeout_ms
 
-from gateway.bus.ahead import read_ahead
 from gateway.bus.frames import EXTENDED, empty, joined
 from gateway.bus.logs import CHUNK, open_writer, read_log
 from gateway.bus.timeline import LogTime
@@ -102,14 +99,13 @@ def read_ns(log):
     return (time.thread_time_ns() - begun) / count
 
 
-def from_file_ns(log, config, *, ahead):
-    """Return what a frame takes from the file to its events: wall time, CPU time of the thread of the loop [ns]."""
+def from_file_ns(log, config):
+    """Return what a frame takes from the file to its events [ns]."""
     gateway = Gateway(load_config(config), lasting=True)
     gateway.engine.warm()
-    reader = read_log(log, channels={"can0": 0})
-    begun = np.array([time.perf_counter_ns(), time.thread_time_ns()])
-    count = replay(gateway, read_ahead(reader) if ahead else reader)
-    took = np.array([time.perf_counter_ns(), time.thread_time_ns()]) - begun
+    begun = time.thread_time_ns()
+    count = replay(gateway, read_log(log, channels={"can0": 0}))
+    took = time.thread_time_ns() - begun
     gateway.close()
     return took / count
 
@@ -138,35 +134,19 @@ def parts_of(folder, frames, steps, whole, rounds, log):
 
 
 def measure(folder, frames, steps, whole, options):
-    """Return the parts, and the pairs with and without a second core."""
+    """Return the parts, and the whole."""
     folder.mkdir()
     log = folder / "bench.log"
     with open_writer(log, interfaces={0: "can0"}) as writer:
         writer.write(frames)
     parts, config = parts_of(folder, frames, steps, whole, options.rounds, log)
-    from_file_ns(log, config, ahead=True)
-    pairs = [[from_file_ns(log, config, ahead=ahead) for ahead in (False, True)] for _ in range(options.pairs)]
-    walls = [[float(took[0]) for took in pair] for pair in pairs]
-    return {
-        "parts": parts,
-        **{
-            name: {
-                "least": min(wall[k] for wall in walls),
-                "median": statistics.median(wall[k] for wall in walls),
-                "loop's thread": min(float(pair[k][1]) for pair in pairs),
-            }
-            for k, name in enumerate(("one thread", "read ahead"))
-        },
-        "won": sum(two < one for one, two in walls),
-        "pairs": len(pairs),
-    }
+    return {"parts": parts, "from the file": min(from_file_ns(log, config) for _ in range(options.rounds))}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=500_000)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--pairs", type=int, default=10)
     parser.add_argument("--messages", type=int, default=100)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -190,10 +170,7 @@ def main():
         for part in one["parts"]:
             print(f"{part['name']:50}{part['ns']:>12.1f}")
         print(f"{'all':50}{sum(part['ns'] for part in one['parts']):>12.1f}")
-        for kind in ("one thread", "read ahead"):
-            least, median, thread = one[kind].values()
-            print(f"from the file, {kind}: {least:.0f} (median {median:.0f}); CPU of the loop's thread {thread:.0f}")
-        print(f"read ahead was sooner in {one['won']} of {one['pairs']} pairs")
+        print(f"{'from the file to the last event':50}{one['from the file']:>12.1f}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gateway.bus.ahead import read_ahead
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
@@ -54,11 +52,10 @@ def replay(
     fail_on_dtc: bool,
     junit: Path | None = None,
     among: bool = False,
-    beside: bool = True,
 ) -> int:
     """Replay a log; returns the exit code. Arguments as the command has them (``gateway replay --help``).
 
-    ``among``: it is one of several logs, which lines of JSON name; ``beside``: a second core may read ahead.
+    ``among``: it is one of several logs, which lines of JSON name.
 
     Raises:
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
@@ -82,7 +79,7 @@ def replay(
         report = None if html is None else RunReport(html, gateway, path)
         with watched.of(gateway, parts, gateway if report is None else report.collector) as consumer:
             fed = _Faulty(consumer, injectors) if injectors else consumer
-            damage = _feed(fed, reader, printer, log.name, traced, beside=beside)
+            damage = _feed(fed, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = _found(reader, config, maps, damage, allow_empty=allow_empty, allow_cut=allow_cut)
         summary = gateway.summary(seconds)
@@ -209,11 +206,6 @@ class _Faulty:
         return self._gateway.feed(frames)
 
 
-def _may_read_ahead(log: Path) -> bool:
-    """Tell whether there is a core for it, and no pipe for which one cannot stop waiting."""
-    return len(os.sched_getaffinity(0)) > 1 and (log.is_file() or log.is_dir())
-
-
 def _watches(config: Config) -> bool:
     return bool(config.monitor) or any(bus.check for bus in config.bus)
 
@@ -224,8 +216,6 @@ def _feed(
     printer: EventPrinter,
     name: str,
     trace: Trace | None = None,
-    *,
-    beside: bool,
 ) -> InputError | None:
     """Feed a log, showing how far it is; returns what ended it early."""
     columns = (TextColumn(name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
@@ -251,7 +241,7 @@ def _feed(
         def stamped() -> Iterator[Frames]:
             nonlocal damage
             try:
-                for frames in read_ahead(reader) if beside and _may_read_ahead(reader.path) else reader:
+                for frames in reader:
                     if not seen and not printer.start_ns and len(frames):
                         printer.start_ns = int(frames[0]["t_ns"])
                     if trace is None:

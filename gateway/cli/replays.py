@@ -68,17 +68,17 @@ def replays(logs: Sequence[Path], config: Path | None, *, jobs: int, **options: 
 
     jobs = min(jobs or default_workers(), len(logs))
     if jobs == 1:
-        return max(_replay_among(log, config, options, beside=True) for log in logs)
+        return max(_replay_among(log, config, options) for log in logs)
     need("fleet", "several logs at once", key="--jobs")
     return _at_once(logs, config, jobs, options)
 
 
-def _replay_among(log: Path, config: Path | None, options: dict[str, Any], *, beside: bool) -> int:
+def _replay_among(log: Path, config: Path | None, options: dict[str, Any]) -> int:
     """Replay one of several logs, and say what ended it; returns its exit code."""
     if not options["json"]:
         print(f"{log}:", flush=True)
     try:
-        return replay(log, config, among=True, beside=beside, **options)
+        return replay(log, config, among=True, **options)
     except BrokenPipeError:
         raise
     except Exception as error:
@@ -98,7 +98,7 @@ class _Replaying:
                 redirect_stdout(out),
                 redirect_stderr(err),
             ):
-                code = _replay_among(task.log, task.config, task.options, beside=False)
+                code = _replay_among(task.log, task.config, task.options)
             # Dask has it done anew, and while its lines are told, where a worker dies that had it done before.
             for stream, path in made.items():
                 path.replace(task.file(stream))
