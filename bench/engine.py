@@ -88,7 +88,7 @@ def user_loop(messages):
 
 def replay_path(frames, chunk=100_000):
     """Frames in chunks through the whole gateway."""
-    gateway = Gateway(load_config(shipped("gateway.toml")))
+    gateway = Gateway(load_config(shipped("gateway.toml")), lasting=True)
     gateway.start(0)
     gateway.feed(frames[:1])
     begun = time.perf_counter()

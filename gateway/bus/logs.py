@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.candump import CandumpWriter
-from gateway.bus.frames import Frames, to_message
+from gateway.bus.frames import Frames, chosen, to_message
 from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log
 from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
@@ -150,15 +150,21 @@ class LogReader:
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
         """Count the frames of each channel, and leave out those of no bus."""
         known = self._names.known
-        counts = np.bincount(channel, minlength=len(known))
+        now = np.bincount(channel, minlength=len(known))
+        counts = now.copy()
         counts[: len(self._counts)] += self._counts
         self._counts = counts
         if self._channels is None:
             return frames
-        buses = np.array([self._channels.get(name, -1) for name in known], np.int64)[channel]
+        places = np.array([self._channels.get(name, -1) for name in known], np.int64)
+        if (here := np.unique(places[now > 0])).size == 1:  # as of nearly every log: the frames need no look
+            if here[0] > 0:  # bus 0 is what readers give them
+                frames["bus"] = here[0]
+            return frames[:0] if here[0] < 0 else frames
+        buses = places[channel]
         kept = buses >= 0
         frames["bus"] = np.maximum(buses, 0)
-        return frames if kept.all() else frames[kept]
+        return frames if kept.all() else chosen(frames, kept)
 
 
 def read_log(path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None) -> LogReader:

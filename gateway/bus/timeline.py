@@ -9,12 +9,13 @@ the stamps that people expect, and its replay the engine's time to the nanosecon
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gateway.bus.conditions import are_steps, step_frame, step_ns_of
-from gateway.bus.frames import ERROR, OWN, Frames
+from gateway.bus.conditions import STEPPED, are_steps, step_frame, step_ns_of
+from gateway.bus.frames import ERROR, FRAME, OWN, Frames, copied, joined
+from gateway.jit import kernel
 
 #: Frames of a small batch.
 FEW = 64
@@ -23,6 +24,10 @@ FEW = 64
 DISORDER_NS = 100_000_000
 #: The clock of another bus in the log is taken to have had the same step if its time then agrees to this [ns].
 AGREES_NS = 1_000_000_000
+#: Buses that a frame can name.
+_BUSES = 256
+#: Time of a bus that has stamped nothing yet.
+_NOTHING = np.iinfo(np.int64).min
 
 
 def spans(frames: Frames, offset_ns: int) -> Iterator[tuple[Frames, int]]:
@@ -64,6 +69,34 @@ def to_wall(frames: Frames, offset_ns: int) -> tuple[Frames, int]:
     return stamped, offset_ns
 
 
+@kernel
+def go_on_evenly(cells: Any, offsets: Any, latest: Any, now_ns: int) -> tuple[int, int]:
+    """Look through frames up to one that tells a step of the clock, or whose bus went back.
+
+    Args:
+        cells: frames as uint64, shape (n, 10).
+        offsets: of each bus [ns], shape (256,).
+        latest: latest time of each bus [ns], shape (256,); brought up to date.
+        now_ns: latest time of all.
+
+    Returns:
+        how many frames come before it; the latest time of all with them [ns].
+    """
+    for k in range(cells.shape[0]):
+        head = cells[k, 1]
+        bus = np.int64((head >> np.uint64(32)) & np.uint64(255))
+        t_ns = np.int64(cells[k, 0]) - offsets[bus]
+        if (head & np.uint64(0xFFFFFFFF)) == np.uint64(ERROR):  # the gateway says it of the bus: no stamp of the bus
+            if (cells[k, 2] & np.uint64(255)) == np.uint64(STEPPED):
+                return k, now_ns
+        elif (head >> np.uint64(40)) & np.uint64(OWN) == np.uint64(0):  # nor is that of a frame sent here
+            if latest[bus] != _NOTHING and t_ns < latest[bus] - DISORDER_NS:
+                return k, now_ns
+            latest[bus] = max(latest[bus], t_ns)
+        now_ns = max(now_ns, t_ns)
+    return int(cells.shape[0]), now_ns
+
+
 class LogTime:
     """Turns the stamps of a log into time that goes on evenly; one log, batch after batch.
 
@@ -72,8 +105,9 @@ class LogTime:
     """
 
     def __init__(self) -> None:
-        self._offsets: dict[int, int] = {}  # by bus: a step may reach one bus's frames before another's
-        self._latest: dict[int, int] = {}
+        # By bus: a step may reach one bus's frames before another's.
+        self._offsets = np.zeros(_BUSES, np.int64)
+        self._latest = np.full(_BUSES, _NOTHING, np.int64)
         self._now_ns = 0
         self._told_ns = 0  # offset that frames in the log, or ours, have told
         self._started = False
@@ -85,74 +119,62 @@ class LogTime:
         if not self._started:
             self._started = True
             self._now_ns = int(frames["t_ns"][0])
-        steps = are_steps(frames)
-        offsets = {self._offsets.get(int(bus), self._told_ns) for bus in np.unique(frames["bus"])}
-        if not steps.any() and len(offsets) == 1 and not self._goes_back(frames, *offsets):
-            return self._shifted(frames, *offsets)
-        return self._one_by_one(frames, steps)
+        if not frames.flags.c_contiguous:
+            frames = copied(frames)
+        cells = frames.view(np.uint64).reshape(len(frames), FRAME.itemsize // 8)
+        parts: list[Frames] = []
+        start = 0
+        while start < len(frames):
+            count, self._now_ns = go_on_evenly(cells[start:], self._offsets, self._latest, self._now_ns)
+            if count:
+                parts.append(self._even(frames[start : start + count]))
+                start += count
+            if start < len(frames):
+                parts += self._stepped(frames[start : start + 1].copy())
+                start += 1
+        return joined(parts)
 
-    def _goes_back(self, frames: Frames, offset: int) -> bool:
-        times = frames["t_ns"] - offset
-        highest = np.maximum.accumulate(np.concatenate([[self._now_ns], times]))
-        return bool((times < highest[1:] - DISORDER_NS).any())
-
-    def _shifted(self, frames: Frames, offset: int) -> Frames:
-        if offset:
-            frames = frames.copy()
-            frames["t_ns"] -= offset
-        ordered = frames[_in_order(frames)]
-        for bus in np.unique(ordered["bus"]):
-            latest = int(ordered["t_ns"][ordered["bus"] == bus].max())
-            self._latest[int(bus)] = max(self._latest.get(int(bus), latest), latest)
-        self._now_ns = max(self._now_ns, int(frames["t_ns"].max()))
+    def _even(self, frames: Frames) -> Frames:
+        """Return frames without their offsets."""
+        if not self._offsets.any():
+            return frames
+        frames = copied(frames)
+        frames["t_ns"] -= self._offsets[frames["bus"]]
         return frames
 
-    def _one_by_one(self, frames: Frames, steps: NDArray[np.bool_]) -> Frames:
-        out: list[Frames] = []
-        frames = frames.copy()
-        start = 0
-        in_order = _in_order(frames)
-        for k, told in enumerate(steps):
-            frame = frames[k]
-            bus, stamp = int(frame["bus"]), int(frame["t_ns"])
-            if told:
-                step_ns = step_ns_of(frame)
-                self._told_ns += step_ns
-                self._offsets = {known: offset + step_ns for known, offset in self._offsets.items()}
-            t_ns = stamp - self._offsets.get(bus, self._told_ns)
-            latest = self._latest.get(bus)
-            if in_order[k] and latest is not None and t_ns < latest - DISORDER_NS:
-                step_ns = self._step_back(bus, stamp)
-                t_ns = stamp - self._offsets[bus]
-                if step_ns:
-                    out += [frames[start:k], step_frame(t_ns, step_ns // 1000)]
-                    start = k
-            frame["t_ns"] = t_ns
-            self._now_ns = max(self._now_ns, t_ns)
-            if in_order[k]:
-                self._latest[bus] = max(self._latest.get(bus, t_ns), t_ns)
-        return np.concatenate([*out, frames[start:]])
+    def _stepped(self, frame: Frames) -> list[Frames]:
+        """Take a frame, shape (1,), at which the clock was set; returns it, behind one that tells so if it is new."""
+        bus, stamp = int(frame["bus"][0]), int(frame["t_ns"][0])
+        before: list[Frames] = []
+        if are_steps(frame)[0]:
+            self._told_ns += step_ns_of(frame[0])
+            self._offsets += step_ns_of(frame[0])
+            t_ns = stamp - int(self._offsets[bus])
+        else:
+            step_ns = self._step_back(bus, stamp)
+            t_ns = stamp - int(self._offsets[bus])
+            self._latest[bus] = max(int(self._latest[bus]), t_ns)
+            if step_ns:
+                before = [step_frame(t_ns, step_ns // 1000)]
+        self._now_ns = max(self._now_ns, t_ns)
+        frame["t_ns"] = t_ns
+        return [*before, frame]
 
     def _step_back(self, bus: int, stamp: int) -> int:
         """Give a bus whose stamps went back another offset; returns the step if it is a new one, else 0 [ns]."""
+        known = self._latest != _NOTHING
         agreeing = [
             offset
-            for offset in {self._told_ns, *self._offsets.values()}
+            for offset in {self._told_ns, *self._offsets[known].tolist()}
             if self._latest[bus] - DISORDER_NS <= stamp - offset <= self._now_ns + AGREES_NS
         ]
         if agreeing:
             self._offsets[bus] = min(agreeing, key=lambda o: abs(stamp - o - self._now_ns))
             return 0
         # How long it took from the last frame before to this one nobody knows: time goes on where it was.
-        before = self._offsets.get(bus, self._told_ns)
+        before = int(self._offsets[bus])
         step_ns = (stamp - before - self._now_ns) // 1000 * 1000
-        for other in self._latest:
-            self._offsets.setdefault(other, self._told_ns)  # until its own stamps go back
-        self._offsets[bus] = before + step_ns
+        self._offsets[bus] = before + step_ns  # the others keep theirs until their own stamps go back
         self._told_ns += step_ns
+        self._offsets[~known] = self._told_ns
         return step_ns
-
-
-def _in_order(frames: Frames) -> NDArray[np.bool_]:
-    """Return which frames a bus has stamped: not those sent here, nor what the gateway says of the bus itself."""
-    return np.asarray((frames["flags"] & OWN == 0) & (frames["can_id"] != ERROR), np.bool_)

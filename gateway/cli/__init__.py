@@ -17,12 +17,8 @@ import typer
 
 from gateway import __version__
 from gateway.cli.commands import Commands
-from gateway.cli.failure import DEBUG, bug, install_hooks, refused
+from gateway.cli.failure import DEBUG, ended_by, install_hooks
 from gateway.common import log
-from gateway.errors import GatewayError
-
-#: Exit code of an error of the gateway itself (EX_SOFTWARE of sysexits.h).
-BUG = 70
 
 app = typer.Typer(
     name="gateway",
@@ -64,12 +60,8 @@ StatusOption = Annotated[
     typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
 ]
 HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report of it: one file, e.g. report.html.")]
-LogArgument = Annotated[
-    Path,
-    typer.Argument(
-        help="candump .log, .asc, .blf, .mf4, .trc, .csv, .parquet; also as .gz, .bz2, .xz, .zst, .zip; or a folder."
-    ),
-]
+LOG_HELP = "candump .log, .asc, .blf, .mf4, .trc, .csv, .parquet; also as .gz, .bz2, .xz, .zst, .zip; or a folder."
+LogArgument = Annotated[Path, typer.Argument(help=LOG_HELP)]
 JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
 PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
@@ -495,7 +487,7 @@ SeriesSignals = Annotated[
 
 @app.command()
 def replay(
-    log: LogArgument,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)],
     config: Annotated[
         Path | None,
         typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
@@ -528,20 +520,24 @@ def replay(
     plot: SeriesPlot = None,
     signal: SeriesSignals = None,
     junit: JunitOfFaults = None,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=0, help="Several logs in so many processes; 0: a core each.")
+    ] = 1,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
-    """Run a recorded log through the monitors.
+    """Run recorded logs through the monitors, each by itself.
 
-    Without --memory no fault memory is touched. Exit code 2 if the log is damaged, cut off, or holds no frame of a
+    Without --memory no fault memory is touched. Exit code 2 if a log is damaged, cut off, or holds no frame of a
     configured bus; what it holds is replayed and shown first.
     """
-    from gateway.cli.replay import replay as work
+    from gateway.cli.replays import replays as work
 
     raise typer.Exit(
         work(
-            log,
+            logs,
             config,
+            jobs=jobs,
             memory=memory,
             maps=maps or (),
             allow_empty=allow_empty,
@@ -857,13 +853,8 @@ def main() -> None:
     install_hooks()
     try:
         app()
-    except GatewayError as error:
-        refused(str(error))
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)
-    except OSError as error:  # a full disk, a folder that may not be written, ...
-        refused(f"{error.filename}: {error.strerror}" if error.filename else str(error), error)
     except Exception as error:
-        bug(error)
-        sys.exit(BUG)
+        sys.exit(ended_by(error))

@@ -9,16 +9,20 @@ import traceback
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any
 
 import typer
 
 from gateway import __version__
+from gateway.errors import GatewayError
 
 #: Variable of the environment that asks for tracebacks.
 DEBUG = "GATEWAY_DEBUG"
 #: Name of the package in its metadata, and the links there that lead to its authors, the best first.
 PACKAGE, LINKS = "ecu-gateway", ("issues", "bug tracker", "repository", "source", "homepage")
+
+#: Exit code of what the user can mend, and of an error of the gateway itself (EX_SOFTWARE of sysexits.h).
+REFUSED, BUG = 2, 70
 
 _OURS = str(Path(__file__).parent.parent)
 
@@ -38,13 +42,24 @@ def report_to() -> str:
     return next((found[name] for name in LINKS if name in found), "where you have it from")
 
 
-def refused(text: str, error: BaseException | None = None) -> NoReturn:
-    """Say what the user can mend, and end with 2."""
+def refuse(text: str, error: BaseException | None = None) -> None:
+    """Say what the user can mend."""
     if error is not None and debugging():
         traceback.print_exception(error)
     for line in text.splitlines():
         typer.secho(f"error: {line}", fg=typer.colors.RED, err=True)
-    sys.exit(2)
+
+
+def ended_by(error: Exception) -> int:
+    """Say what ended a command, and return its exit code."""
+    if isinstance(error, GatewayError):
+        refuse(str(error))
+        return REFUSED
+    if isinstance(error, OSError):  # a full disk, a folder that may not be written, ...
+        refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error), error)
+        return REFUSED
+    bug(error)
+    return BUG
 
 
 def _place(trace: TracebackType | None) -> str:

@@ -2,56 +2,32 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from gateway.cli.present import find_config, print_json, say, table_of, wide_console
+from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
 from gateway.errors import InputError
 from gateway.fleet.corpus import find
 from gateway.fleet.task import Outcome
 
-#: Time between two lines of progress where no terminal is [s].
-PERIOD_S = 5.0
 
+def _teller(*, as_json: bool) -> Callable[[Outcome, int], None]:
+    """Return what tells how far a run is: an event a log, or a line."""
+    done = LogsDone()
 
-class _Told:
-    """Tells how far a run is.
-
-    Args:
-        as_json: an event a log instead.
-    """
-
-    def __init__(self, *, as_json: bool) -> None:
-        self._json = as_json
-        self._begun = time.monotonic()
-        self._said = self._begun
-        self._done = 0
-        self._frames = 0
-        self._terminal = sys.stderr.isatty() and not as_json
-
-    def __call__(self, outcome: Outcome, left: int) -> None:
-        """Take one outcome, and how many recordings have none yet."""
-        self._done += 1
-        self._frames += outcome.frames
-        if self._json:
+    def tell(outcome: Outcome, left: int) -> None:
+        if as_json:
             print_json({"event": "judged", **_event(outcome), "left": left})
-            return
-        now = time.monotonic()
-        if left and now - self._said < (0.2 if self._terminal else PERIOD_S):
-            return
-        self._said = now
-        seconds = max(now - self._begun, 1e-9)
-        text = f"{self._done} of {self._done + left} logs, {self._frames / seconds:,.0f} frames/s"
-        if self._terminal:
-            print(f"\r{text}\033[K", end="" if left else "\n", file=sys.stderr, flush=True)
         else:
-            say(text)
+            done(left, outcome.frames)
+
+    return tell
 
 
 def _event(outcome: Outcome) -> dict[str, Any]:
@@ -102,7 +78,7 @@ def fleet_run(
         dashboard=dashboard,
     )
     begun = time.monotonic()
-    result = run(order, _Told(as_json=json))
+    result = run(order, _teller(as_json=json))
     states = Counter(outcome.state for outcome in result.outcomes)
     failed = sum(states[state] for state in FAILED)
     summary = {

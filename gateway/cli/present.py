@@ -60,10 +60,12 @@ class EventPrinter:
     Args:
         as_json: JSON Lines instead of text.
         start_ns: time stamp that people see as zero.
+        log: name of the log that they are of, for each line of JSON; None: there is one log, which needs no name.
     """
 
-    def __init__(self, *, as_json: bool, start_ns: int = 0) -> None:
+    def __init__(self, *, as_json: bool, start_ns: int = 0, log: str | None = None) -> None:
         self._json = as_json
+        self._more = {} if log is None else {"log": log}
         self.start_ns = start_ns
         self.failures = 0
         from rich.console import Console  # noqa: PLC0415 - slow to load
@@ -75,7 +77,7 @@ class EventPrinter:
         if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
             self.failures += 1
         if self._json:
-            print_json(event)
+            print_json({**event, **self._more})
         elif event["event"] == "dtc":
             self._dtc(event)
         elif event["event"] == "step":

@@ -1,4 +1,4 @@
-"""What people see while kernels are compiled: a bar in a terminal, in a pipe a line at once and one every 5 s."""
+"""What people see while kernels are compiled, or logs worked on: in a terminal it moves, in a pipe a line every 5 s."""
 
 from __future__ import annotations
 
@@ -69,6 +69,41 @@ class CompileProgress:
             transient=True,
         )
         self._bar.start()
+
+
+class LogsDone:
+    """Tells how many of several logs are done, on stderr."""
+
+    def __init__(self) -> None:
+        self._begun_s = self._said_s = time.monotonic()
+        self._done = self._frames = 0
+        self._terminal = sys.stderr.isatty()
+
+    def __call__(self, left: int, frames: int = 0) -> None:
+        """Take one that is done.
+
+        Args:
+            left: logs that are not.
+            frames: of it.
+        """
+        self._done += 1
+        self._frames += frames
+        now_s = time.monotonic()
+        if left and now_s - self._said_s < (0.2 if self._terminal else PERIOD_S):
+            return
+        self._said_s = now_s
+        text = f"{self._done} of {self._done + left} logs"
+        if self._frames:
+            text += f", {self._frames / max(now_s - self._begun_s, 1e-9):,.0f} frames/s"
+        if self._terminal:
+            print(f"\r{text}\033[K", end="" if left else "\n", file=sys.stderr, flush=True)
+        else:
+            say(text)
+
+    def clear(self) -> None:
+        """Make room for other lines."""
+        if self._terminal:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def tell_of_kernels() -> None:

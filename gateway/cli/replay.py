@@ -51,8 +51,11 @@ def replay(
     json: bool,
     fail_on_dtc: bool,
     junit: Path | None = None,
+    among: bool = False,
 ) -> int:
     """Replay a log; returns the exit code. Arguments as the command has them (``gateway replay --help``).
+
+    ``among``: it is one of several logs, which lines of JSON name.
 
     Raises:
         InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
@@ -62,13 +65,12 @@ def replay(
         need("serve", "reports", key="--html")
     path = find_config(config_path)
     config = _configured(path, monitor, trace=trace)
-    channels = channels_of(config, maps)
     watched = Watched(series, plot, chosen)
-    printer = EventPrinter(as_json=json)
-    reader = read_recording(log, channels)
+    printer = EventPrinter(as_json=json, log=str(log) if among else None)
+    reader = read_recording(log, channels_of(config, maps))
     parts = prepare(config, path, extra=chosen)
     injectors = _injectors(config, parts, injections, seed)
-    gateway = Gateway(config, memory, file=path, parts=parts)
+    gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
     gateway.listen(printer)
     failures = _Failures(printer, gateway)
     try:
@@ -76,17 +78,10 @@ def replay(
         traced = Trace(gateway.engine) if trace else None
         report = None if html is None else RunReport(html, gateway, path)
         with watched.of(gateway, parts, gateway if report is None else report.collector) as consumer:
-            damage = _feed(_Faulty(consumer, injectors) if injectors else consumer, reader, printer, log.name, traced)
+            fed = _Faulty(consumer, injectors) if injectors else consumer
+            damage = _feed(fed, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
-        found = contents(
-            reader,
-            {bus.name: bus.channel for bus in config.bus},
-            channels,
-            asked=[text.rpartition("=")[0] for text in maps],
-            damage=damage,
-            allow_empty=allow_empty,
-            allow_cut=allow_cut,
-        )
+        found = _found(reader, config, maps, damage, allow_empty=allow_empty, allow_cut=allow_cut)
         summary = gateway.summary(seconds)
         found.notes += [*_notes(found, config, summary, dict(zip(injections, injectors, strict=True))), *watched.notes]
         printer(found.event())
@@ -102,6 +97,27 @@ def replay(
     if lost := say_unless_stored(gateway.stored, memory):
         return lost
     return 1 if fail_on_dtc and printer.failures else 0
+
+
+def _found(
+    reader: Recorded,
+    config: Config,
+    maps: Sequence[str],
+    damage: InputError | None,
+    *,
+    allow_empty: bool,
+    allow_cut: bool,
+) -> Contents:
+    """Return what a log held that has been read."""
+    return contents(
+        reader,
+        {bus.name: bus.channel for bus in config.bus},
+        channels_of(config, maps),
+        asked=[text.rpartition("=")[0] for text in maps],
+        damage=damage,
+        allow_empty=allow_empty,
+        allow_cut=allow_cut,
+    )
 
 
 class _Failures:

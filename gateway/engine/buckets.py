@@ -84,6 +84,11 @@ def note(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float
     if not (np.isfinite(value) and np.isfinite(limit)):
         b.odd += 1
         return
+    if not failed and b.numbers > 0 and value == b.last and limit == b.threshold:
+        b.numbers += 1  # no nearer to a failure than the same result before
+        b.last = value  # of the same sign, where it is zero
+        b.threshold = limit
+        return
     near = nearness(failed, value, limit)
     if b.numbers == 0:
         b.low = value

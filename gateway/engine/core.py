@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import CYCLIC, FRAME, Frames, empty
+from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
@@ -54,6 +54,9 @@ class Engine:
         clock = tables.clock
         self._now, self._offset = clock["now_ns"], clock["offset_ns"]
         self._events, self._to_send = clock["events"], clock["sent"]
+        self._fed, self._taken = clock["fed"], clock["taken"]
+        self._outbox = np.asarray(tables.outbox)
+        self._ranks = self._outbox["rank"]
         self._run: Callable[..., int] = self._first_run
         self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
 
@@ -89,23 +92,27 @@ class Engine:
         """Return a time of the engine as people read it [ns]."""
         return t_ns + self.offset_ns
 
-    def process(self, frames: Frames, sink: Sink) -> Frames:
+    def process(self, frames: Frames, sink: Sink, until_ns: int = NEVER) -> Frames:
         """Feed a batch of frames, in order; returns what the monitors send.
 
         Args:
             frames: shape (n,) of FRAME.
             sink: called with the events, each time before any later frame is handled.
+            until_ns: time that passes then, as by :meth:`advance`; NEVER: it ends with the last frame.
         """
-        if not frames.flags.carray:
-            frames = frames.copy()  # the loop is compiled for one kind of array
         start, count = 0, len(frames)
+        if not count and until_ns == NEVER:
+            return _NO_FRAMES
+        if not frames.flags.carray:
+            frames = copied(frames)  # the loop is compiled for one kind of array
         sent = []
-        while start < count:
-            start = self._run(frames, start, NEVER)
+        while True:
+            start = self._run(frames, start, until_ns)
             self._drain(sink)
             if self._to_send.item():
                 sent.append(self._sent())
-        return np.concatenate(sent) if sent else _NO_FRAMES
+            if start >= count and (until_ns == NEVER or self._now.item() >= until_ns):
+                return joined(sent) if sent else _NO_FRAMES
 
     def advance(self, t_ns: int, sink: Sink) -> Frames:
         """Let time pass without a frame, so that timers can run; returns what the monitors send.
@@ -160,16 +167,14 @@ class Engine:
 
     def _sent(self) -> Frames:
         """Take the frames that monitors have sent since the last call."""
-        clock = self.tables.clock[0]
-        first, last = int(clock["taken"]), int(clock["sent"])
+        first, last = self._taken.item(), self._to_send.item()
         if first == last:
             return _NO_FRAMES
-        frames = np.asarray(self.tables.outbox[first:last]).copy()
+        frames = copied(self._outbox[first:last])
         frames["rank"] = CYCLIC
-        clock["taken"] = last
-        waiting = self.tables.outbox[int(clock["fed"]) : last]["rank"]
-        if not waiting.any():  # else the next pass has them to handle still
-            clock["sent"] = clock["fed"] = clock["taken"] = 0
+        self._taken[0] = last
+        if not self._ranks[self._fed.item() : last].any():  # else the next pass has them to handle still
+            self._to_send[0] = self._fed[0] = self._taken[0] = 0
         return frames
 
     def value(self, slot: int) -> float:

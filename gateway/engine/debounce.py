@@ -172,6 +172,12 @@ def _verdict(d: Any) -> int:
 
 
 @kernel
+def is_settled(d: Any) -> bool:
+    """Tell whether one more pass changes nothing of a debounce that counts results: it is qualified, and at its end."""
+    return bool(d.timed == 0 and d.last == PASSED and d.verdict == PASSED and d.counter == -d.passed_after)
+
+
+@kernel
 def report_counter_based(d: Any, result: int) -> int:
     """Count one test result of a fault; returns the kind of event it makes, 0 for none.
 

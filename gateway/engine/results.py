@@ -8,6 +8,7 @@ from gateway.engine.buckets import note
 from gateway.engine.debounce import (
     fault_detection_counter,
     hold,
+    is_settled,
     report_counter_based,
     report_time_based,
 )
@@ -76,6 +77,8 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
     result = FAILED if failed else PASSED
     d.value, d.limit = value, limit
     note(T, t_ns, fault, failed, value, limit)
+    if not failed and is_settled(d):  # as nearly every result of a healthy car
+        return -1
     if d.timed == 1:
         kind = report_time_based(d, t_ns, result)
         arm(T, d.timer, d.deadline_ns)

@@ -24,7 +24,7 @@ from gateway.faults.event_memory import EventMemory
 from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import Ledger
-from gateway.faults.mil import is_mil_on
+from gateway.faults.mil import is_mil_on, lights_mil
 from gateway.faults.operation_cycles import OperationCycles
 from gateway.faults.outage import Outage
 from gateway.faults.performance import Performance
@@ -95,6 +95,7 @@ class FaultMemory(Readable):
                 view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored"))
+        self._lamps = [fault for fault, definition in self._definitions.items() if lights_mil(definition)]
         self._put_in_order()
 
     def succeed(self, old: FaultMemory) -> None:
@@ -329,7 +330,7 @@ class FaultMemory(Readable):
 
     def is_mil_on_now(self) -> bool:
         """Tell whether a DTC asks for the MIL, written or not: not for others."""
-        return is_mil_on(self._records.values(), self._definitions)
+        return is_mil_on((self._records[fault] for fault in self._lamps), self._definitions)
 
     def status_now(self, fault: str) -> Status:
         """Return the status byte of a fault, written or not: not for others."""

@@ -11,7 +11,12 @@ from gateway.faults.status import Status
 _LIT = int(Status.WARNING_INDICATOR)
 
 
+def lights_mil(definition: FaultDefinition) -> bool:
+    """Tell whether a fault can ask for the MIL."""
+    return definition.emission_related and definition.lamp == MIL
+
+
 def is_mil_on(records: Iterable[Record], definitions: Mapping[str, FaultDefinition]) -> bool:
     """Tell whether one of these records asks for the MIL."""
     lit = (definitions[record.id] for record in records if record.status & _LIT)
-    return any(definition.emission_related and definition.lamp == MIL for definition in lit)
+    return any(map(lights_mil, lit))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gateway.bus.candump import format_frame
-from gateway.bus.frames import FRAME, Frames, empty
+from gateway.bus.frames import RAW, Frames, chosen, copied, empty, joined
 from gateway.bus.timeline import spans
 from gateway.common.tomlfile import StrictModel
 from gateway.faults.records import Recording
@@ -62,8 +62,6 @@ class _Chunk:
 
 #: Frames of a chunk that is filled batch by batch: a batch of one frame costs no array of its own.
 CHUNK = 512
-#: A frame as so many bytes: NumPy copies records field by field, in five times the time.
-_RAW = np.dtype((np.void, FRAME.itemsize))
 
 
 class Recorder:
@@ -72,16 +70,18 @@ class Recorder:
     Args:
         params: settings.
         channels: names of the buses, by index.
+        lasting: whether nobody writes to a batch that it was given; else it keeps a copy.
     """
 
-    def __init__(self, params: RecorderParams, channels: tuple[str, ...]) -> None:
+    def __init__(self, params: RecorderParams, channels: tuple[str, ...], *, lasting: bool = False) -> None:
         self._params = params
+        self._lasting = lasting
         self._channels = channels
         self._before_ns = round(params.before_ms * 1e6)
         self._after_ns = round(params.after_ms * 1e6)
         self._chunks: deque[_Chunk] = deque()
         self._filling, self._filled, self._offset_ns = empty(CHUNK), 0, 0
-        self._raw = self._filling.view(_RAW)
+        self._raw = self._filling.view(RAW)
         self._grown = False  # whether there is a chunk more since the last look for what may go
         self._kept = 0
         self._gone: deque[NDArray[np.int64]] = deque()  # stamps of frames given up in a flood
@@ -111,11 +111,11 @@ class Recorder:
         if self._filled + count > CHUNK:
             self._close()
         if count > CHUNK:
-            self._keep(frames.copy(), offset_ns)
+            self._keep(frames if self._lasting else copied(frames), offset_ns)
         else:
             if not self._filled:
                 self._offset_ns = offset_ns
-            self._raw[self._filled : self._filled + count] = frames.view(_RAW)
+            self._raw[self._filled : self._filled + count] = frames.view(RAW)
             self._filled += count
         self._kept += count
 
@@ -126,7 +126,7 @@ class Recorder:
     def _close(self) -> None:
         """Begin a new chunk."""
         if self._filled:
-            self._keep(self._filling[: self._filled].copy(), self._offset_ns)
+            self._keep(copied(self._filling[: self._filled]), self._offset_ns)
             self._filled = 0
 
     def on_failure(self, fault: str, t_ns: int, *, wall_ns: int | None = None) -> None:
@@ -181,15 +181,17 @@ class Recorder:
 
     def _cut(self, trigger: _Trigger) -> Recording:
         self._close()
-        parts = [part for chunk in self._chunks for part in spans(chunk.frames, chunk.offset_ns)]
-        frames = np.concatenate([empty(0), *(part for part, _ in parts)])
-        offsets = np.repeat([offset for _, offset in parts], [len(part) for part, _ in parts]).astype(np.int64)
-        times = frames["t_ns"].copy()
-        frames["t_ns"] += offsets
-        inside = (times >= trigger.t_ns - self._before_ns) & (times <= trigger.due_ns)
-        frames, times = frames[inside], times[inside]
-        most = self._params.most_frames
         first = trigger.t_ns - self._before_ns
+        parts = []
+        for chunk in self._chunks:
+            for part, offset_ns in spans(chunk.frames, chunk.offset_ns):
+                inside = (part["t_ns"] >= first) & (part["t_ns"] <= trigger.due_ns)
+                if inside.any():
+                    parts.append((chosen(part, inside), offset_ns))
+        frames = joined([part for part, _ in parts])
+        times = frames["t_ns"].copy()
+        frames["t_ns"] += np.repeat([offset for _, offset in parts], [len(part) for part, _ in parts]).astype(np.int64)
+        most = self._params.most_frames
         dropped = sum(int((stamps >= first).sum()) for stamps in self._gone)
         if len(frames) > most:
             dropped += len(frames) - most

@@ -280,7 +280,7 @@ def _judged(setup: Setup, config: Config, recording: Recording, log: str, before
 
     with ExitStack() as stack:
         memory = _begin_memory(setup, log, before)
-        gateway = Gateway(config, memory, file=setup.config)
+        gateway = Gateway(config, memory, file=setup.config, lasting=True)
         stack.callback(gateway.close)
         old = {record.id: record for record in gateway.store.load()}
         gateway.listen(watch)

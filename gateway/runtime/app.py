@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import are_steps
-from gateway.bus.frames import OWN, Frames, empty
+from gateway.bus.frames import OWN, Frames, chosen, empty, joined
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
@@ -78,6 +78,7 @@ class Gateway:
         file: where the configuration came from, for errors.
         parts: of this configuration, when they are there already (see :func:`prepare`).
         store: an open fault memory to go on with, instead of ``memory_path``.
+        lasting: whether nobody writes to a batch after it was fed, as to those of a log: it can be kept as it is.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
@@ -91,6 +92,7 @@ class Gateway:
         file: Path | None = None,
         parts: Parts | None = None,
         store: KeptStore | None = None,
+        lasting: bool = False,
     ) -> None:
         self.config = config
         self._parts: Parts = prepare(config, file) if parts is None else parts
@@ -99,7 +101,7 @@ class Gateway:
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
         self._judged = [self._parts.slots[name] for name in signals_of(config.needs)]
-        self._recorder = None if recording is None else Recorder(recording, names)
+        self._recorder = None if recording is None else Recorder(recording, names, lasting=lasting)
         self.memory = FaultMemory(
             self.catalogue,
             self.store,
@@ -252,25 +254,30 @@ class Gateway:
             for k in wanting:
                 made = self.servers.on_frame(k, last, self.engine.now_ns)
                 sent += [*self._take_early(), made]
-        return _joined(sent)
+        return joined(sent)
 
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
+        if not self._emitted:
+            return frames
         own = frames["flags"] & OWN != 0
         if not own.any():
             return frames
-        kept: Frames = frames[~(own & np.isin(frames["can_id"], self._emitted))]
-        return kept
+        return chosen(frames, ~(own & np.isin(frames["can_id"], self._emitted)))
 
     def _process(self, frames: Frames) -> Frames:
         if not self._meter.measures:
             return self._process_piece(frames)
         sent: list[Frames] = []
         for piece, look_ns in self._meter.pieces(frames):
-            sent.append(self._process_piece(piece))
-            if look_ns is not None:
-                sent.append(self._look(look_ns))
-        return _joined(sent)
+            if look_ns is None:
+                sent.append(self._process_piece(piece))
+            elif self.controls.receive:  # frames and time until the look in one pass of the loop
+                sent.append(self.engine.process(piece, self._on_events, look_ns))
+                self._meter.look()
+            else:
+                sent += [self._process_piece(piece), self._look(look_ns)]
+        return joined(sent)
 
     def _look(self, t_ns: int) -> Frames:
         """Let time pass until a look of the meter."""
@@ -284,15 +291,15 @@ class Gateway:
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
         # And what conditions of access need: what is blinded because the vehicle stands must see that it moves.
         needed = are_steps(frames) | self.engine.plan.among(frames, self._judged)
-        sent = self.engine.process(frames[needed], self._on_events)
+        sent = self.engine.process(chosen(frames, needed), self._on_events)
         more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
-        return np.concatenate([sent, more])
+        return joined([sent, more])
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send."""
         looks = self._meter.times(t_ns) if self._meter.measures else ()
         sent = [self._look(look_ns) for look_ns in looks]
-        return self._emit(_joined([*sent, self.engine.advance(t_ns, self._on_events)]))
+        return self._emit(joined([*sent, self.engine.advance(t_ns, self._on_events)]))
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass for the servers that answer others, which the monitors' time lags behind.
@@ -300,7 +307,7 @@ class Gateway:
         Args:
             t_ns: now, of the clock that stamps frames.
         """
-        return _joined(self.servers.on_time(t_ns, prompt=True))
+        return joined(self.servers.on_time(t_ns, prompt=True))
 
     @property
     def next_ns(self) -> int:
@@ -401,7 +408,7 @@ class Gateway:
         frames = [*self._take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self.servers.on_changes(self._settle(now, asked=asked), now)
         frames += self.servers.on_time(now)
-        return _joined(frames)
+        return joined(frames)
 
     @property
     def _idle(self) -> bool:
@@ -523,10 +530,3 @@ class Gateway:
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
         )
-
-
-def _joined(frames: list[Frames]) -> Frames:
-    some = [part for part in frames if len(part)]  # nearly all are empty, and NumPy joins records slowly
-    if len(some) == 1:
-        return some[0]
-    return np.concatenate(some) if some else empty(0)

@@ -66,9 +66,14 @@ class BusServers:
             self._set_due(k)
 
     def indifferent(self, frames: Frames) -> bool:
-        """Tell whether a small batch is for no server: by its identifiers alone, as most are; larger ones are cut."""
-        ids = self._heard
-        return ids is not None and len(frames) <= MAX_SMALL_BATCH and ids.isdisjoint(frames["can_id"].tolist())
+        """Tell whether a batch is for no server by its identifiers alone, as most are; others are cut."""
+        heard = self._heard
+        if heard is None:
+            return False
+        if len(frames) <= MAX_SMALL_BATCH:
+            return heard.isdisjoint(frames["can_id"].tolist())
+        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, whatever is listened to
+        return not any((ids == mine).any() for mine in heard)
 
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch after each frame that is for a server, which sees the memory as it is then.

@@ -40,7 +40,7 @@ def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
     importlib.import_module("gateway.cli.check")
     monkeypatch.setattr(sys.modules["gateway.cli.check"], "load_config", broken)
     ended = gateway("check")
-    assert ended.code == cli.BUG
+    assert ended.code == failure.BUG
     (line,) = ended.err.splitlines()
     assert "this is a bug of the gateway" in line
     assert "KeyError: 'volts' (gateway/cli/check.py:" in line
@@ -65,7 +65,7 @@ def test_the_traceback_is_there_for_who_asks(tmp_path, how):
         text=True,
         check=False,
     )
-    assert ended.returncode == cli.BUG
+    assert ended.returncode == failure.BUG
     assert "Traceback" in ended.stderr
     assert "this is a bug of the gateway" in ended.stderr
 

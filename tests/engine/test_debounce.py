@@ -3,7 +3,7 @@
 from fractions import Fraction
 from math import ceil, floor
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.engine.debounce import (
@@ -11,6 +11,7 @@ from gateway.engine.debounce import (
     configure,
     fault_detection_counter,
     hold,
+    is_settled,
     qualify_by_time,
     report_counter_based,
     report_time_based,
@@ -71,18 +72,21 @@ class Reference:
         return ceil(Fraction(128 * self.counter, self.d.passed_after))
 
 
+DEBOUNCES = st.builds(
+    Debounce,
+    failed_after=st.integers(1, 130),
+    passed_after=st.integers(1, 130),
+    jump_up=st.booleans(),
+    jump_down=st.booleans(),
+    failed_step=st.integers(1, 7),
+    passed_step=st.integers(1, 7),
+    jump_up_to=st.integers(-5, 5),
+    jump_down_to=st.integers(-5, 5),
+)
+
+
 @given(
-    st.builds(
-        Debounce,
-        failed_after=st.integers(1, 130),
-        passed_after=st.integers(1, 130),
-        jump_up=st.booleans(),
-        jump_down=st.booleans(),
-        failed_step=st.integers(1, 7),
-        passed_step=st.integers(1, 7),
-        jump_up_to=st.integers(-5, 5),
-        jump_down_to=st.integers(-5, 5),
-    ),
+    DEBOUNCES,
     st.lists(st.booleans(), max_size=300),
 )
 def test_counter_follows_the_reference(debounce, results):
@@ -100,6 +104,21 @@ def test_counter_follows_the_reference(debounce, results):
         assert fdc == reference.fdc()
         assert -128 <= fdc <= 127
         last = failed
+
+
+@example(Debounce(failed_after=10, passed_after=10), [(False, 12), (True, 1)])
+@given(DEBOUNCES, st.lists(st.tuples(st.booleans(), st.integers(1, 200)), min_size=1, max_size=6))
+def test_what_is_settled_one_more_pass_does_not_change(debounce, runs):
+    rows = row(debounce)
+    settled = 0
+    for failed, count in [*runs, (False, 300)]:
+        for _ in range(count):
+            before, was_settled = rows.tobytes(), is_settled(rows[0])
+            kind = report_counter_based(rows[0], FAILED if failed else PASSED)
+            if was_settled and not failed:
+                settled += 1
+                assert (kind, rows.tobytes()) == (0, before)
+    assert settled >= 300 - 261, "at the end it is, whatever came before"
 
 
 @given(

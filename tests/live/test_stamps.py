@@ -252,3 +252,36 @@ def test_a_little_disorder_is_no_step():
     np.testing.assert_array_equal(evened(frames), frames)
     frames["t_ns"][2] -= 1
     assert are_steps(evened(frames)).any()
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(-150, 150),  # ms since the frame before
+            st.integers(0, 2),  # bus
+            st.sampled_from([0, 0, 0, 0, 0, -5000, 7000]),  # ms that the wall clock is set by
+            st.sampled_from(["frame"] * 8 + ["own", "condition", "told"]),
+        ),
+        min_size=1,
+        max_size=60,
+    ),
+    st.lists(st.integers(0, 60), max_size=4),
+)
+def test_where_a_log_is_cut_into_batches_changes_no_time(moves, cuts):
+    made, t_ns = [], 1_700_000_000 * S
+    for ms, bus, step, kind in moves:
+        t_ns += (ms + step) * MS
+        if kind == "told":
+            made.append(step_frame(t_ns, step * 1000 or 3000))
+        elif kind == "condition":
+            made.append(condition_frame(t_ns, bus, LOST))
+        else:
+            made.append(batch([t_ns], bus=bus))
+            made[-1]["flags"] = OWN if kind == "own" else 0
+    frames = np.concatenate(made)
+    whole, parted, single = LogTime(), LogTime(), LogTime()
+    expected = whole.apply(frames)
+    parts = [parted.apply(part) for part in np.split(frames, sorted(min(cut, len(frames)) for cut in cuts))]
+    assert np.concatenate(parts).tobytes() == expected.tobytes()
+    ones = [single.apply(frames[k : k + 1]) for k in range(len(frames))]
+    assert np.concatenate(ones).tobytes() == expected.tobytes()
