@@ -10,8 +10,8 @@ from gateway.errors import GatewayError
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.faults.lock import is_unsaved
+from gateway.faults.records import Recording
 from gateway.faults.status import Status
-from gateway.faults.store import Store
 from gateway.serve.words import told_in_words
 
 #: Bits of the status byte, the lowest first, as ISO 14229-1 calls them.
@@ -46,14 +46,15 @@ class MemoryFile:
         if self._path is None:
             return {"error": "this gateway keeps its faults in its process only", **_NOTHING}
         try:
-            entries = service.list_entries(self._path)
-            store = Store(self._path, write=False)
+            store = service.open_reader(self._path)
             try:
-                status = {record.id: record.status for record in store.load()}
+                records = store.load()
+                stored = not is_unsaved(self._path)
+                entries = service.entries_in(store, records, stored=stored)
+                status = {record.id: record.status for record in records}
                 cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
             finally:
                 store.close()
-            stored = not is_unsaved(self._path)
         except (GatewayError, OSError) as error:
             return {"error": str(error), **_NOTHING}
         for entry in entries:
@@ -67,7 +68,7 @@ class MemoryFile:
             "readiness": readiness(faults, status),
         }
 
-    def recording(self, dtc: str, number: int) -> Any:
+    def recording(self, dtc: str, number: int) -> Recording | None:
         """Return a recording of a DTC, the oldest has number 1; None: there is none.
 
         Raises:

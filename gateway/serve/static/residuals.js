@@ -14,6 +14,7 @@ export class Residuals {
     this.faults = [];
     this.groups = new Map();
     this.busy = false;
+    this.told = false;  // the past
     this.sorted = -Infinity;  // at once
     for (const kind of ["pointerenter", "focusin"]) this.place.addEventListener(kind, () => (this.busy = true));
     for (const kind of ["pointerleave", "focusout"]) this.place.addEventListener(kind, () => (this.busy = false));
@@ -86,23 +87,39 @@ export class Residuals {
     }
   }
 
+  // Asks for the past of a fault that the stream did not bring: it brings those that are nearest to a failure.
   async load(row) {
-    if (row.loaded) return;
+    if (row.loaded || !this.told) return;
     row.loaded = true;
+    const series = row.series;  // there may be another by the time of the answer
     try {
       const found = await (await get(`/api/history?faults=${row.index}`)).json();
-      row.series.load(found[row.index]);
+      series.load(found[row.index]);
     } catch {
       row.loaded = false;
     }
   }
 
+  // Before a page's first tick, and after the server has begun anew.
   forget() {
+    this.told = false;
     for (const row of this.faults) {
       row.loaded = false;
       row.series = new Series();
-      if (row.open) this.load(row);
     }
+  }
+
+  past({ faults, end }) {
+    for (const [index, found] of Object.entries(faults)) {
+      const row = this.faults[index];
+      if (!row || row.loaded) continue;
+      row.loaded = true;
+      row.series.load(found);
+    }
+    this.sorted = -Infinity;  // at once
+    if (!end) return;
+    this.told = true;
+    for (const row of this.faults) if (row.open) this.load(row);
   }
 
   tick(tick) {
