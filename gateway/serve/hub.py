@@ -26,6 +26,8 @@ from gateway.serve.messages import MessageNames
 EVENTS = 300
 #: Messages that wait for one page at most, and of them those that the next of their kind makes needless.
 MOST_WAITING, MOST_PASSING = 2000, 40
+#: Events that do not wait for a tick.
+MANY_EVENTS = 100
 PASSING = {"tick", "buses", "messages"}
 #: Messages of which the latest says all.
 STATES = {"memory", "link"}
@@ -73,8 +75,9 @@ class Viewer:
             return
         self.ticks += kind in PASSING
         self.waiting.append((kind, text))
-        if kind != "event":
-            self.news.set()  # an event comes with the next tick: many of them are one piece of work then
+        # Events come with the next tick: many of them are one piece of work then.
+        if kind != "event" or len(self.waiting) >= MANY_EVENTS:
+            self.news.set()
 
     def take(self) -> list[tuple[str, str]]:
         """Take what waits, and a piece of the past."""
@@ -195,6 +198,8 @@ class Hub:
         if connected != self.connected:
             log.info("gateway reached" if connected else "gateway gone", reason=reason)
         self.connected, self.reason = connected, reason
+        if not connected:
+            self._thread.submit(self.memory_file.close)
         self._tell("link", {"connected": connected, "reason": reason})
 
     def _on_message(self, message: dict[str, Any], block: bytes) -> None:
@@ -208,6 +213,7 @@ class Hub:
         if [fault["id"] for fault in message["faults"]] != old:
             self.history, self.latest, self.worst = History(len(message["faults"])), {}, {}
         path = message["memory"]
+        self._thread.submit(self.memory_file.close)
         self.memory_file = MemoryFile(None if path is None else Path(path))
         self._names, self._loads = MessageNames(message["buses"]), BusLoads(message["buses"])
         self.memory = self.memory_file.read(message["faults"])
@@ -266,6 +272,8 @@ class Hub:
             self._stale.clear()
             file, faults = self.memory_file, self.hello["faults"]
             found = await self._in_thread(file.read, faults)
+            if not self.connected:
+                self._thread.submit(file.close)
             if file is self.memory_file and found != self.memory:
                 self.memory = found
                 self._tell("memory", found)

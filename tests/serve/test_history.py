@@ -11,7 +11,7 @@ from gateway.bus.traffic import Seen
 from gateway.engine.buckets import TickRow
 from gateway.serve.buses import BusLoads
 from gateway.serve.history import COARSE, FIELDS, FINE, PAST_BYTES, TICKS, History
-from gateway.serve.hub import MOST_PASSING, MOST_WAITING, Viewer
+from gateway.serve.hub import MANY_EVENTS, MOST_PASSING, MOST_WAITING, Viewer
 from gateway.serve.messages import MessageNames
 from gateway.serve.wire import Garbled, Splitter
 from gateway.serve.words import told_in_words
@@ -138,6 +138,19 @@ def test_a_page_that_does_not_read_loses_ticks_and_then_comes_again():
     for k in range(MOST_WAITING + 1):
         viewer.put("event", str(k))
     assert viewer.ended
+
+
+def test_events_go_with_the_next_tick_and_many_of_them_at_once():
+    viewer = Viewer()
+    viewer.put("event", "one")
+    assert not viewer.news.is_set()
+    viewer.put("tick", "tick")
+    assert viewer.news.is_set()
+    assert len(viewer.take()) == 2
+    for k in range(MANY_EVENTS):
+        assert not viewer.news.is_set()
+        viewer.put("event", str(k))
+    assert viewer.news.is_set()
 
 
 def test_a_page_gets_the_state_then_a_piece_of_the_past_at_a_time_then_what_comes():
