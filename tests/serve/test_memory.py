@@ -110,7 +110,7 @@ def test_memory_is_flat(tmp_path):
     assert sum(seen) > 100 * events, "it was told of all of them"
     assert len(held) == 3
     # 100,000 events fill what is bounded, half of them in the smaller sizes; to keep the others would take a kilobyte
-    # and more of each. What is not kept may have its price, too: a connection to SQLite opened for each look at the fault
-    # memory left holes in the allocator's heap, 8 to 22 MB in the whole size.
+    # and more of each. What is not kept may have its price, too: a connection to SQLite that was opened for each look
+    # at the fault memory left holes in the allocator's heap, 8 to 22 MB in the whole size.
     for name, full, last in zip(("gateway", "page", "broker"), held[amount(0, 1)], held[-1], strict=True):
         assert last < full + MOST_KB, name
