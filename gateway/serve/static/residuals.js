@@ -51,10 +51,12 @@ export class Residuals {
     const plot = make("div", { class: "plot", role: "img" });
     const readout = make("div", { class: "readout" });
     const more = make("div", { hidden: true }, plot, readout);
+    // What is read out says what is seen, and more.
+    const [of, spoken] = [make("span", { class: "unseen" }, `${fault.monitor}, `), make("span", { class: "unseen" })];
     const called = make("span", { class: "called", title: fault.description }, name, make("small", {}, fault.dtc));
-    const button = make("button", { type: "button", "aria-expanded": "false" }, called, bar, near);
+    const button = make("button", { type: "button", "aria-expanded": "false" }, of, called, bar, near, spoken);
     const element = make("li", { class: "fault", "data-fault": fault.id }, button, more);
-    const row = { fault, index, group, element, button, bar, fill, near, more, place: plot, readout,
+    const row = { fault, index, group, element, button, bar, fill, near, spoken, more, place: plot, readout,
       series: new Series(), nearest: null, open: false, chosen: null, plot: null };
     button.addEventListener("click", () => {
       row.chosen = !row.open;
@@ -165,9 +167,7 @@ export class Residuals {
     row.fill.style.width = `${Math.min(near ?? 0, 1.5) / 1.5 * 100}%`;
     row.bar.className = `bar${near >= 1 ? " failed" : near >= 0.8 ? " near-limit" : ""}`;
     say(row.near, near === null ? "–" : near >= 10 ? "> 10" : near.toFixed(2));
-    const told = near === null ? "no test in this window" : `${near.toFixed(2)} of what is allowed`;
-    const label = `${row.fault.id}, ${row.fault.dtc}: ${told}`;
-    if (row.button.getAttribute("aria-label") !== label) row.button.setAttribute("aria-label", label);
+    say(row.spoken, near === null ? " no test in this window" : " of what is allowed");
   }
 
   describe(row, part, view) {
