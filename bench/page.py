@@ -1,9 +1,13 @@
 """What an open page costs the daemon: from the frame to the DTC frame without pages, and with five of them, in one run.
 
-The gateway of bench/live.py, its memory durable, with a status socket; `gateway serve` beside it, and five readers of
-its stream in a process of their own (a browser draws besides, on whatever machine it is). Rounds in turn. With
-``--hostile`` a third side: besides, the requests of tests/support/hostile.py one after the other, and 20 clients that
-begin one and say no more.
+The gateway of bench/live.py, its memory durable, with a status socket; `gateway serve` beside it, as `gateway run
+--serve` starts it, and five readers of its stream in a process of their own. These stand for browsers on other
+machines, and run as SCHED_IDLE: they take nothing from who has work here. With ``--hostile`` a third side: besides, the
+requests of tests/support/hostile.py one after the other, and 20 clients that begin one and say no more.
+
+Rounds are short and go in turn, each side the first as often as the last, so that what else this machine does comes to
+all of them; ratios are those of quantiles over all rounds, with the middle 90 % of 1000 draws of whole rounds behind
+them. "CPU" is what the page's process used, in percent of one processor.
 
     python bench/page.py [--rates 4000 80000] [--seconds 10] [--rounds 3] [--pages 5] [--hostile] [--json]
 """
@@ -11,6 +15,8 @@ begin one and say no more.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import http.client
 import json
 import multiprocessing
 import os
@@ -37,6 +43,8 @@ from gateway.live.loop import Live
 from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
 
+QUANTILES = ("p50_ms", "p99_ms", "p99.9_ms")
+
 
 def shown_side(opener, config, memory, ready, end, out, *, pages, harm=False):
     """Run the gateway's live loop with a status socket, and so many pages beside it."""
@@ -62,9 +70,9 @@ def shown_side(opener, config, memory, ready, end, out, *, pages, harm=False):
     loop.run(end.is_set)
     for _ in range(200):
         loop.turn()
-    read, refused = watched.get(timeout=120) if watcher is not None else (0, 0)
+    seen = watched.get(timeout=120) if watcher is not None else {"read": 0, "refused": 0, "cpu_s": 0.0}
     counted = {"decoded": gateway.engine.counters()["decoded"], "lost": link.statistics.overflow}
-    out.put({**counted, "read": read, "refused": refused})
+    out.put({**counted, **seen})
     status.close()
     link.close()
     gateway.close()
@@ -75,12 +83,13 @@ def watch(path, pages, harm, opened, end, out):
     command = [sys.executable, "-c", "from gateway.cli import main; main()", "serve", "--status", str(path)]
     command += ["--port", "0", "--parent", str(os.getpid())]
     page = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     url, token = re.search(r"(http://\S+?/)#control=(\S+)", page.stderr.readline()).groups()
     counts = [0] * pages
     refused = 0
 
     def read(k):
-        with urllib.request.urlopen(f"{url}api/stream") as stream:
+        with urllib.request.urlopen(f"{url}api/stream") as stream, contextlib.suppress(http.client.IncompleteRead):
             while not end.is_set():
                 counts[k] += len(stream.read1(1 << 16))
 
@@ -88,6 +97,7 @@ def watch(path, pages, harm, opened, end, out):
         threading.Thread(target=read, args=(k,), daemon=True).start()
     while min(counts) == 0:
         time.sleep(0.05)
+    begun_s = cpu_s(page.pid)
     opened.set()
     if harm:
         port = int(re.search(r":(\d+)/", url)[1])
@@ -99,13 +109,50 @@ def watch(path, pages, harm, opened, end, out):
                     raise SystemExit(f"{attack.kind} was not refused")
                 refused += 1
     end.wait()
+    found = {"read": sum(counts), "refused": refused, "cpu_s": cpu_s(page.pid) - begun_s}
     page.terminate()
     page.wait()
-    out.put((sum(counts), refused))
+    out.put(found)
+
+
+def cpu_s(pid):
+    """Return the processor time that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def without(*arguments):
     shown_side(*arguments, pages=0)
+
+
+def quantiles(rounds):
+    """Return p50, p99, p99.9 of all times of some rounds [ms]."""
+    return np.percentile(np.concatenate([one["times"] for one in rounds]), [50, 99, 99.9])
+
+
+def spread(alone, other):
+    """Return the middle 90 % of the ratios of quantiles, over draws of whole rounds; shape (2, 3)."""
+    rng = np.random.default_rng(1)
+    draws = [rng.integers(0, len(alone), len(alone)) for _ in range(1000)]  # of pairs: one time of day
+    ratios = [quantiles([other[k] for k in draw]) / quantiles([alone[k] for k in draw]) for draw in draws]
+    return np.percentile(ratios, [5, 95], axis=0)
+
+
+def compared(rate, found, seconds):
+    """Return a row for each side, the first of which is what the others are compared with."""
+    rows = []
+    alone = next(iter(found.values()))
+    for name, rounds in found.items():
+        row = {"name": f"{rate}/s, {name}", "lost": sum(one["lost_all"] for one in rounds)}
+        row["dtcs"] = sum(len(one["times"]) for one in rounds)
+        row |= dict(zip(QUANTILES, quantiles(rounds).tolist(), strict=True))
+        row["page_cpu"] = sum(one["cpu_s"] for one in rounds) / seconds
+        row |= {key: sum(one[key] for one in rounds) for key in ("read", "refused")}
+        if rounds is not alone:
+            row["ratios"] = (quantiles(rounds) / quantiles(alone)).tolist()
+            row["spread"] = spread(alone, rounds).T.tolist()
+        rows.append(row)
+    return rows
 
 
 def main():
@@ -129,33 +176,24 @@ def main():
         sides = {"no page": without, f"{options.pages} pages": shown}
         if options.hostile:
             sides["hostile requests, too"] = attacked
-        found = {name: {"times": [], "lost": 0, "read": 0, "refused": 0} for name in sides}
+        found = {name: [] for name in sides}
         for k in range(options.rounds):
-            for name in list(sides)[:: 1 if k % 2 else -1]:
-                one = live.measure(sides[name], None, True, rate, options.seconds)
-                found[name]["times"] += one["times"]
-                found[name]["lost"] += one["lost_all"]
-                found[name]["read"] += one["read"]
-                found[name]["refused"] += one["refused"]
-        for name, all_of in found.items():
-            quantiles = [float(q) for q in np.percentile(all_of["times"], [50, 99, 99.9])]
-            row = {"name": f"{rate}/s, {name}", "lost": all_of["lost"], "dtcs": len(all_of["times"])}
-            row |= dict(zip(("p50_ms", "p99_ms", "p99.9_ms"), quantiles, strict=True))
-            row |= {"read_mb": all_of["read"] / 1e6, "refused": all_of["refused"]}
-            rows.append(row)
-        alone, *others = rows[-len(sides) :]
-        for row in others:
-            row |= {f"{name} ratio": row[name] / alone[name] for name in ("p50_ms", "p99_ms", "p99.9_ms")}
+            turned = list(sides)[k % len(sides) :] + list(sides)[: k % len(sides)]
+            for name in turned:
+                found[name].append(live.measure(sides[name], None, True, rate, options.seconds))
+        rows += compared(rate, found, options.rounds * options.seconds)
     if options.json:
         print(json.dumps({"rows": rows}, indent=2))
         return
     print(f"{platform.machine()}, {os.cpu_count()} cores; {options.rounds} rounds of {options.seconds} s in turn")
-    print(f"{'frame to DTC frame':30}{'lost':>8}{'DTCs':>7}{'p50':>9}{'p99':>9}{'p99.9':>9} ms  ratios to no page")
+    print(f"{'frame to DTC frame':34}{'lost':>8}{'DTCs':>7}{'p50':>9}{'p99':>9}{'p99.9':>9} ms{'CPU':>7}")
     for row in rows:
-        ratios = [f"{row[f'{n} ratio']:.2f}" for n in ("p50_ms", "p99_ms", "p99.9_ms") if f"{n} ratio" in row]
-        times = "".join(f"{row[name]:9.2f}" for name in ("p50_ms", "p99_ms", "p99.9_ms"))
+        times = "".join(f"{row[name]:9.2f}" for name in QUANTILES)
         more = f"  {row['refused']} refused" if row["refused"] else ""
-        print(f"{row['name']:30}{row['lost']:>8}{row['dtcs']:>7}{times}     {'  '.join(ratios)}{more}")
+        print(f"{row['name']:34}{row['lost']:>8}{row['dtcs']:>7}{times}   {row['page_cpu']:7.1%}{more}")
+        if "ratios" in row:
+            told = [f"{q:.2f} ({a:.2f} to {b:.2f})" for q, (a, b) in zip(row["ratios"], row["spread"], strict=True)]
+            print(f"{'':34}against no page: p50 {told[0]}, p99 {told[1]}, p99.9 {told[2]}")
 
 
 if __name__ == "__main__":

@@ -71,14 +71,14 @@ def serve(
 def give_way() -> None:
     """Have this process give way to a gateway beside it, which has no time to lose.
 
-    It gets a smaller share where there is not enough for all, and never takes a processor from who is at work when
-    something comes for it (SCHED_BATCH); it has to wait for its share then.
+    With SCHED_IDLE a gateway that something comes for takes its processor at once. With SCHED_BATCH, or by its nice
+    value alone, the page would keep it until its slice is over (Linux 6.6 and later protect slices): up to 4 ms.
     """
-    os.nice(NICE)
+    os.nice(NICE)  # for a sandbox that forbids the next
     try:
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    except OSError as error:  # a sandbox that forbids it
-        log.info("the page runs without SCHED_BATCH", reason=error.strerror)
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    except OSError as error:
+        log.info("the page runs without SCHED_IDLE", reason=error.strerror)
 
 
 class PageProcess:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.ledger import OVERFLOW
 from gateway.faults.lock import InUseError, is_kept, is_unsaved
 from gateway.faults.memory import FaultMemory
-from gateway.faults.records import Recording
+from gateway.faults.records import Record, Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
@@ -42,7 +43,7 @@ def as_dict(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _reader(path: Path) -> Store:
+def open_reader(path: Path) -> Store:
     """Open a fault memory for reading; one of an earlier version is brought up to date first."""
     try:
         return Store(path, write=False)
@@ -66,25 +67,35 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is none at this path.
     """
-    store = _reader(path)
+    store = open_reader(path)
     try:
-        permanent = {entry.fault for entry in store.permanent()}
-        recorded = [recording.fault for recording in store.recordings()]
-        told = store.descriptions()
-        stored = not is_unsaved(path)
-        return [
-            {
-                **as_dict(entry_of(record)),
-                **_told(told.get(record.id)),
-                "permanent": record.id in permanent,
-                "recordings": recorded.count(record.id),
-                "stored": stored,
-            }
-            for record in store.load()
-            if record.occurrence > 0
-        ]
+        return entries_in(store, store.load(), stored=not is_unsaved(path))
     finally:
         store.close()
+
+
+def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list[dict[str, Any]]:
+    """Return the entries of an open fault memory.
+
+    Args:
+        store: that is open.
+        records: what :meth:`Store.load` gave.
+        stored: whether the file has all that is known.
+    """
+    permanent = {entry.fault for entry in store.permanent()}
+    recorded = store.recorded()
+    told = store.descriptions()
+    return [
+        {
+            **as_dict(entry_of(record)),
+            **_told(told.get(record.id)),
+            "permanent": record.id in permanent,
+            "recordings": recorded.get(record.id, 0),
+            "stored": stored,
+        }
+        for record in records
+        if record.occurrence > 0
+    ]
 
 
 def daemon_state(path: Path) -> dict[str, Any]:
@@ -94,7 +105,7 @@ def daemon_state(path: Path) -> dict[str, Any]:
         InputError: there is no fault memory at this path.
     """
     running = is_kept(path)
-    store = _reader(path)
+    store = open_reader(path)
     try:
         return {
             "memory": str(path),
@@ -112,7 +123,7 @@ def overflowed(path: Path) -> bool:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = _reader(path)
+    store = open_reader(path)
     try:
         return bool(store.facts().get(OVERFLOW, 0))
     finally:
@@ -144,7 +155,7 @@ def interventions(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = _reader(path)
+    store = open_reader(path)
     try:
         return [intervention_as_dict(each) for each in store.interventions()]
     finally:
@@ -157,7 +168,7 @@ def near_misses(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = _reader(path)
+    store = open_reader(path)
     try:
         return [
             {
@@ -180,7 +191,7 @@ def recordings(path: Path, dtc: str) -> list[Recording]:
         InputError: it is not a DTC, or there is no entry of it.
     """
     fault = str(show(path, dtc)["fault"])
-    store = _reader(path)
+    store = open_reader(path)
     try:
         return store.recordings(fault)
     finally:

@@ -283,6 +283,11 @@ class Store:
             )
         return [Recording(*row) for row in found]
 
+    def recorded(self) -> dict[str, int]:
+        """Return how many recordings there are of each fault that has some; their logs are not read."""
+        with self._reading():
+            return dict(self._db.execute("SELECT fault, count(*) FROM recording GROUP BY fault"))
+
     def identifiers(self) -> dict[int, bytes]:
         """Return the values that testers wrote, by data identifier."""
         with self._reading():

@@ -116,7 +116,7 @@ class Page:
     async def _recording(self, request: Request) -> Response:
         dtc, number = request.path_params["dtc"], request.path_params["number"]
         try:
-            found = await asyncio.to_thread(self.hub.memory_file.recording, dtc, number)
+            found = await self.hub.recording(dtc, number)
         except GatewayError:
             found = None
         if found is None:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import json
 from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from gateway.common.jsonlines import line
 from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
+from gateway.faults.records import Recording
 from gateway.serve.buses import BusLoads
 from gateway.serve.history import History
 from gateway.serve.link import StatusLink
@@ -22,43 +24,73 @@ from gateway.serve.messages import MessageNames
 
 #: Events that a page gets when it comes.
 EVENTS = 300
-#: Messages that wait for one page at most; ticks beyond a few are merged, not queued.
-MOST_WAITING = 2000
+#: Messages that wait for one page at most, and of them those that the next of their kind makes needless.
+MOST_WAITING, MOST_PASSING = 2000, 40
+#: Events that do not wait for a tick.
+MANY_EVENTS = 100
+PASSING = {"tick", "buses", "messages"}
+#: Messages of which the latest says all.
+STATES = {"memory", "link"}
 #: Least time between two looks into the fault memory's file, and longest [s].
 READ_S, LOOK_S = 0.1, 2.0
 #: Kinds of events that the page lists.
 LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected"}
 
 log = get_logger(__name__)
+T = TypeVar("T")
 
 
 class Viewer:
-    """One page that is open: what waits for it. Ticks are given up when it does not keep up, events are not."""
+    """One page that is open: what waits for it.
+
+    Where it does not keep up, ticks and the like are given up, and of what has a state the latest is told; events are
+    not given up.
+    """
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, str]] = deque()
+        self.newest: dict[str, str] = {}
         self.news = asyncio.Event()
         self.ended = False
         self.ticks = 0
+        self._past: Iterator[str] | None = None
+
+    def begin(self, state: str, past: Iterator[str]) -> None:
+        """Tell all there is, and then, piece by piece as they are taken, the columns of the past."""
+        self.newest.clear()  # the state has them
+        self.put("state", state)
+        self._past = past
 
     def put(self, kind: str, text: str) -> None:
         """Add a message."""
-        if kind != "event" and self.ticks > 40:
+        if kind in STATES:
+            self.newest[kind] = text
+            self.news.set()
+            return
+        if kind in PASSING and self.ticks > MOST_PASSING:
             return  # the next one says more
         if len(self.waiting) >= MOST_WAITING:
             self.ended = True  # it comes again, and gets all there is
             self.news.set()
             return
-        self.ticks += kind != "event"
+        self.ticks += kind in PASSING
         self.waiting.append((kind, text))
-        self.news.set()
+        # Events come with the next tick: many of them are one piece of work then.
+        if kind != "event" or len(self.waiting) >= MANY_EVENTS:
+            self.news.set()
 
     def take(self) -> list[tuple[str, str]]:
-        """Take what waits."""
-        taken = list(self.waiting)
+        """Take what waits, and a piece of the past."""
+        taken = [*self.waiting, *self.newest.items()]
         self.waiting.clear()
+        self.newest.clear()
         self.ticks = 0
-        self.news.clear()
+        piece = None if self._past is None else next(self._past, None)
+        if piece is None:
+            self._past = None
+            self.news.clear()
+        else:
+            taken.append(("history", piece))
         return taken
 
 
@@ -95,6 +127,8 @@ class Hub:
         self._viewers: set[Viewer] = set()
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
+        # One thread, and no more: each has a heap of its own, in which what SQLite has freed stays.
+        self._thread = ThreadPoolExecutor(1, "memory")
 
     async def run(self) -> None:
         """Listen until cancelled. An error of this process is told to the pages: what they show is old from then on."""
@@ -108,7 +142,7 @@ class Hub:
     def open(self) -> Viewer:
         """Begin to tell a page; the first message is all there is."""
         viewer = Viewer()
-        viewer.put("state", self._state())
+        viewer.begin(self._state(), self.history.past())
         self._viewers.add(viewer)
         return viewer
 
@@ -128,6 +162,13 @@ class Hub:
     def ask_memory(self) -> None:
         """Have the fault memory's file read soon."""
         self._stale.set()
+
+    async def recording(self, dtc: str, number: int) -> Recording | None:
+        """Return a recording as :meth:`MemoryFile.recording` does."""
+        return await self._in_thread(self.memory_file.recording, dtc, number)
+
+    async def _in_thread(self, work: Callable[..., T], *arguments: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work, *arguments)
 
     def _state(self) -> str:
         return line(
@@ -157,6 +198,8 @@ class Hub:
         if connected != self.connected:
             log.info("gateway reached" if connected else "gateway gone", reason=reason)
         self.connected, self.reason = connected, reason
+        if not connected:
+            self._thread.submit(self.memory_file.close)
         self._tell("link", {"connected": connected, "reason": reason})
 
     def _on_message(self, message: dict[str, Any], block: bytes) -> None:
@@ -170,10 +213,13 @@ class Hub:
         if [fault["id"] for fault in message["faults"]] != old:
             self.history, self.latest, self.worst = History(len(message["faults"])), {}, {}
         path = message["memory"]
+        self._thread.submit(self.memory_file.close)
         self.memory_file = MemoryFile(None if path is None else Path(path))
         self._names, self._loads = MessageNames(message["buses"]), BusLoads(message["buses"])
         self.memory = self.memory_file.read(message["faults"])
-        self._tell("state", json.loads(self._state()))
+        state = self._state()
+        for viewer in self._viewers:
+            viewer.begin(state, self.history.past())
 
     def _on_tick(self, message: dict[str, Any], block: bytes) -> None:
         rows = np.frombuffer(block, TickRow.dtype)
@@ -225,7 +271,9 @@ class Hub:
                     continue
             self._stale.clear()
             file, faults = self.memory_file, self.hello["faults"]
-            found = await asyncio.to_thread(file.read, faults)
+            found = await self._in_thread(file.read, faults)
+            if not self.connected:
+                self._thread.submit(file.close)
             if file is self.memory_file and found != self.memory:
                 self.memory = found
                 self._tell("memory", found)

@@ -10,6 +10,7 @@ from gateway.errors import GatewayError
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.faults.lock import is_unsaved
+from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.store import Store
 from gateway.serve.words import told_in_words
@@ -30,12 +31,30 @@ BITS = (
 class MemoryFile:
     """Reads a fault memory; what cannot be read says why, under ``error``.
 
+    It stays open between two looks: to open it takes thousands of small pieces of memory, and between those that go
+    with the connection lie those of what was read, so that the heap of the process would grow.
+
     Args:
         path: of the file; None: the daemon keeps it in its process only.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
+        self._store: Store | None = None
+        self._inode = 0
+
+    def _opened(self, path: Path) -> Store:
+        inode = path.stat().st_ino  # another one, where a damaged file was put aside
+        if self._store is None or inode != self._inode:
+            self.close()
+            self._store, self._inode = service.open_reader(path), inode
+        return self._store
+
+    def close(self) -> None:
+        """Leave the file to its writer; a look opens it again."""
+        store, self._store = self._store, None
+        if store is not None:
+            store.close()
 
     def read(self, faults: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Return entries, the status byte of each fault, operation cycles and readiness.
@@ -46,15 +65,14 @@ class MemoryFile:
         if self._path is None:
             return {"error": "this gateway keeps its faults in its process only", **_NOTHING}
         try:
-            entries = service.list_entries(self._path)
-            store = Store(self._path, write=False)
-            try:
-                status = {record.id: record.status for record in store.load()}
-                cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
-            finally:
-                store.close()
+            store = self._opened(self._path)
+            records = store.load()
             stored = not is_unsaved(self._path)
+            entries = service.entries_in(store, records, stored=stored)
+            status = {record.id: record.status for record in records}
+            cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
         except (GatewayError, OSError) as error:
+            self.close()
             return {"error": str(error), **_NOTHING}
         for entry in entries:
             entry["words"] = told_in_words(entry)
@@ -67,7 +85,7 @@ class MemoryFile:
             "readiness": readiness(faults, status),
         }
 
-    def recording(self, dtc: str, number: int) -> Any:
+    def recording(self, dtc: str, number: int) -> Recording | None:
         """Return a recording of a DTC, the oldest has number 1; None: there is none.
 
         Raises:

@@ -17,6 +17,9 @@ pytestmark = pytest.mark.system
 
 PROGRAM = Path(__file__).parents[1] / "support" / "talkative.py"
 
+#: Growth that is allowed, whatever the number of events [kB].
+MOST_KB = 4000
+
 
 def held_by(pid):
     """What a process holds [kB]."""
@@ -106,7 +109,8 @@ def test_memory_is_flat(tmp_path):
     print(f"{len(seen)} lines, {sum(seen) / 1e6:.1f} MB were read of the page's stream")
     assert sum(seen) > 100 * events, "it was told of all of them"
     assert len(held) == 3
-    # A tenth of the events fills what is bounded. To keep the events would take a kilobyte and more of each: a gigabyte
-    # of all. The allocator's heap of the page and of what tells the broker was seen to grow by 22 MB in the whole size.
-    for name, first, last in zip(("gateway", "page", "broker"), held[0], held[-1], strict=True):
-        assert last < first + amount(32_000, 16_000), name
+    # 100,000 events fill what is bounded, half of them in the smaller sizes; to keep the others would take a kilobyte
+    # and more of each. What is not kept may have its price, too: a connection to SQLite that was opened for each look
+    # at the fault memory left holes in the allocator's heap, 8 to 22 MB in the whole size.
+    for name, full, last in zip(("gateway", "page", "broker"), held[amount(0, 1)], held[-1], strict=True):
+        assert last < full + MOST_KB, name

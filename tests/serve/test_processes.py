@@ -83,6 +83,7 @@ def test_a_page_that_is_killed_leaves_the_daemon_alone_and_one_of_a_daemon_that_
         with process(*options, cwd=tmp_path, ready="monitoring") as daemon:
             url = wait_for(lambda: page_in(daemon.log))
             page = child_of(daemon.pid)
+            assert os.sched_getscheduler(page) == os.SCHED_IDLE, "it takes no time from the gateway"
             daemon.send_signal(signal.SIGKILL)
             wait_for(lambda: not alive(page))
         assert (tmp_path / "faults.sqlite.status").exists(), "left behind, to be replaced"

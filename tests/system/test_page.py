@@ -1,5 +1,6 @@
 """The page in a real browser, in front of a real daemon and a scenario on the loopback bus."""
 
+import itertools
 import json
 import os
 import shutil
@@ -200,6 +201,25 @@ def test_the_picture_freezes_at_the_failure_and_a_reload_and_a_daemon_that_resta
     site.daemon = run_daemon(site.daemons, site.folder)
     wait_for(lambda: text_of(site, "#link") == "monitoring")
     assert DTC in codes(site), "the memory has kept it"
+
+
+def test_a_page_that_comes_late_shows_what_was_before(site):
+    """The residual of a sender that is silent by now: no tick tells it any more."""
+    if DTC not in codes(site):
+        play(site)
+    (entry,) = [entry for entry in entries(site) if entry["dtc"] == DTC]
+    site.driver.refresh()
+    wait_for(lambda: text_of(site, "#link") == "monitoring")
+    site.driver.execute_script(
+        "const w = document.getElementById('window'); w.value = '600'; w.dispatchEvent(new Event('input'))"
+    )
+    wait_for(lambda: (columns(site, entry["fault"]) or {"x": []})["x"])
+    drawn = columns(site, entry["fault"])
+    since_s = site.driver.execute_script("return performance.now() / 1000")
+    assert drawn["x"][0] < -since_s - 1.0, "older than the page"
+    peak = entry["evidence"]["value"]
+    assert sum(abs(high - peak) < 1e-6 for high in drawn["high"]) == 1, "the peak is in one column"
+    assert all(later > earlier for earlier, later in itertools.pairwise(drawn["x"]))
 
 
 def test_nothing_is_asked_of_another_host_and_the_looks_are_right(site):

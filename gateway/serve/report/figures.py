@@ -122,6 +122,7 @@ def timeline(rows: Sequence[tuple[str, float, float, bool]], points: Sequence[tu
         x="x", y="y", size=11, marker="diamond", fill_color="#f0a93b", line_color=INK, source=ColumnDataSource(dots)
     )
     made.xaxis.axis_label = "s"
+    made.xaxis.ticker.desired_num_ticks = 4  # beside long names, on a phone
     return made
 
 

@@ -128,9 +128,8 @@ class _Page:
             good = not entries
             codes = ", ".join(str(entry.dtc) for entry in entries)
             text = "No trouble codes" if good else f"Trouble codes: {codes}"
-        lines = "".join(
-            f"<li>{'as expected' if ok else 'NOT as expected'}: {escape(what)}</li>" for ok, what in findings
-        )
+        said = {True: "" if good else "as expected: ", False: "NOT as expected: "}
+        lines = "".join(f"<li>{said[ok]}{escape(what)}</li>" for ok, what in findings)
         facts = [
             *self._told.source,
             ("length", f"{self._seconds(self._found.last_ns):.3f} s"),
@@ -272,18 +271,23 @@ def _number(value: float | None) -> str:
     return f'<td class="number">{number(value)}</td>'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
     numbers = [k for k, cell in enumerate(rows[0] if rows else ()) if cell.startswith('<td class="number"')]
     kinds = [' class="number"' if k in numbers else "" for k in range(len(head))]
     titles = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for text, kind in zip(head, kinds, strict=True))
     body = "".join(f"<tr>{''.join(cells)}</tr>" for cells in rows)
-    return f"<table>{f'<thead><tr>{titles}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+    top = f"<thead><tr>{titles}</tr></thead>" if head else ""
+    table = f'<table class="{kind}">{top}<tbody>{body}</tbody></table>'
+    return f'<div class="wide" tabindex="0" role="group" aria-label="table">{table}</div>' if head else table
 
 
 def _facts(facts: Sequence[tuple[str, str]]) -> str:
-    return _table((), [[f"<th scope=row>{escape(name)}</th>", f"<td>{escape(text)}</td>"] for name, text in facts])
+    rows = [[f"<th scope=row>{escape(name)}</th>", f"<td>{escape(text)}</td>"] for name, text in facts]
+    return _table((), rows, "pairs")
 
 
 def _values(title: str, values: Mapping[str, float | None]) -> str:
+    if not values:
+        return f'<p class="muted">{escape(title)}: no signals are configured for it</p>'
     rows = [[f"<th scope=row>{escape(name)}</th>", _number(value)] for name, value in values.items()]
     return f'<p class="muted">{escape(title)}</p>{_table((), rows)}'

@@ -42,7 +42,7 @@ export class Dtcs {
     const more = make("div", { class: "more", id, hidden: !this.open.has(entry.dtc) });
     const state = make("span", { class: `pill ${failing ? "bad" : "warning"}` }, failing ? "failing" : "stored");
     const button = make("button", { type: "button", "aria-expanded": String(this.open.has(entry.dtc)), "aria-controls": id },
-      make("span", { class: "code" }, entry.dtc), make("span", {}, ...parts(entry.fault)), state,
+      make("span", { class: "code" }, entry.dtc), make("span", { class: "fault-name" }, ...parts(entry.fault)), state,
       make("span", { class: "what" },
         `${entry.description ?? ""} · ${entry.occurrence}× · ${clock(entry.last_ns / 1e6)}`));
     button.addEventListener("click", () => {

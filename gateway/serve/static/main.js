@@ -18,14 +18,13 @@ const dtcs = new Dtcs((dtc) => askClear(dtc));
 
 const takes = {
   state(told) {
-    const again = state.hello !== undefined;
     Object.assign(state, { hello: told.hello, connected: told.connected, reason: told.reason, memory: told.memory,
       bits: told.bits, events: told.events, messages: told.messages });
     say(byId("name"), told.hello.name || "gateway");
     document.title = told.hello.name ? `${told.hello.name} – gateway` : "gateway";
     say(byId("version"), told.hello.version ? `gateway ${told.hello.version}` : "");
     residuals.begin(told.hello.faults);
-    if (again) residuals.forget();
+    residuals.forget();
     residuals.now(told.latest);
     for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
     showBuses(told.buses);
@@ -38,6 +37,7 @@ const takes = {
     Object.assign(state, told);
     showLink();
   },
+  history: (told) => residuals.past(told),
   tick(tick) {
     state.latest = tick.t;
     state.came = performance.now();

@@ -29,7 +29,7 @@ export class Plot {
     const edge = colour("edge");
     const figure = Bokeh.Plotting.figure({
       height: 160, sizing_mode: "stretch_width", tools: "", toolbar_location: null, x_range: this.x, y_range: this.y,
-      background_fill_color: null, border_fill_color: null, outline_line_color: null, min_border: 4,
+      background_fill_color: null, border_fill_color: null, outline_line_color: null, min_border: 4, min_border_left: 56,  // times are below each other then
       name: this.title,
     });
     for (const axis of [...figure.xaxis, ...figure.yaxis]) {

@@ -14,6 +14,7 @@ export class Residuals {
     this.faults = [];
     this.groups = new Map();
     this.busy = false;
+    this.told = false;  // the past
     this.sorted = -Infinity;  // at once
     for (const kind of ["pointerenter", "focusin"]) this.place.addEventListener(kind, () => (this.busy = true));
     for (const kind of ["pointerleave", "focusout"]) this.place.addEventListener(kind, () => (this.busy = false));
@@ -50,10 +51,12 @@ export class Residuals {
     const plot = make("div", { class: "plot", role: "img" });
     const readout = make("div", { class: "readout" });
     const more = make("div", { hidden: true }, plot, readout);
+    // What is read out says what is seen, and more.
+    const [of, spoken] = [make("span", { class: "unseen" }, `${fault.monitor}, `), make("span", { class: "unseen" })];
     const called = make("span", { class: "called", title: fault.description }, name, make("small", {}, fault.dtc));
-    const button = make("button", { type: "button", "aria-expanded": "false" }, called, bar, near);
+    const button = make("button", { type: "button", "aria-expanded": "false" }, of, called, bar, near, spoken);
     const element = make("li", { class: "fault", "data-fault": fault.id }, button, more);
-    const row = { fault, index, group, element, button, bar, fill, near, more, place: plot, readout,
+    const row = { fault, index, group, element, button, bar, fill, near, spoken, more, place: plot, readout,
       series: new Series(), nearest: null, open: false, chosen: null, plot: null };
     button.addEventListener("click", () => {
       row.chosen = !row.open;
@@ -86,23 +89,39 @@ export class Residuals {
     }
   }
 
+  // Asks for the past of a fault that the stream did not bring: it brings those that are nearest to a failure.
   async load(row) {
-    if (row.loaded) return;
+    if (row.loaded || !this.told) return;
     row.loaded = true;
+    const series = row.series;  // there may be another by the time of the answer
     try {
       const found = await (await get(`/api/history?faults=${row.index}`)).json();
-      row.series.load(found[row.index]);
+      series.load(found[row.index]);
     } catch {
       row.loaded = false;
     }
   }
 
+  // Before a page's first tick, and after the server has begun anew.
   forget() {
+    this.told = false;
     for (const row of this.faults) {
       row.loaded = false;
       row.series = new Series();
-      if (row.open) this.load(row);
     }
+  }
+
+  past({ faults, end }) {
+    for (const [index, found] of Object.entries(faults)) {
+      const row = this.faults[index];
+      if (!row || row.loaded) continue;
+      row.loaded = true;
+      row.series.load(found);
+    }
+    this.sorted = -Infinity;  // at once
+    if (!end) return;
+    this.told = true;
+    for (const row of this.faults) if (row.open) this.load(row);
   }
 
   tick(tick) {
@@ -148,9 +167,7 @@ export class Residuals {
     row.fill.style.width = `${Math.min(near ?? 0, 1.5) / 1.5 * 100}%`;
     row.bar.className = `bar${near >= 1 ? " failed" : near >= 0.8 ? " near-limit" : ""}`;
     say(row.near, near === null ? "–" : near >= 10 ? "> 10" : near.toFixed(2));
-    const told = near === null ? "no test in this window" : `${near.toFixed(2)} of what is allowed`;
-    const label = `${row.fault.id}, ${row.fault.dtc}: ${told}`;
-    if (row.button.getAttribute("aria-label") !== label) row.button.setAttribute("aria-label", label);
+    say(row.spoken, near === null ? " no test in this window" : " of what is allowed");
   }
 
   describe(row, part, view) {

@@ -11,31 +11,25 @@ export class Series {
   fine = columns();
   coarse = columns();
 
+  // What the server has kept goes before what has come since.
   load(found) {
-    for (const name of ["fine", "coarse"]) {
-      const mine = this[name];
-      const before = mine.t.length ? mine.t[0] : Infinity;
-      const old = found[name].t.findIndex((t) => t >= before);
-      const count = old < 0 ? found[name].t.length : old;
-      for (const field of FIELDS) mine[field] = found[name][field].slice(0, count).concat(mine[field]);
+    const [fine, coarse] = [unpacked(found.fine), unpacked(found.coarse)];
+    const began = this.fine.t[0] ?? Infinity;
+    // A coarse column is told when it is full; what there is of the next one is in fine ones.
+    for (let k = lower(fine.t, (coarse.t.at(-1) ?? -Infinity) + 1); fine.t[k] < began; k++) {
+      widen(coarse, ...FIELDS.map((name) => fine[name][k]));
+    }
+    for (const [mine, told] of [[this.fine, fine], [this.coarse, coarse]]) {
+      const count = lower(told.t, mine.t[0] ?? Infinity);
+      for (const name of FIELDS) mine[name] = told[name].slice(0, count).concat(mine[name]);
     }
   }
 
   add(t, low, high, threshold, ratio) {
     push(this.fine, t, low, high, threshold, ratio);
-    const c = this.coarse;
-    const end = c.t.length - 1;
-    if (end >= 0 && Math.floor(c.t[end] / COLUMN_MS) === Math.floor(t / COLUMN_MS)) {
-      c.t[end] = t;
-      c.low[end] = Math.min(c.low[end], low);
-      c.high[end] = Math.max(c.high[end], high);
-      c.threshold[end] = threshold;
-      c.ratio[end] = Math.max(c.ratio[end], ratio);
-    } else {
-      push(c, t, low, high, threshold, ratio);
-    }
+    widen(this.coarse, t, low, high, threshold, ratio);
     trim(this.fine, t - FINE_MS);
-    trim(c, t - COARSE_MS);
+    trim(this.coarse, t - COARSE_MS);
   }
 
   // The columns between two times [ms], and how wide they are.
@@ -53,6 +47,27 @@ export class Series {
     const part = this.between(from, to).ratio;
     return part.length ? part.reduce((a, b) => Math.max(a, b), 0) : null;
   }
+}
+
+// Columns as the server packs them: base64 of float64, all times, then all least values, and so on.
+function unpacked(text) {
+  const all = new Float64Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+  const count = all.length / FIELDS.length;
+  return Object.fromEntries(FIELDS.map((name, k) => [name, [...all.subarray(k * count, (k + 1) * count)]]));
+}
+
+// Add to the last column if it is of the same half second, else begin another.
+function widen(kept, t, low, high, threshold, ratio) {
+  const end = kept.t.length - 1;
+  if (end < 0 || Math.floor(kept.t[end] / COLUMN_MS) !== Math.floor(t / COLUMN_MS)) {
+    push(kept, t, low, high, threshold, ratio);
+    return;
+  }
+  kept.t[end] = t;
+  kept.low[end] = Math.min(kept.low[end], low);
+  kept.high[end] = Math.max(kept.high[end], high);
+  kept.threshold[end] = threshold;
+  kept.ratio[end] = Math.max(kept.ratio[end], ratio);
 }
 
 function push(kept, ...values) {
