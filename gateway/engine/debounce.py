@@ -190,10 +190,9 @@ def _verdict(d: Any) -> int:
 
 
 @kernel
-def at_rest(d: Any) -> bool:
-    """Tell whether a further pass, equal to the latest result, changes nothing."""
-    settled = d.counter == -d.passed_after and d.verdict == PASSED and d.last == PASSED and d.episode == 0
-    return bool(settled and d.missed == 1 and d.triggered == 0 and d.timed == 0)
+def is_settled(d: Any) -> bool:
+    """Tell whether one more pass changes nothing of a debounce that counts results: it is qualified, and at its end."""
+    return bool(d.timed == 0 and d.last == PASSED and d.verdict == PASSED and d.counter == -d.passed_after)
 
 
 @kernel

@@ -14,7 +14,7 @@ from typing import Any
 
 from gateway.engine.buckets import note_alike
 from gateway.engine.checks.communication import COUNTER, CRC, RULE
-from gateway.engine.debounce import at_rest
+from gateway.engine.debounce import is_settled
 from gateway.engine.gate import is_lasting
 from gateway.jit import kernel
 
@@ -28,7 +28,7 @@ def begin_run(T: Any, c: Any, length: int) -> None:
     for kind in range(c.fault.shape[0]):
         if kind not in (CRC, RULE) and c.fault[kind] >= 0:
             d = T.debounces[c.fault[kind]]
-            if not at_rest(d) or (d.gated == 1 and not is_lasting(T, d)):
+            if not is_settled(d) or (d.gated == 1 and not is_lasting(T, d)):
                 return
     c.gate_changes = T.clock[0].gate_changes
     c.usual_length = length
