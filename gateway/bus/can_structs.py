@@ -150,7 +150,7 @@ def settle(
     """Turn received structs, where they lie now, into frames; what is no frame is left out.
 
     Args:
-        messages: headers, shape (>= count,) of struct mmsghdr.
+        messages: headers, shape (>= count,) of struct mmsghdr; made ready for the next call.
         control: their ancillary data, uint8, shape (>= count, bytes).
         losses: int64, shape (n, 2): takes (place in the batch, frames lost before it).
         out: batch whose records were received at byte 8.
@@ -167,6 +167,7 @@ def settle(
         size = messages[k]["length"]
         header = messages[k]["header"]
         end = min(np.int64(header["control_length"]), control.shape[1])
+        header["control_length"] = control.shape[1]  # the kernel has put in how much there was
         stamp, lost, gaps = _read_ancillary(control[k], end, losses, gaps, kept, now_ns, lost)
         if size not in (_CAN_MTU, _CANFD_MTU):
             rejected += 1 if size > 0 else 0
@@ -207,7 +208,6 @@ class RawReceiver:
         header["vectors"] = 1
         header["control"] = self._control.ctypes.data + rows * _ANCILLARY
         header["control_length"] = _ANCILLARY
-        self._lengths = header["control_length"]
         self._headers = self._messages.ctypes.data
         self._into = 0
         # Compiled before traffic, and for one kind of batch.
@@ -245,8 +245,8 @@ class RawReceiver:
         if gaps:
             self.losses = [(int(at), int(lost)) for at, lost in self._gaps[:gaps]]
             self._statistics.overflow += sum(lost for _, lost in self.losses)
-        self._lengths[:count] = _ANCILLARY  # the kernel has put in how much there was
-        self._statistics.rejected += rejected
+        if rejected:
+            self._statistics.rejected += rejected
         self._statistics.received += kept
         return int(kept)
 

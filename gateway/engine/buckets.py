@@ -70,22 +70,31 @@ def nearness(failed: bool, value: float, limit: float) -> float:
 @kernel
 def note(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float) -> None:
     """Keep one test result."""
-    if fault >= T.buckets.shape[0]:
+    wall_ns = t_ns + T.clock[0].offset_ns
+    note_alike(T.buckets, wall_ns, wall_ns, fault, 1, failed, value, limit)
+
+
+@kernel
+def note_alike(
+    buckets: Any, first_ns: int, last_ns: int, fault: int, count: int, failed: bool, value: float, limit: float
+) -> None:
+    """Keep so many test results that are all the same, from the first to the last by the wall clock."""
+    if fault >= buckets.shape[0]:
         return
-    b = T.buckets[fault]
+    b = buckets[fault]
     if b.count == 0:
         b.failed = 0
         b.odd = 0
         b.numbers = 0
-    b.count += 1
-    b.last_ns = t_ns + T.clock[0].offset_ns
+    b.count += count
+    b.last_ns = last_ns
     if failed:
-        b.failed += 1
+        b.failed += count
     if not (np.isfinite(value) and np.isfinite(limit)):
-        b.odd += 1
+        b.odd += count
         return
     if not failed and b.numbers > 0 and value == b.last and limit == b.threshold:
-        b.numbers += 1  # no nearer to a failure than the same result before
+        b.numbers += count  # no nearer to a failure than the same result before
         b.last = value  # of the same sign, where it is zero
         b.threshold = limit
         return
@@ -98,14 +107,14 @@ def note(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float
         b.low = value
     elif value > b.high:
         b.high = value
-    b.numbers += 1
+    b.numbers += count
     b.last = value
     b.threshold = limit
     if near > b.ratio:
         b.ratio = near
         b.worst = value
         b.limit = limit
-        b.worst_ns = b.last_ns
+        b.worst_ns = first_ns
 
 
 def take(buckets: Any) -> Buckets:

@@ -31,8 +31,9 @@ def assert_consistent(t: Tables) -> None:
     assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
     assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
     assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
-    assert len(t.timers) == len(t.heap) > 0
-    assert (t.timers["place"][t.heap] == range(len(t.heap))).all()
+    count = len(t.timers)
+    assert 0 < count <= len(t.heap)
+    assert (t.timers["place"][t.heap["timer"][:count]] == range(count)).all()
     for kind, owners in ((CHECK, t.checks), (HANDLER, t.handlers), (DEBOUNCE, t.debounces), (HEALTH, t.health)):
         mine = t.timers[t.timers["kind"] == kind]
         assert (mine["index"] < len(owners)).all()

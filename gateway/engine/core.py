@@ -13,6 +13,7 @@ from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
 from gateway.engine.checks.communication import RULE, SAMPLES
+from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
@@ -50,11 +51,12 @@ class Engine:
         self.monitors = monitors
         self._states = states
         self._consts = consts  # the handlers hold its address
-        # Views of single numbers: a record and its field take five times as long to reach, for each batch.
-        clock = tables.clock
-        self._now, self._offset = clock["now_ns"], clock["offset_ns"]
-        self._events, self._to_send = clock["events"], clock["sent"]
-        self._fed, self._taken = clock["fed"], clock["taken"]
+        # The clock's numbers by their place: a record and its field take ten times as long to reach, for each batch.
+        clock: Any = tables.clock
+        self._clock = memoryview(clock.view("<i8"))
+        self._now, self._offset, self._events, self._to_send, self._fed, self._taken = (
+            clock.dtype.fields[name][1] // 8 for name in ("now_ns", "offset_ns", "events", "sent", "fed", "taken")
+        )
         self._outbox = np.asarray(tables.outbox)
         self._ranks = self._outbox["rank"]
         self._run: Callable[..., int] = self._first_run
@@ -81,12 +83,12 @@ class Engine:
     @property
     def now_ns(self) -> int:
         """Time of the latest frame or :meth:`advance` [ns]."""
-        return int(self._now.item())
+        return int(self._clock[self._now])
 
     @property
     def offset_ns(self) -> int:
         """What the wall clock is ahead of the engine's time, since it was set [ns]."""
-        return int(self._offset.item())
+        return int(self._clock[self._offset])
 
     def wall_ns(self, t_ns: int) -> int:
         """Return a time of the engine as people read it [ns]."""
@@ -108,10 +110,11 @@ class Engine:
         sent = []
         while True:
             start = self._run(frames, start, until_ns)
-            self._drain(sink)
-            if self._to_send.item():
+            if self._clock[self._events]:
+                self._drain(sink)
+            if self._clock[self._to_send]:
                 sent.append(self._sent())
-            if start >= count and (until_ns == NEVER or self._now.item() >= until_ns):
+            if start >= count and (until_ns == NEVER or self._clock[self._now] >= until_ns):
                 return joined(sent) if sent else _NO_FRAMES
 
     def advance(self, t_ns: int, sink: Sink) -> Frames:
@@ -160,21 +163,22 @@ class Engine:
         self._drain(sink)
 
     def _drain(self, sink: Sink) -> None:
-        count = self._events.item()
+        count = self._clock[self._events]
         if count:
-            self._events[0] = 0
+            self._clock[self._events] = 0
             sink(self.tables.ring[:count])
 
     def _sent(self) -> Frames:
         """Take the frames that monitors have sent since the last call."""
-        first, last = self._taken.item(), self._to_send.item()
+        clock = self._clock
+        first, last = clock[self._taken], clock[self._to_send]
         if first == last:
             return _NO_FRAMES
         frames = copied(self._outbox[first:last])
         frames["rank"] = CYCLIC
-        self._taken[0] = last
-        if not self._ranks[self._fed.item() : last].any():  # else the next pass has them to handle still
-            self._to_send[0] = self._fed[0] = self._taken[0] = 0
+        clock[self._taken] = last
+        if not self._ranks[clock[self._fed] : last].any():  # else the next pass has them to handle still
+            clock[self._to_send] = clock[self._fed] = clock[self._taken] = 0
         return frames
 
     def value(self, slot: int) -> float:
@@ -208,16 +212,25 @@ class Engine:
 
     def take_buckets(self) -> Buckets:
         """Return what the test results of each fault were since the last call, shape (faults,) of Bucket."""
+        self.tell_runs()
         return take(self.tables.buckets)
+
+    def tell_runs(self) -> None:
+        """Bring the buckets up to date: runs of passes are counted with their messages (see engine.checks.runs)."""
+        t = self.tables
+        tell_all_runs(t.checks, t.debounces, t.buckets)
 
     def reset_debounce(self, faults: Iterable[int] | None = None) -> None:
         """Set debounce counters to zero: all of them, or those of some faults."""
+        self.tell_runs()
+        self.tables.checks["steady"] = 0
         for index in range(len(self.faults)) if faults is None else faults:
             reset(self.tables.debounces[index])
 
     def set_active(self, fault: int, active: bool) -> None:
         """Say whether a fault is taken to be there before its test has said so (testFailed)."""
         self.tables.debounces[fault]["active"] = active
+        self.tables.clock["gate_changes"] += 1
 
     def hold_results(self, held: bool) -> None:
         """Let no test result count (True), or let them count again."""
@@ -249,6 +262,7 @@ class Engine:
     def end_cycles(self) -> None:
         """Take every operation cycle to be over."""
         self.tables.cycles[:] = 0
+        self.tables.clock["gate_changes"] += 1
         self.tables.watches["lowest"] = np.inf
 
     def counters(self) -> dict[str, int]:
@@ -256,7 +270,7 @@ class Engine:
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held"}
-        hidden |= {"events", "sent", "fed", "taken", "reported"}
+        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def misfits(self, fault: int) -> tuple[int, list[bytes]] | None:

@@ -39,6 +39,7 @@ class DebouncePlace(Record):
     jump_down: u1
     gated: u1
     resets: u1 = means("whether it is reset while it is held")
+    is_root: u1 = means("whether it closes the gates of other faults")
     bus: u1
 
 
@@ -76,7 +77,24 @@ class DebounceState(Record):
     evidence: Annotated[f8s, EVIDENCE]
 
 
-class DebounceRow(DebounceState, DebounceConst, DebouncePlace):
+#: What a result touches that changes nothing: one line of the cache.
+_NEAR: tuple[str, ...] = (
+    "gated",
+    "timed",
+    "last",
+    "verdict",
+    "jump_up",
+    "jump_down",
+    "missed",
+    "triggered",
+    "active",
+    "direction",
+    "bus",
+)
+_NEAR += ("is_root", "timer", "counter", "passed_after", "passed_step", "episode", "value", "limit")
+
+
+class DebounceRow(DebounceState, DebounceConst, DebouncePlace, near=_NEAR):
     """Debounce of one fault."""
 
 
@@ -142,7 +160,7 @@ def _remember(d: Any) -> None:
     if d.counter > 0:
         d.peak = max(d.peak, d.counter)
         d.episode = max(d.episode, d.counter)
-    else:
+    elif d.episode > 0 or d.missed == 0 or d.triggered == 1:
         if d.episode * 2 >= d.failed_after and d.missed == 1:
             d.near += 1
         d.episode = 0
@@ -153,18 +171,18 @@ def _remember(d: Any) -> None:
 @kernel
 def _verdict(d: Any) -> int:
     """Return the kind of event that the counter makes now: a verdict, its trigger, or 0."""
-    if d.counter == d.failed_after:
+    if d.counter <= 0:
+        if d.counter == -d.passed_after and d.verdict != PASSED:
+            d.verdict = PASSED
+            d.active = 0
+            return QUALIFIED_PASSED
+    elif d.counter == d.failed_after:
         d.missed = 0
         if d.verdict != FAILED:
             d.verdict = FAILED
             d.active = 1
             d.triggered = 1
             return QUALIFIED_FAILED
-    elif d.counter == -d.passed_after:
-        if d.verdict != PASSED:
-            d.verdict = PASSED
-            d.active = 0
-            return QUALIFIED_PASSED
     elif d.trigger > 0 and d.counter >= d.trigger and d.triggered == 0:
         d.triggered = 1
         return FDC_REACHED

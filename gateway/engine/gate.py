@@ -16,6 +16,7 @@ import numpy as np
 from gateway.engine.debounce import fault_detection_counter
 from gateway.engine.tables import table
 from gateway.jit import Record, f8, i4, kernel, means, u1
+from gateway.monitors.contract import FAILED
 from gateway.signals.tables import DecodePlan, SignalRef
 
 
@@ -129,6 +130,19 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     return False
 
 
+@kernel
+def is_lasting(T: Any, d: Any) -> bool:
+    """Tell whether the gate of a fault, open now, stays open until the clock counts a change that gates ask for.
+
+    One that asks for a signal does not: it would have to be asked anew. A cause must not be on its way.
+    """
+    for k in range(d.first_root, d.first_root + d.roots):
+        root = T.debounces[T.roots[k]]
+        if root.active == 1 or root.counter > 0 or (root.timed == 1 and root.direction == FAILED):
+            return False
+    return bool(d.conditions == 0)
+
+
 def fill_gates(gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan) -> tuple[Any, Any]:
     """Fill the gates of all faults; returns the tables of conditions and of roots."""
     conditions: list[Condition] = []
@@ -141,6 +155,7 @@ def fill_gates(gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], pl
         row["resets"] = gate.resets
         conditions += gate.conditions
         roots += [ids[name] for name in gate.roots]
+    debounces["is_root"][roots] = 1
     made = table(max(len(conditions), 1), ConditionRow)
     for row, condition in zip(made, conditions, strict=False):
         slot = plan.slot(*condition.signal)

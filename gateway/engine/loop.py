@@ -39,7 +39,7 @@ from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
-from gateway.jit import call_entry, kernel
+from gateway.jit import call_entry, kernel, read_ahead
 from gateway.monitors.contract import FAILED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
@@ -48,10 +48,14 @@ from gateway.signals.decode import (
     UNKNOWN_MUX,
     commit,
     decode,
+    exact_key,
+    find,
     invalid_value,
     lookup,
 )
 
+#: With more messages than fit the processor's nearest cache, what so many frames on will need is fetched ahead.
+_MANY, _AHEAD = 100, 6
 _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
 
 
@@ -91,9 +95,11 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
         raise RuntimeError("a monitor's kernel failed")
     h.steps += 1
     h.tested = 1
-    h.wake_ns = out.wake_ns if out.wake_ns > 0 else NEVER
+    wake_ns, before_ns = out.wake_ns if out.wake_ns > 0 else NEVER, h.wake_ns
+    h.wake_ns = wake_ns
+    if wake_ns < before_ns:
+        arm(T, h.timer, wake_ns)
     clock = T.clock[0]
-    arm(T, h.timer, h.wake_ns)
     clock.results_lost += out.overflow
     if out.send == 1 and h.emit >= 0:
         emit(T, t_ns, T.emits[h.emit])
@@ -131,7 +137,7 @@ def run_timers(T: Any, t_ns: int) -> None:
         if timer < 0:
             return
         t = T.timers[timer]
-        due, index = t.noted_ns, t.index
+        due, index = T.heap[t.place].noted_ns, t.index
         if t.kind == CHECK:
             report_timeout(T, due, T.checks[index])
             skip_settled_timeouts(T, t_ns, T.checks[index])
@@ -158,9 +164,21 @@ def watch(T: Any, t_ns: int, w: Any) -> None:
     if is_open == w.begins or not w.low <= value <= w.high or value - w.lowest < w.rise:
         return
     T.cycles[w.cycle] = w.begins
+    T.clock[0].gate_changes += 1
     w.lowest = value
     kind = CYCLE_BEGAN if w.begins == 1 else CYCLE_ENDED
     announce(T, t_ns, kind, w.cycle, w.bus, value, w.low)
+
+
+@kernel
+def expect(T: Any, bus: int, can_id: int) -> None:
+    """Have fetched what a frame that comes next will need of its message."""
+    row = find(T.keys, T.rows, exact_key(bus, can_id))
+    if row >= 0:
+        read_ahead(T.messages[row])
+        v = T.vectors[row]
+        if v.check >= 0:
+            read_ahead(T.checks[v.check])
 
 
 @kernel
@@ -265,6 +283,7 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     outbox_room = T.outbox.shape[0] // 2
     i = start
     count = int(frames.shape[0])
+    expected = count - _AHEAD if T.vectors.shape[0] > _MANY else 0
     while True:
         if clock.fed < clock.sent:
             # What a monitor sends reaches the other monitors before anything later does.
@@ -277,6 +296,8 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
                 continue
         elif i < count:
             frame, words, own = frames[i], cells[i, 2:], 0
+            if i < expected:
+                expect(T, frames[i + _AHEAD]["bus"], frames[i + _AHEAD]["can_id"])
             if frame["t_ns"] < clock.now_ns:
                 clock.late += 1
             else:

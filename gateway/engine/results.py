@@ -77,11 +77,15 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
     result = FAILED if failed else PASSED
     d.value, d.limit = value, limit
     note(T, t_ns, fault, failed, value, limit)
+    if failed and d.is_root == 1:
+        T.clock[0].gate_changes += 1
     if not failed and is_settled(d):  # as nearly every result of a healthy car
         return -1
     if d.timed == 1:
+        before_ns = d.deadline_ns
         kind = report_time_based(d, t_ns, result)
-        arm(T, d.timer, d.deadline_ns)
+        if d.deadline_ns < before_ns:
+            arm(T, d.timer, d.deadline_ns)
     else:
         kind = report_counter_based(d, result)
     if kind == 0:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.common.times import NEVER
-from gateway.jit import COMPILED, Record, f8, f8s, i4, i8, means, u1
+from gateway.jit import COMPILED, LINE, Record, f8, f8s, i4, i8, means, u1
 from gateway.monitors.contract import EVIDENCE
 
 __all__ = [
@@ -97,6 +97,7 @@ class ClockPass(Record):
     stop: u1
     held: u1 = means("whether test results do not count at present")
     reported: i8 = means("results of the gateway itself that wait")
+    gate_changes: i8 = means("what gates ask for, but for signals: cycles that began or ended, failed results of roots")
     events: i8
     sent: i8
     fed: i8
@@ -144,7 +145,7 @@ class Tables(NamedTuple):
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
-    Timers: a row for each, and the ``heap`` of their numbers (see engine.timers).
+    Timers: a row for each, and the ``heap`` of what is noted of them (see engine.timers).
     Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
@@ -183,11 +184,14 @@ class Tables(NamedTuple):
     health: NDArray[np.void]
     reports: NDArray[np.void]
     timers: NDArray[np.void]
-    heap: NDArray[np.int32]
+    heap: NDArray[np.void]
     clock: NDArray[np.void]
 
 
 def table(count: int, kind: type[Record] | np.dtype[np.void]) -> Any:
-    """Return zeroed records that kernels can address by attribute, compiled or not."""
-    array = np.zeros(count, kind)
+    """Return zeroed records that kernels can address by attribute, compiled or not; they begin a line of the cache."""
+    dtype = np.dtype(kind)
+    room = np.zeros(count * dtype.itemsize + LINE, np.uint8)
+    first = -int(room.ctypes.data) % LINE
+    array = room[first : first + count * dtype.itemsize].view(dtype)
     return array if COMPILED else array.view(np.recarray)

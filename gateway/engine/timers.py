@@ -1,9 +1,10 @@
 """Timers of the loop: which one falls due next.
 
 A heap of all timers by the time noted for each, of equal times the first in the table: checks of messages, monitors,
-debounces by time, health of the buses. The owners keep their real deadlines; the time noted is a lower bound of it. So
-a deadline that only moves on, as that of a message does with every frame, costs one comparison; the heap is put right
-when the time noted comes. An earlier deadline must be told by :func:`arm`.
+debounces by time, health of the buses. The times lie in the heap, so that nothing else is read to keep its order. The
+owners keep their real deadlines; the time noted is a lower bound of it. So
+a deadline that only moves on, as that of a message does with every frame, costs one comparison with the one before; the
+heap is put right when the time noted comes. A deadline earlier than the one before must be told by :func:`arm`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.common.times import NEVER
 from gateway.engine.tables import table
@@ -22,65 +22,80 @@ from gateway.jit import Record, i4, i8, kernel, means, u1
 CHECK, HANDLER, DEBOUNCE, HEALTH = range(4)
 
 
+#: Places below one of the heap: they lie together, and the heap is half as high as with two.
+_BELOW = 4
+
+
 class Timer(Record):
     """One timer."""
 
-    noted_ns: i8 = means("lower bound of its owner's deadline", "ns")
     place: i4 = means("in the heap")
     index: i4 = means("its owner's row")
     kind: u1 = means("CHECK, HANDLER, DEBOUNCE, HEALTH")
 
 
-@kernel
-def _before(T: Any, one: int, other: int) -> bool:
-    """Tell whether a timer comes before another one."""
-    first, second = T.timers[one].noted_ns, T.timers[other].noted_ns
-    return first < second or (first == second and one < other)
+class Noted(Record):
+    """One place of the heap."""
+
+    noted_ns: i8 = means("lower bound of the deadline of the timer's owner", "ns")
+    timer: i4
 
 
 @kernel
-def _rise(T: Any, place: int) -> None:
-    """Let the timer at a place rise to where it belongs."""
-    mine = T.heap[place]
+def _put(T: Any, place: int, noted_ns: int, timer: int) -> None:
+    """Put a timer in a place."""
+    n = T.heap[place]
+    n.noted_ns = noted_ns
+    n.timer = timer
+    T.timers[timer].place = place
+
+
+@kernel
+def _first(T: Any, one: int, other: int) -> int:
+    """Return which of two places holds the timer that comes first; without a branch, which nobody could foresee."""
+    a, b = T.heap[one], T.heap[other]
+    first = (a.noted_ns < b.noted_ns) | ((a.noted_ns == b.noted_ns) & (a.timer < b.timer))
+    return one if first else other
+
+
+@kernel
+def _rise(T: Any, place: int, noted_ns: int, timer: int) -> None:
+    """Put a timer where it belongs, from a place upwards that is free."""
     while place > 0:
-        above = (place - 1) >> 1
-        if not _before(T, mine, T.heap[above]):
+        above = (place - 1) // _BELOW
+        n = T.heap[above]
+        if noted_ns > n.noted_ns or (noted_ns == n.noted_ns and timer > n.timer):
             break
-        T.heap[place] = T.heap[above]
-        T.timers[T.heap[place]].place = place
+        _put(T, place, n.noted_ns, n.timer)
         place = above
-    T.heap[place] = mine
-    T.timers[mine].place = place
+    _put(T, place, noted_ns, timer)
 
 
 @kernel
-def _sink(T: Any, place: int) -> None:
-    """Let the timer at a place sink to where it belongs."""
-    mine, count = T.heap[place], T.heap.shape[0]
+def _sink(T: Any, place: int, noted_ns: int, timer: int) -> None:
+    """Put a timer where it belongs, from a place downwards that is free."""
+    count = T.timers.shape[0]
     while True:
-        below = 2 * place + 1
+        below = _BELOW * place + 1
         if below >= count:
             break
-        if below + 1 < count and _before(T, T.heap[below + 1], T.heap[below]):
-            below += 1
-        if not _before(T, T.heap[below], mine):
+        least = _first(T, _first(T, below, below + 1), _first(T, below + 2, below + 3))
+        n = T.heap[least]
+        if noted_ns < n.noted_ns or (noted_ns == n.noted_ns and timer < n.timer):
             break
-        T.heap[place] = T.heap[below]
-        T.timers[T.heap[place]].place = place
-        place = below
-    T.heap[place] = mine
-    T.timers[mine].place = place
+        _put(T, place, n.noted_ns, n.timer)
+        place = least
+    _put(T, place, noted_ns, timer)
 
 
 @kernel
 def arm(T: Any, timer: int, deadline_ns: int) -> None:
     """Take a deadline of a timer's owner that may be earlier than the one noted."""
-    t = T.timers[timer]
-    if deadline_ns >= t.noted_ns:
+    place = T.timers[timer].place
+    if deadline_ns >= T.heap[place].noted_ns:
         return
-    t.noted_ns = deadline_ns
-    _rise(T, t.place)
-    T.clock[0].deadline_ns = T.timers[T.heap[0]].noted_ns
+    _rise(T, place, deadline_ns, timer)
+    T.clock[0].deadline_ns = T.heap[0].noted_ns
 
 
 @kernel
@@ -99,25 +114,27 @@ def _deadline(T: Any, timer: int) -> int:
 @kernel
 def put_right(T: Any, timer: int) -> None:
     """Note the deadline that a timer's owner has now."""
-    t = T.timers[timer]
-    t.noted_ns = _deadline(T, timer)
-    _rise(T, t.place)
-    _sink(T, t.place)
-    T.clock[0].deadline_ns = T.timers[T.heap[0]].noted_ns
+    place, deadline_ns = T.timers[timer].place, _deadline(T, timer)
+    if deadline_ns < T.heap[place].noted_ns:
+        _rise(T, place, deadline_ns, timer)
+    else:
+        _sink(T, place, deadline_ns, timer)
+    T.clock[0].deadline_ns = T.heap[0].noted_ns
 
 
 @kernel
 def next_due(T: Any, t_ns: int) -> int:
     """Return the next timer that falls due at or before a time, -1: none does; its owner must be seen to."""
-    while T.timers[T.heap[0]].noted_ns <= t_ns:
-        timer = int(T.heap[0])
-        if T.timers[timer].noted_ns == _deadline(T, timer):
-            return timer
-        put_right(T, timer)
+    while T.heap[0].noted_ns <= t_ns:
+        timer, deadline_ns = T.heap[0].timer, _deadline(T, T.heap[0].timer)
+        if T.heap[0].noted_ns == deadline_ns:
+            return int(timer)
+        _sink(T, 0, deadline_ns, timer)  # what is noted is never later than the deadline
+    T.clock[0].deadline_ns = T.heap[0].noted_ns
     return -1
 
 
-def timers_of(owners: Sequence[tuple[int, Any]]) -> tuple[Any, NDArray[np.int32]]:
+def timers_of(owners: Sequence[tuple[int, Any]]) -> tuple[Any, Any]:
     """Return the table of timers, and the heap; each owner is told which is its own.
 
     Args:
@@ -132,10 +149,11 @@ def timers_of(owners: Sequence[tuple[int, Any]]) -> tuple[Any, NDArray[np.int32]
     for rows in by_kind.values():
         rows["timer"] = -1
     for k, (kind, index) in enumerate(kept):
-        timers[k]["noted_ns"], timers[k]["place"] = NEVER, k
-        timers[k]["kind"], timers[k]["index"] = kind, index
+        timers[k]["place"], timers[k]["kind"], timers[k]["index"] = k, kind, index
         by_kind[kind][index]["timer"] = k
-    return timers, np.arange(len(kept), dtype=np.int32)
+    heap = table(len(kept) + _BELOW - 1, Noted)  # the last timer that has one below it is asked for all of them
+    heap["noted_ns"], heap["timer"] = NEVER, range(len(heap))
+    return timers, heap
 
 
 def note_all(T: Any) -> None:
@@ -146,9 +164,11 @@ def note_all(T: Any) -> None:
         DEBOUNCE: T.debounces["deadline_ns"],
         HEALTH: T.health["deadline_ns"],
     }
+    noted_ns = np.full(len(T.timers), NEVER)
     for kind, deadlines in owned.items():
         mine = T.timers["kind"] == kind
-        T.timers["noted_ns"][mine] = deadlines[T.timers["index"][mine]]
-    T.heap[:] = np.argsort(T.timers["noted_ns"], kind="stable")
-    T.timers["place"][T.heap] = np.arange(len(T.heap))
-    T.clock["deadline_ns"] = T.timers["noted_ns"][T.heap[0]]
+        noted_ns[mine] = deadlines[T.timers["index"][mine]]
+    order = np.argsort(noted_ns, kind="stable")
+    T.heap["noted_ns"][: len(order)], T.heap["timer"][: len(order)] = noted_ns[order], order
+    T.timers["place"][order] = np.arange(len(order))
+    T.clock["deadline_ns"] = T.heap["noted_ns"][0]

@@ -11,9 +11,10 @@ is compiled once for all engines.
 """
 
 from gateway.jit.addresses import address_of_array
-from gateway.jit.intrinsics import call_entry, lowest_bit
+from gateway.jit.intrinsics import call_entry, lowest_bit, read_ahead
 from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel
 from gateway.jit.records import (
+    LINE,
     Meaning,
     Record,
     f8,
@@ -38,7 +39,7 @@ from gateway.jit.records import (
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 
 __all__ = [
-    "BOUNDSCHECK", "COMPILED", "Kernel", "Meaning", "Record", "Same", "address_of_array", "bound", "cache_directory",
-    "call_entry", "entry_point", "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel", "labels", "lowest_bit",
-    "means", "record", "record_at", "u1", "u1s", "u4", "u8", "u8s", "zeros",
+    "BOUNDSCHECK", "COMPILED", "LINE", "Kernel", "Meaning", "Record", "Same", "address_of_array", "bound",
+    "cache_directory", "call_entry", "entry_point", "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel",
+    "labels", "lowest_bit", "means", "read_ahead", "record", "record_at", "u1", "u1s", "u4", "u8", "u8s", "zeros",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What kernels need that Python cannot say: a call to an address, the lowest set bit of a word.
+"""What kernels need that Python cannot say: a call to an address, the lowest set bit of a word, reading ahead.
 
 An intrinsic is a function of plain Python, and, when a kernel that uses it is compiled, a few instructions.
 """
@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from gateway.errors import KernelError
-from gateway.jit.records import record_at
+from gateway.jit.records import LINE, record_at
 
 
 class Intrinsic:
@@ -117,3 +117,33 @@ def _build_lowest_bit() -> Any:
 
 #: Returns the place of the lowest set bit of a word that is not 0 and not negative.
 lowest_bit: Callable[[int], int] = cast(Any, Intrinsic(_lowest_bit, _build_lowest_bit))
+
+
+def _read_ahead(record: Any) -> None:
+    """Have the processor fetch a record's beginning, two lines of its cache, while it goes on with other things."""
+
+
+def _build_read_ahead() -> Any:
+    from llvmlite import ir  # noqa: PLC0415
+    from numba import types  # noqa: PLC0415
+    from numba.extending import intrinsic  # noqa: PLC0415
+
+    def read_ahead(_typing: Any, record: Any) -> Any:
+        def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+            kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+            prefetch = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
+            first = builder.bitcast(arguments[0], byte)
+            for_writing, to_stay, data = (ir.Constant(number, value) for value in (1, 3, 1))
+            for at in range(0, min(record.size, 2 * LINE), LINE):
+                place = builder.gep(first, [ir.Constant(ir.IntType(64), at)])
+                builder.call(prefetch, [place, for_writing, to_stay, data])
+            return ir.Constant(ir.IntType(8).as_pointer(), None)
+
+        return types.none(record), generate
+
+    return intrinsic(read_ahead)
+
+
+#: Has the processor fetch the beginning of a record, two lines of its cache, while it goes on with other things.
+read_ahead: Callable[[Any], None] = cast(Any, Intrinsic(_read_ahead, _build_read_ahead))

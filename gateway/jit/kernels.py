@@ -28,6 +28,7 @@ from gateway.jit.forms import (
     Arr,
     Form,
     Rec,
+    Tup,
     code_of,
     form_of,
     parse_results,
@@ -104,6 +105,8 @@ class Entry:
         numbers = memoryview(found).cast("B").cast("q")
         places = _places(self._forms[len(first) :], rest, sum(map(len, self._codes[: len(first)])))
         function, check, result, unpack = self._quick, self._check, self._result, self._unpack
+        integers = isinstance(result, Tup) and all(item == INT for item in result.items)
+        several = numbers[: len(result.items)] if integers else None
         arguments_at, results_at = ctypes.addressof(room), ctypes.addressof(found)
         passed = len(places)
 
@@ -121,6 +124,8 @@ class Entry:
             status = function(arguments_at, results_at)
             if status:
                 check(status)
+            if several is not None:
+                return tuple(several)
             return numbers[0] if result == INT else take(result, unpack.unpack_from(found))[0]
 
         call.__dict__["kept"] = first, room, found

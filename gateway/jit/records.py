@@ -46,6 +46,10 @@ u8s: TypeAlias = Annotated[NDArray[np.uint64], "<u8"]
 u1s: TypeAlias = Annotated[NDArray[np.uint8], "u1"]
 
 
+#: Bytes of a line of the processor's cache.
+LINE = 64
+
+
 class Meaning(NamedTuple):
     """What a field is, for people, and its unit; both may be empty."""
 
@@ -64,7 +68,9 @@ class Record:
     A field is a number (``f8``), an array (``Annotated[f8s, 3]``), another record, or an array of these
     (``Annotated[list[Other], 3]``). With ``class Union(Record, overlay=True)`` all fields lie in the same place: only
     one of them is in use at a time. A length may be a name, ``Annotated[f8s, "cells"]``, with ``class State(Record,
-    lengths={"cells": 16})``: a class derived from it may say another length.
+    lengths={"cells": 16})``: a class derived from it may say another length. Of a table with many rows ``near=("last",
+    "counter")`` names what each step touches: it lies together, first in the row, and rows are an odd number of the
+    cache's lines long, so that these parts of all rows are spread over the whole cache.
 
     Attributes:
         dtype: of NumPy, aligned as in C.
@@ -79,7 +85,9 @@ class Record:
     meanings: ClassVar[Mapping[str, Meaning]]
     _lengths: ClassVar[Mapping[str, int]] = {}
 
-    def __init_subclass__(cls, *, overlay: bool = False, lengths: Mapping[str, int] | None = None) -> None:
+    def __init_subclass__(
+        cls, *, overlay: bool = False, lengths: Mapping[str, int] | None = None, near: tuple[str, ...] = ()
+    ) -> None:
         cls._lengths = {**cls._lengths, **(lengths or {})}
         hints = get_type_hints(cls, include_extras=True)
         for base in cls.__bases__:
@@ -88,7 +96,9 @@ class Record:
                 if base is not other and both and not (issubclass(base, other) or issubclass(other, base)):
                     raise TypeError(f"{cls.__qualname__}: two of its bases have {', '.join(sorted(both))}")
         forms = {name: _form(cls, name, hint) for name, hint in hints.items() if get_origin(hint) is not ClassVar}
-        cls.dtype = record(**forms)
+        cls.dtype = record(**{**{name: forms[name] for name in near}, **forms})
+        if near:
+            cls.dtype = _in_lines(cls.dtype)
         if overlay:
             parts = [cls.dtype[name] for name in forms]
             cls.dtype = np.dtype(
@@ -102,6 +112,21 @@ class Record:
             )
         told = {name: vars(base)[name] for base in reversed(cls.__mro__) for name in forms if name in vars(base)}
         cls.meanings = {name: told[name] for name in forms if isinstance(told.get(name), Meaning)}
+
+
+def _in_lines(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
+    """Return a dtype with room after its fields, so that records begin where a line of the cache does."""
+    fields: Mapping[str, Any] = dtype.fields or {}
+    lines = -(-dtype.itemsize // LINE) | 1
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [form[0] for form in fields.values()],
+            "offsets": [form[1] for form in fields.values()],
+            "itemsize": lines * LINE,
+        },
+        align=True,
+    )
 
 
 def _names(cls: type) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
 from gateway.engine.checks.bus_health import BusInstance, Health, HealthPlace, HealthState
-from gateway.engine.checks.communication import Check, CheckConst, CheckPlace, CheckState
+from gateway.engine.checks.communication import Check, CheckConst, CheckPlace, CheckRun, CheckState
 from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
 from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState
 from gateway.engine.events import QUALIFIED_FAILED
@@ -234,7 +234,7 @@ def test_what_begins_a_cycle_remembers_how_low_its_signal_was(build, tools):
 def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():
     for whole, *parts in (
         (DebounceRow, DebouncePlace, DebounceConst, DebounceState),
-        (Check, CheckPlace, CheckConst, CheckState),
+        (Check, CheckPlace, CheckConst, CheckState, CheckRun),
         (Health, HealthPlace, HealthState),
         (Watch, WatchPlace, WatchConst, WatchState),
         (Emit, EmitPlace, EmitConst, EmitState),

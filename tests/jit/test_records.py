@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from gateway.jit import Record, f8, f8s, i8
+from gateway.jit import LINE, Record, f8, f8s, i8
 
 
 class Cell(Record):
@@ -38,3 +38,16 @@ def test_a_length_that_nobody_says():
 
         class Wrong(Record, lengths={"cells": 3}):
             values: Annotated[f8s, "cels"]
+
+
+def test_what_is_near_lies_first_and_rows_are_an_odd_number_of_lines():
+    class Far(Record):
+        old: Annotated[f8s, 9]
+        count: i8
+
+    class Row(Far, near=("count", "last")):
+        last: f8
+
+    offsets = {name: Row.dtype.fields[name][1] for name in Row.dtype.names}
+    assert (offsets["count"], offsets["last"], offsets["old"]) == (0, 8, 16)
+    assert Row.dtype.itemsize == 3 * LINE, "88 bytes would be two"

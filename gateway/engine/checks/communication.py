@@ -167,7 +167,36 @@ class CheckState(Record):
     lengths: Annotated[i4s, SAMPLES]
 
 
-class Check(CheckState, CheckConst, CheckPlace):
+class CheckRun(Record):
+    """The run of passes that its last frames are (see engine.checks.runs)."""
+
+    steady: u1 = means("whether a frame that passes with the usual results goes on with it")
+    counted: u1 = means("whether the alive counter is tested")
+    summed: u1 = means("whether a checksum is tested")
+    usual_length: i4
+    usual_step: i4 = means("of the alive counter")
+    gate_changes: i8 = means("of the clock, when the gates of its tests were last asked")
+    run: i8 = means("frames that the buckets have not been told of")
+    run_since_ns: i8 = means("the first of them, by the wall clock", "ns")
+    run_until_ns: i8 = means("the last of them", "ns")
+
+
+#: What a frame of a run touches: two lines of the cache.
+_NEAR: tuple[str, ...] = (
+    "steady",
+    "counted",
+    "summed",
+    "seen",
+    "usual_length",
+    "usual_step",
+    "unread",
+    "timeout_ns",
+    "deadline_ns",
+)
+_NEAR += ("silent_ns", "losses", "last_counter", "gate_changes", "run", "run_since_ns", "run_until_ns", "protection")
+
+
+class Check(CheckState, CheckConst, CheckPlace, CheckRun, near=_NEAR):
     """The checks of one message."""
 
 

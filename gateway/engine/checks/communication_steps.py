@@ -20,6 +20,7 @@ from gateway.engine.checks.communication import (
     TIMEOUT,
     VALUE,
 )
+from gateway.engine.checks.runs import begin_run, go_on, tell_run
 from gateway.engine.results import report_result, store_evidence
 from gateway.engine.timers import arm
 from gateway.jit import kernel
@@ -35,8 +36,16 @@ RIGHT, WRONG, NEITHER, NOTHING = range(4)
 
 
 @kernel
+def end_run(T: Any, c: Any) -> None:
+    """Tell of the run: a frame has come that is none of it, or none at all."""
+    tell_run(c, T.debounces, T.buckets)
+    c.steady = 0
+
+
+@kernel
 def report_timeout(T: Any, due: int, c: Any) -> None:
     """Report one elapsed timeout of a message, and set its next deadline."""
+    end_run(T, c)
     T.clock[0].timeouts += 1
     c.deadline_ns += c.timeout_ns
     c.silent_ns += c.timeout_ns
@@ -141,13 +150,11 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     step = counter_step(c, received)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    c.unread = 0
     place = report_result(T, t_ns, c.fault[COUNTER], jumped or step == 0, float(step), float(p.max_step))
     store_evidence(T, c.fault[COUNTER], place, 0, float(step))
     store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
     store_evidence(T, c.fault[COUNTER], place, 2, float(received))
-    c.last_counter = received
-    c.seen = 1
+    take_counter(c, received)
     if step == 0:
         T.clock[0].repeated += 1
         advance_window(T, c, NEITHER)
@@ -157,6 +164,14 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
         advance_window(T, c, NEITHER)
         return False
     return advance_window(T, c, RIGHT)
+
+
+@kernel
+def take_counter(c: Any, received: int) -> None:
+    """Keep an alive counter for the next frame."""
+    c.last_counter = received
+    c.seen = 1
+    c.unread = 0
 
 
 @kernel
@@ -225,6 +240,27 @@ def bits_set(value: Any) -> int:
 
 
 @kernel
+def report_arrival(T: Any, t_ns: int, c: Any, length: int, status: int) -> None:
+    """Report that a message has come, and whether it is long enough."""
+    if c.fault[TIMEOUT] >= 0:
+        report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
+    if c.fault[LENGTH] >= 0:
+        place = report_result(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
+        store_evidence(T, c.fault[LENGTH], place, 0, length)
+
+
+@kernel
+def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
+    """Tell whether a frame passes as those of the run before it did, as far as is seen without its checksum."""
+    clock = T.clock[0]
+    if c.steady == 0 or status != OK or length != c.usual_length:
+        return False
+    if clock.held == 1 or clock.gate_changes != c.gate_changes:
+        return False
+    return bool(c.counted == 0 or counter_step(c, counter_of(words, c.protection)) == c.usual_step)
+
+
+@kernel
 def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int, bad: int) -> int:
     """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
 
@@ -238,22 +274,32 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         bad: place of a signal that carries no value, -1: none.
     """
     if c.timeout_ns > 0:
-        c.deadline_ns = t_ns + c.timeout_ns
+        deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
+        c.deadline_ns = deadline_ns
         c.silent_ns = 0
         c.losses = 0
-        arm(T, c.timer, c.deadline_ns)
-        report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
-    if c.fault[LENGTH] >= 0:
-        place = report_result(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
-        store_evidence(T, c.fault[LENGTH], place, 0, length)
-    if status not in (OK, INVALID_VALUE):
-        c.unread += 1
-        return REJECT
-    if c.presence < 0 or T.present[c.presence] == 1:
-        if c.protection.windowed == 1:
-            advance_missed_cycles(T, t_ns, c)
-        if c.fault[CRC] >= 0 and not checksum_fits(T, t_ns, c, words, length):
+        if deadline_ns < before_ns:  # after a late frame; what is noted of a deadline is never later than it
+            arm(T, c.timer, deadline_ns)
+    usual = is_usual(T, c, words, length, status)
+    if not usual:
+        end_run(T, c)
+        report_arrival(T, t_ns, c, length, status)
+        if status not in (OK, INVALID_VALUE):
+            c.unread += 1
             return REJECT
+    if usual or c.presence < 0 or T.present[c.presence] == 1:
+        if not usual and c.protection.windowed == 1:
+            advance_missed_cycles(T, t_ns, c)
+        if (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
+            if usual:  # it has come, and is long enough; its counter is not read
+                end_run(T, c)
+                report_arrival(T, t_ns, c, length, status)
+            return REJECT
+        if usual:
+            if c.counted == 1:
+                take_counter(c, counter_of(words, c.protection))
+            go_on(T, t_ns, c)
+            return ACCEPT
         if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):
             return REJECT
     if c.fault[VALUE] >= 0:
@@ -261,4 +307,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         place = report_result(T, t_ns, c.fault[VALUE], bad >= 0, value, 0.0)
         store_evidence(T, c.fault[VALUE], place, 0, bad)
         store_evidence(T, c.fault[VALUE], place, 1, value)
-    return ACCEPT if status == OK else REJECT
+    if status != OK:
+        return REJECT
+    begin_run(T, c, length)
+    return ACCEPT

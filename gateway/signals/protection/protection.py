@@ -76,10 +76,7 @@ class Protection:
 class ProtectionConst(Record):
     """The protection of a message as the kernels want it."""
 
-    checksum: ChecksumConst
-    field: Field = means("of the checksum")
     counter: Field
-    has_checksum: u1
     has_counter: u1
     strict: u1
     windowed: u1
@@ -87,6 +84,9 @@ class ProtectionConst(Record):
     modulus: i8
     first: i8
     max_step: i4
+    has_checksum: u1
+    field: Field = means("of the checksum")
+    checksum: ChecksumConst
     window: Annotated[i4s, 3] = means("frames looked back at: starting, valid, invalid")
     min_ok: Annotated[i4s, 3]
     max_error: Annotated[i4s, 3]
