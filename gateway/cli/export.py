@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from json import dumps
 from pathlib import Path
 
 from gateway.cli.present import find_config
-from gateway.common.jsonlines import strict
+from gateway.common.jsonlines import line
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 
@@ -16,7 +15,7 @@ def export(config_path: Path | None, *, out: Path | None) -> int:
     path = find_config(config_path)
     gateway = Gateway(load_config(path), None, file=path)
     try:
-        text = dumps(strict(gateway.describe()), indent=2)
+        text = line(gateway.describe(), indent=2)
     finally:
         gateway.close()
     if out is None:

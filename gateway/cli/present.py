@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gateway.common.jsonlines import strict
+from gateway.common.jsonlines import line
 from gateway.common.resources import shipped
 from gateway.errors import InputError
 from gateway.faults.status import Status
@@ -46,7 +45,7 @@ def table_of(*headers: str) -> Table:
 
 def print_json(value: Any, *, indent: int | None = None) -> None:
     """Print one JSON document, on one line: what ``--json`` prints is JSON Lines everywhere."""
-    print(json.dumps(strict(value), indent=indent), flush=True)
+    print(line(value, indent=indent), flush=True)
 
 
 def status_text(status: int) -> str:

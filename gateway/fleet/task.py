@@ -26,7 +26,7 @@ from gateway import __version__
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
-from gateway.common.jsonlines import strict
+from gateway.common.jsonlines import line
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -340,7 +340,7 @@ def _rows(
         | {
             "dtc": str(entry.dtc), "fault": entry.fault, "status": int(entry.status),
             "first": wall(watch.first[entry.fault]), "last": wall(entry.last_ns), "occurrence": entry.occurrence,
-            "failed_cycles": entry.failed_cycles, "evidence": json.dumps(strict(dict(entry.evidence))),
+            "failed_cycles": entry.failed_cycles, "evidence": line(dict(entry.evidence)),
         }
         for entry in sorted(entries, key=lambda entry: (watch.first[entry.fault], entry.fault))
     ]  # fmt: skip
