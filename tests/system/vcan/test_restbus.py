@@ -46,7 +46,6 @@ def test_a_rest_bus_of_others_and_its_readers(car, tmp_path):
                     answer = peer.recv(1.0)
             said, _ = played.communicate(timeout=600)
             wait_for(lambda: any(one in monitor.screen for one in checked or sent))
-            wait_for(lambda: rising is None or rising.rpartition(".")[2] in monitor.screen)
     finally:
         monitor.close()
     assert played.returncode == 0, said
@@ -72,7 +71,6 @@ def test_a_rest_bus_of_others_and_its_readers(car, tmp_path):
     if rising is not None:
         assert values == sorted(values)
         assert (values[0], values[-1]) == (pytest.approx(50, abs=2), pytest.approx(100, abs=2))
-        assert signal in monitor.screen
 
 
 def test_the_examples_tests_on_the_kernels_can(tmp_path):
