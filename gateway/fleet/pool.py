@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
@@ -118,25 +118,27 @@ class Pool(Generic[Task, Outcome]):
             yield from self._alone(task)
 
     def _result(self, future: Any, task: Task) -> list[Outcome] | None:
-        """Return the outcomes of a task, None if its worker died."""
-        from distributed import KilledWorker  # noqa: PLC0415 - an extra
+        """Return the outcomes of a task, None if its worker died.
 
-        if future.status == "finished":
+        That may be told only here: a worker may die with the outcomes of a task that has finished, and so may the next
+        one, that was to find them again.
+        """
+        from distributed import CancelledError, KilledWorker  # noqa: PLC0415 - an extra
+
+        try:
             found: list[Outcome] = future.result()
-            return found
-        error = future.exception() if future.status == "error" else None
-        if isinstance(error, KilledWorker) or error is None:
+        except (KilledWorker, CancelledError):
             return None
-        if isinstance(error, GatewayError):
-            raise error
-        return self._work.failed(task, f"{type(error).__name__}: {' '.join(str(error).split())}")
+        except GatewayError:
+            raise
+        except Exception as error:
+            return self._work.failed(task, f"{type(error).__name__}: {' '.join(str(error).split())}")
+        return found
 
     def _alone(self, task: Task) -> Iterator[Outcome]:
         """Try a suspect while nothing else is done."""
         for _ in range(TRIES):
             future = self._client.submit(self._work.do, task, pure=False)
-            with suppress(Exception):  # cancelled with its worker
-                future.exception()
             found = self._result(future, task)
             if found is not None:
                 yield from found

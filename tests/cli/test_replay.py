@@ -9,17 +9,11 @@ import can
 import numpy as np
 import pytest
 from command import command
+from own_message import DBC
 
 from gateway.bus.frames import to_message
 from gateway.bus.logs import open_writer, read_log
 
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A B
-BO_ 256 M0: 8 A
- SG_ Value : 0|16@1+ (0.5,0) [0|32767] "V" B
-"""
 BUS = """
 [[bus]]
 name = "{name}"

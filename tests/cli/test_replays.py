@@ -6,14 +6,8 @@ import re
 
 import pytest
 from command import command
+from own_message import DBC
 
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A B
-BO_ 256 M0: 8 A
- SG_ Value : 0|16@1+ (0.5,0) [0|32767] "V" B
-"""
 CONFIG = """
 [[bus]]
 name = "chassis"

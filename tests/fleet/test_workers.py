@@ -6,10 +6,10 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import dask
-import distributed  # noqa: F401 - its settings are there before the test changes one
+import distributed
 import long_log
 import psutil
 import pytest
@@ -17,6 +17,7 @@ from amount import amount
 from fleet_logs import tables_hash, write_config, write_fleet
 
 from gateway.fleet.corpus import find
+from gateway.fleet.pool import Pool, Workers
 from gateway.fleet.run import Order, run
 from gateway.fleet.verdicts import Verdicts
 
@@ -87,6 +88,46 @@ def test_a_killed_worker_and_a_log_that_kills_its_own(fleet):
     verdicts.forget(poisoned)
     assert tables_hash(fleet / "out") == tables_hash(fleet / "serial"), "nobody else's work is lost, or done twice"
     assert not workers(), "the cluster is gone"
+
+
+class Doubling:
+    """Work: numbers are doubled; the second worker that is to double 0 dies of it."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def do(self, task):
+        if not task:
+            times = len(list(self.folder.iterdir()))
+            (self.folder / str(times)).touch()
+            if times == 1:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return [2 * task]
+
+    def failed(self, task, text):
+        return [text]
+
+    def killed(self, task):
+        return ["killed"], None
+
+
+def test_outcomes_that_die_with_their_worker_before_they_are_fetched(tmp_path, monkeypatch):
+    fetch = distributed.Future.result
+    killed = []
+
+    def result(future):
+        if not killed and future.status == "finished":
+            (address,) = future.client.who_has([future])[future.key]
+            killed.append(future.client.run(os.getpid, workers=[address])[address])
+            os.kill(killed[0], signal.SIGKILL)
+        return fetch(future)
+
+    monkeypatch.setattr(distributed.Future, "result", result)
+    with ExitStack() as stack:
+        outcomes = list(Pool(Doubling(tmp_path), Workers(count=2), stack).run([0]))
+    assert killed
+    assert outcomes == [0], "done again: it is neither lost nor blamed"
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 @contextmanager

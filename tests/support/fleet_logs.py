@@ -4,17 +4,13 @@ import hashlib
 import json
 
 import numpy as np
+import own_message
 
 from gateway.bus.frames import empty
 from gateway.bus.logs import open_writer
 from gateway.fleet.verdicts import TABLES, Verdicts
 
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A B
-BO_ 256 M0: 8 A
- SG_ Value : 0|16@1+ (0.5,0) [0|32767] "V" B
+DBC = f"""{own_message.DBC}\
  SG_ Speed : 16|16@1+ (0.01,0) [0|655] "km/h" B
 """
 CONFIG = """
