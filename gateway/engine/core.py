@@ -54,8 +54,9 @@ class Engine:
         # The clock's numbers by their place: a record and its field take ten times as long to reach, for each batch.
         clock: Any = tables.clock
         self._clock = memoryview(clock.view("<i8"))
-        self._now, self._offset, self._events, self._to_send, self._fed, self._taken = (
-            clock.dtype.fields[name][1] // 8 for name in ("now_ns", "offset_ns", "events", "sent", "fed", "taken")
+        self._now, self._offset, self._due, self._started, self._events, self._to_send, self._fed, self._taken = (
+            clock.dtype.fields[name][1] // 8
+            for name in ("now_ns", "offset_ns", "deadline_ns", "started", "events", "sent", "fed", "taken")
         )
         self._outbox = np.asarray(tables.outbox)
         self._ranks = self._outbox["rank"]
@@ -84,6 +85,11 @@ class Engine:
     def now_ns(self) -> int:
         """Time of the latest frame or :meth:`advance` [ns]."""
         return int(self._clock[self._now])
+
+    @property
+    def due_ns(self) -> int:
+        """Time before which no timer falls due [ns]; before its clock has started: the past."""
+        return int(self._clock[self._due]) if self._clock[self._started] else -1
 
     @property
     def offset_ns(self) -> int:

@@ -22,9 +22,9 @@ from gateway.live.merge import Merger
 #: Without traffic, time is let pass this far behind the clock, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.
 GRACE_NS = 20_000_000
-#: Longest wait for a bus: how late a timer may run without traffic.
+#: Longest wait for a bus while something else than time is waited for: a write, a search, a reader's next look.
 TICK_S = 0.01
-#: How often requests of other processes are looked for.
+#: How often requests of other processes are looked for; the longest wait of all.
 POLL_S = 0.1
 #: Least time between two reports of lost frames of one bus.
 REPORT_S = 1.0
@@ -51,6 +51,10 @@ class Fed(Protocol):
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
+
+    @property
+    def due_ns(self) -> int:
+        """Time at which :meth:`advance` has something to do; of what waits for something else than time: the past."""
 
     def feed(self, frames: Frames) -> Frames:
         """Take a batch; returns the frames to send."""
@@ -80,6 +84,9 @@ class Door(Protocol):
     def fileno(self) -> int:
         """Return a descriptor that is readable when somebody wants something."""
 
+    def listening(self) -> bool:
+        """Tell whether somebody watches, who is shown the time."""
+
     def on_frames(self, frames: Frames) -> None:
         """Take what came from the buses, or goes there."""
 
@@ -107,7 +114,7 @@ class Live:
         tell: takes the events of the buses.
         taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
         clock: the engine's, the same as that of the links.
-        tick_s: longest wait without traffic [s].
+        tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
         monotonic: for what is done every so often [s].
         settle: called when everything is built, and again when it is replaced.
         door: of those who watch; None: nobody can.
@@ -215,8 +222,9 @@ class Live:
 
     def _wait(self) -> bool:
         """Wait until there is something to do; returns whether a bus is readable."""
-        soon = (self._gateway.next_ns - self._clock.now()) / 1e9
-        waits = [self._tick_s, soon, *(link.due_s for link in self._links)]
+        now = self._clock.now()
+        soon = (self._gateway.next_ns - now) / 1e9
+        waits = [self._patience_s(now), soon, *(link.due_s for link in self._links)]
         if self._merger.holding:
             waits.append(0.0005)
         ready = self._selector.select(max(min(waits), 0.0))
@@ -226,6 +234,17 @@ class Live:
         buses = sum(key.fd != door for key, _ in ready)
         self._knocked = buses < len(ready)
         return bool(buses)
+
+    def _patience_s(self, now_ns: int) -> float:
+        """Return how long there is nothing to do but for the buses and who answers them [s].
+
+        A turn for nothing costs half a millisecond on a slow processor: not the next tick is waited for, but the next
+        timer.
+        """
+        if not self._tick_s or (self._door is not None and self._door.listening()):
+            return self._tick_s
+        due_s = (self._gateway.due_ns + GRACE_NS - now_ns) / 1e9
+        return min(max(due_s, self._tick_s), POLL_S)
 
     def _read_one(self, link: Link) -> bool:
         """Feed what one bus has, without holding anything back; returns whether there was any."""

@@ -52,7 +52,7 @@ class Machine:
         begin_writer: begins the thread that writes the fault memory; None: the loop's own writes it.
         patience_s: how long a single write of that thread is waited for [s].
         connect: opens the fault memory, as ``sqlite3.connect`` does.
-        tick_s: longest wait without traffic [s].
+        tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
         settle: called when everything is built: it leaves the garbage collector nothing to look through.
     """
 

@@ -20,7 +20,7 @@ class Nobody:
         tell: takes that as an event.
     """
 
-    next_ns = NEVER
+    next_ns = due_ns = NEVER
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
         self._tell = tell

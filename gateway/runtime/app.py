@@ -315,6 +315,13 @@ class Gateway:
         return self.servers.next_prompt_ns
 
     @property
+    def due_ns(self) -> int:
+        """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
+        if self._changes or self._untold or self._early or not self._idle:
+            return -1
+        return min(self.engine.due_ns, self.servers.next_ns)
+
+    @property
     def databases(self) -> Sequence[Database]:
         """The databases of its buses."""
         return self._parts.databases

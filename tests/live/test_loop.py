@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 from gateway.bus.base import Bus
 from gateway.bus.conditions import STEPPED
 from gateway.bus.frames import ERROR, OWN, empty, put
@@ -80,6 +82,27 @@ class Tap:
         self.got += [(int(f["can_id"]), bool(f["flags"] & OWN)) for f in frames]
 
 
+class Door:
+    """Nobody comes; somebody may watch."""
+
+    watched = False
+
+    def __init__(self):
+        self._event = os.eventfd(0)
+
+    def fileno(self):
+        return self._event
+
+    def listening(self):
+        return self.watched
+
+    def on_frames(self, frames):
+        pass
+
+    def turn(self, now_s, *, wanted):
+        pass
+
+
 def rig(*, echoing=False, taps=()):
     queues = []
 
@@ -107,6 +130,36 @@ def test_time_does_not_overtake_frames_that_wait():
     os.eventfd_read(queue.fileno())
     live.turn()
     assert gateway.advanced == 1, "without traffic it passes"
+    live.close()
+
+
+def test_a_quiet_bus_is_waited_for_until_the_next_timer():
+    queues = []
+
+    def opener(uri, index):
+        queues.append(Queue(uri, index))
+        return queues[-1]
+
+    clock = Clock(lambda: 10**18, lambda: 10**9)
+    link = Link("test:queue", 0, "b", opener, clock)
+    link.start()
+    gateway = Talker()
+    door = Door()
+    live = Live(gateway, [link], lambda _: None, clock=clock, tick_s=0.01, door=door)
+
+    def waits(due_ms, *, watched=False):
+        gateway.due_ns, door.watched = 10**18 + due_ms * 10**6, watched
+        live._watch()
+        waited = []
+        select, live._selector.select = live._selector.select, lambda wait: waited.append(wait) or select(0)
+        live.turn()
+        live._selector.select = select
+        return waited[0]
+
+    assert waits(40) == pytest.approx(0.06), "what is on its way through the kernel must not be overtaken"
+    assert waits(-(10**3)) == pytest.approx(0.01), "something else than time is waited for"
+    assert waits(10**6) == pytest.approx(0.1), "other processes may ask for something"
+    assert waits(10**6, watched=True) == pytest.approx(0.01), "who watches is shown the time"
     live.close()
 
 

@@ -1,7 +1,6 @@
 """Peers on the kernel's CAN: raw sockets, can-utils, ip; and the daemon beside them."""
 
 import json
-import re
 import socket
 import struct
 import subprocess
@@ -37,20 +36,21 @@ def drops_of(sock):
     return struct.unpack("=9I", words)[DROPS]
 
 
-def listeners():
-    """Return how many filters the kernel has of all sockets of this network namespace."""
-    text = Path("/proc/net/can/stats").read_text()
-    return int(re.search(r"(\d+) current receive list entries", text)[1])
+def listeners(interface):
+    """Return how many filters the kernel has of all sockets of an interface; other interfaces come and go beside it."""
+    lists = Path("/proc/net/can").glob("rcvlist_*")
+    return sum(line.split()[:1] == [interface] for each in lists for line in each.read_text().splitlines())
 
 
 @contextmanager
 def candump(*arguments, log):
     """Write what candump prints to a file; it listens already."""
     with Path(log).open("wb") as file:
-        before = listeners()
+        interface = arguments[-1].partition(",")[0]
+        before = listeners(interface)
         dump = subprocess.Popen(["candump", *arguments], stdout=file)
         try:
-            wait_for(lambda: listeners() > before)
+            wait_for(lambda: listeners(interface) > before)
             yield dump
         finally:
             time.sleep(0.2)

@@ -45,17 +45,20 @@ def test_the_vcan_tests_pass_in_a_real_kernel(kernel, tmp_path):
             pytest.fail(reason)
         pytest.skip(reason)
     keep = {"PATH", "HOME", "GATEWAY_CACHE_DIR", "XDG_CACHE_HOME", "LANG"}
-    keep |= {"PYTHONPATH", "NUMBA_DISABLE_JIT", "GATEWAY_TESTS", "CI"}
+    keep |= {"NUMBA_DISABLE_JIT", "GATEWAY_TESTS", "CI"}
     environment = {k: v for k, v in os.environ.items() if k in keep}
     environment["PATH"] = f"{Path(sys.executable).parent}:/usr/sbin:/sbin:{environment['PATH']}"
     environment["GATEWAY_DEMAND_VCAN"] = "1"
+    # In this kernel a page of memory is dear, and so is each import: what the tests there do not need is left out.
+    environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    environment["PYTHONPATH"] = os.pathsep.join([str(HERE / "without"), *filter(None, [os.environ.get("PYTHONPATH")])])
     (tmp_path / "environment").write_text("".join(f"{k}={shlex.quote(v)}\n" for k, v in environment.items()))
     lanes = [tmp_path / f"lane{k}" for k in range(len(KERNELS[kernel]))]
     for lane, files in zip(lanes, KERNELS[kernel], strict=True):
         lane.mkdir()
         (lane / "command").write_text(
             f"cd {shlex.quote(str(HERE.parents[2]))}\n"
-            f"exec python -m pytest -p no:cacheprovider -p no:xdist -m vcan --durations=0"
+            f"exec python -m pytest -p pytest_timeout -p no:cacheprovider -m vcan --durations=0"
             f" --basetemp={lane}/inner {shlex.join(str(HERE / file) for file in files)}\n"
         )
     booted = subprocess.run(
