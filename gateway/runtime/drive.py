@@ -72,6 +72,8 @@ class _Wires:
 
     def carry(self, frames: Frames) -> Frames:
         """Send frames from the ECUs; returns them as the gateway got them, in order of time."""
+        if not len(frames):
+            return frames
         arrived = []
         for index, (ecu, ours) in enumerate(zip(self._ecus, self._ours, strict=True)):
             mine = frames[frames["bus"] == index]
@@ -82,6 +84,8 @@ class _Wires:
 
     def reports(self, frames: Frames) -> Iterator[DtcReport]:
         """Send frames from the gateway, bus by bus; yields the DTC frames among them as a tester decodes them."""
+        if not len(frames):
+            return
         for index, (ours, tester) in enumerate(zip(self._ours, self._testers, strict=True)):
             mine = frames[frames["bus"] == index]
             ours.send(mine)
