@@ -6,99 +6,19 @@ step begins, so a run is the same every time and goes as fast as the machine all
 
 from __future__ import annotations
 
-import itertools
-import os
-import select
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
-from gateway.bus.base import Bus
-from gateway.bus.frames import Frames, empty
-from gateway.bus.uri import open_bus
-from gateway.common.resources import shipped
+from gateway.bus.frames import Frames
 from gateway.config.model import Config
-from gateway.errors import BusError, InputError
+from gateway.errors import InputError
 from gateway.runtime.app import Gateway
-from gateway.servers.dtc_frame import DtcReport, read_dtc_frame
+from gateway.runtime.wires import Wires
+from gateway.servers.dtc_frame import DtcReport
 from gateway.vecu.expectations import Judge
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario
-
-#: Longest wait for frames that were sent already [s].
-PATIENCE_S = 10.0
-
-_names = itertools.count()
-
-
-def collect(bus: Bus, count: int) -> Frames:
-    """Wait for exactly so many frames of a bus.
-
-    Raises:
-        BusError: they did not come in time.
-    """
-    parts: list[Frames] = []
-    missing = count
-    while missing:
-        if not select.select([bus.fileno()], [], [], PATIENCE_S)[0]:
-            raise BusError(f"{bus.uri}: {missing} of {count} frames did not arrive")
-        batch = empty(missing)
-        got = bus.receive(batch)
-        parts.append(batch[:got])
-        missing -= got
-    return np.concatenate(parts) if parts else empty(0)
-
-
-class _Wires:
-    """The virtual buses of a configuration, with three ends each: the ECUs', the gateway's and a tester's.
-
-    Args:
-        gateway: whose configuration it is.
-    """
-
-    def __init__(self, gateway: Gateway) -> None:
-        uris = [f"virtual:{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
-        self._dtc_frame_id = gateway.dtc_frame_id
-        self._database = shipped("dbc/gateway.dbc")
-        self._ecus, self._ours, self._testers = (
-            [open_bus(uri, index) for index, uri in enumerate(uris)] for _ in range(3)
-        )
-        for bus in self._ecus:
-            bus.set_filters([0x1FFFFFFF | 0x80000000])  # virtual ECUs listen to nobody
-        for bus in self._testers:
-            bus.set_filters([gateway.dtc_frame_id])
-
-    def carry(self, frames: Frames) -> Frames:
-        """Send frames from the ECUs; returns them as the gateway got them, in order of time."""
-        if not len(frames):
-            return frames
-        arrived = []
-        for index, (ecu, ours) in enumerate(zip(self._ecus, self._ours, strict=True)):
-            mine = frames[frames["bus"] == index]
-            ecu.send(mine)
-            arrived.append(collect(ours, len(mine)))
-        batch = np.concatenate(arrived)
-        return batch[np.argsort(batch["t_ns"], kind="stable")]
-
-    def reports(self, frames: Frames) -> Iterator[DtcReport]:
-        """Send frames from the gateway, bus by bus; yields the DTC frames among them as a tester decodes them."""
-        if not len(frames):
-            return
-        for index, (ours, tester) in enumerate(zip(self._ours, self._testers, strict=True)):
-            mine = frames[frames["bus"] == index]
-            ours.send(mine)
-            dtc = mine["can_id"] == self._dtc_frame_id
-            for frame in collect(tester, int(dtc.sum())):
-                report = read_dtc_frame(frame, self._database)
-                if report is not None:
-                    yield report
-
-    def close(self) -> None:
-        """Close all ends."""
-        for bus in (*self._ecus, *self._ours, *self._testers):
-            bus.close()
 
 
 class Driven(Protocol):
@@ -154,7 +74,7 @@ def drive(
         fed: what is fed instead of the gateway; it feeds the gateway.
     """
     driven: Driven = gateway if fed is None else fed
-    wires = _Wires(gateway)
+    wires = Wires(gateway)
     try:
         gateway.start(0)
         until = 0

@@ -165,15 +165,15 @@ def test_a_signal_while_it_compiles_ends_it_at_once(tmp_path, arguments, module,
 
 def test_a_simulation_that_is_stopped_is_not_judged(gateway, monkeypatch):
     """SIGTERM during the run ends it there, and a check that saw half of it is no pass."""
-    from gateway.runtime import drive as module
+    from gateway.runtime.wires import Wires
 
-    taken = module.collect
+    carry = Wires.carry
 
-    def collect(bus, count):
+    def carry_and_stop(self, frames):
         os.kill(os.getpid(), signal.SIGTERM)
-        return taken(bus, count)
+        return carry(self, frames)
 
-    monkeypatch.setattr(module, "collect", collect)
+    monkeypatch.setattr(Wires, "carry", carry_and_stop)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         ended = gateway("simulate", "crank_healthy", "--bus", "inside", "--check", "--json")
