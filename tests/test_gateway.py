@@ -112,6 +112,39 @@ def test_live_equals_replay_for_any_seed_and_any_chunks(seed, data):
     assert again == events
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["crank_missed_tooth", "diagnostics", "truck_mass", "signals_faults", "restbus"])
+def test_before_it_is_due_there_is_nothing_to_do(name):
+    """Who waits for the next time it gives misses no event and no frame; and on a quiet bus it is seldom due."""
+    _, config, player = build(name)
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    assert gateway.due_ns < 0, "its time has not begun"
+    last = waited = 0
+    for until, frames in player.batches():
+        gateway.feed(frames)
+        while True:
+            early = min(gateway.due_ns - 1, until)
+            if early > gateway.engine.now_ns:
+                waited += early - gateway.engine.now_ns
+                told = len(events)
+                assert not len(gateway.advance(early))
+                assert len(events) == told
+            if gateway.due_ns > until:
+                break
+            gateway.advance(gateway.due_ns if gateway.due_ns > gateway.engine.now_ns else until)
+            if gateway.engine.now_ns >= until:
+                break
+        last = until
+    gateway.stop(last)
+    gateway.close()
+    _, plain, _, _ = live(name)
+    assert events == plain
+    assert waited > last // 10
+
+
 def test_the_json_contract_of_events():
     _, events, _, summary = live("crank_missed_tooth")
     dtcs = [event for event in events if event["event"] == "dtc"]

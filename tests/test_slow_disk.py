@@ -83,6 +83,19 @@ def test_while_a_disk_takes_its_time_testers_are_answered_and_nothing_is_told_ea
     assert len(tester.ask("190208")) == 3 + 2 * 4
 
 
+def test_while_something_waits_to_be_written_it_is_due_at_once(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    rig.wait(50)
+    assert rig.gateway.due_ns > rig.gateway.engine.now_ns, "nothing but time is waited for"
+    slow.stall()
+    rig.fail(0)
+    assert rig.gateway.due_ns < 0
+    slow.go_on(rig)
+    rig.wait(50)
+    assert rig.gateway.due_ns > rig.gateway.engine.now_ns
+
+
 @pytest.mark.parametrize("full", [False, True])
 def test_what_a_thread_could_not_write_is_told_as_such_and_written_later(make, slow, full):
     rig = make()
