@@ -54,6 +54,7 @@ def battery():
     return (shipped("examples") / "battery_voltage/battery_voltage.py").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("example", [path.name for path in EXAMPLES])
 def test_each_example_is_checked_and_demonstrated_in_a_folder_of_its_own(tmp_path, example):
     folder = copy(example, tmp_path)
@@ -65,6 +66,7 @@ def test_each_example_is_checked_and_demonstrated_in_a_folder_of_its_own(tmp_pat
     assert "NOT as expected" not in made.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("example", [path.name for path in EXAMPLES])
 def test_each_example_s_own_tests_pass(tmp_path, example):
     folder = copy(example, tmp_path)
@@ -126,7 +128,9 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("case", BROKEN)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.long if k else ()) for k, case in enumerate(BROKEN)]
+)
 def test_a_broken_one_is_one_clear_line_and_the_rest_runs(tmp_path, case):
     text, told = BROKEN[case]
     folder = copy("battery_voltage", tmp_path)

@@ -18,7 +18,9 @@ SEEDS = [int(os.environ["GATEWAY_SEED"])] if "GATEWAY_SEED" in os.environ else r
 SECONDS = 30.0
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.long if k else ()) for k, seed in enumerate(SEEDS)]
+)
 def test_nothing_is_lost_and_nothing_is_silent(seed, tmp_path):
     schedule = schedule_for(seed, SECONDS - QUIET_S)
     print(text_of(schedule))
@@ -33,6 +35,7 @@ def test_a_schedule_can_be_read_again():
     assert draw(2, 60.0) != schedule
 
 
+@pytest.mark.long
 def test_the_same_seed_is_the_same_run(tmp_path):
     """Or a failure could not be repeated."""
     told = []

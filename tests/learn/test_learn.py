@@ -178,6 +178,7 @@ def gateway(*arguments, cwd):
     )
 
 
+@pytest.mark.long
 def test_the_command_learns_updates_and_keeps_a_person_s_lines(tmp_path):
     """One process each, as people do it: learn, edit, another drive."""
     log, _ = made(tmp_path)

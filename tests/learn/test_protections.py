@@ -162,6 +162,7 @@ def test_crcs_of_any_polynomial_are_recovered(width):
         assert judged(made[500:], found.claim.protection).good.all(), f"seed {seed}"
 
 
+@pytest.mark.long
 def test_nothing_is_claimed_for_random_bytes():
     """Messages that look protected (a field called CHECKSUM, a counter) and whose bytes are chance."""
     count = amount(1000, 60)

@@ -65,12 +65,14 @@ def test_the_same_tests_on_a_bus(project, tmp_path):
     assert seen[0x7E8] > 0, "its answer"
 
 
+@pytest.mark.long
 def test_workers_do_not_share_a_bus(project):
     code, said = run(project, "--gateway-bus", "virtual:x", "-n", "2", "scenarios/healthy.toml")
     assert code == 4
     assert "cannot share a bus" in said, said
 
 
+@pytest.mark.long
 def test_what_is_no_bus_is_told(project):
     code, said = run(project, "--gateway-bus", "nowhere:x", "scenarios/healthy.toml")
     assert code == 1
