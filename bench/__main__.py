@@ -1,7 +1,7 @@
-"""The tables of figures in README.md, measured here and now, with machine and date.
+"""The tables of figures in docs/performance.md, measured here and now, with machine and date.
 
     python bench                the table of engine.py and that of live.py, printed
-    python bench --readme       the same, written into README.md between its two marks
+    python bench --write        the same, written into docs/performance.md between its two marks
 
 A table is never written by hand: the marks and what they enclose are replaced as a whole.
 """
@@ -17,8 +17,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-README = ROOT / "README.md"
-BEGIN, END = "<!-- python bench --readme: begin -->", "<!-- python bench --readme: end -->"
+PAGE = ROOT / "docs" / "performance.md"
+BEGIN, END = "<!-- python bench --write: begin -->", "<!-- python bench --write: end -->"
 
 
 def rows_of(name: str, *options: str) -> tuple[list[dict], str]:
@@ -73,21 +73,21 @@ def replaced(text: str, table: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end or BEGIN in after or END in after:
-        sys.exit(f"{README.name}: needs the lines {BEGIN} and {END}, once each")
+        sys.exit(f"{PAGE.name}: needs the lines {BEGIN} and {END}, once each")
     return f"{before}{BEGIN}\n{table}\n{END}{after}"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python bench", description=__doc__.splitlines()[0])
-    parser.add_argument("--readme", action="store_true", help="write the tables into README.md")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/performance.md")
     parser.add_argument("--seconds", default="5", help="of each point of live.py")
     options = parser.parse_args()
     engine, machine = rows_of("engine.py")
     live, _ = rows_of("live.py", "--seconds", options.seconds)
     told = f"{processor()}, {machine}; {datetime.datetime.now(tz=datetime.UTC):%Y-%m-%d}:"
     table = "\n".join([told, "", *engine_table(engine), "", *live_table(live)])
-    if options.readme:
-        README.write_text(replaced(README.read_text(), table))
+    if options.write:
+        PAGE.write_text(replaced(PAGE.read_text(), table))
     print(table)
 
 

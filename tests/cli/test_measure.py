@@ -1,4 +1,4 @@
-"""``gateway doctor --bench`` and the tables of README: what is measured is told, and nothing else."""
+"""``gateway doctor --bench`` and the tables of docs/performance.md: what is measured is told, and nothing else."""
 
 import importlib.util
 import json
@@ -65,6 +65,6 @@ def test_a_table_replaces_what_stood_between_the_marks_and_nothing_else():
             made.replaced(wrong, "new")
 
 
-def test_readme_has_the_marks():
+def test_the_page_has_the_marks():
     made = tables()
-    assert "x" in made.replaced((ROOT / "README.md").read_text(), "x")
+    assert "x" in made.replaced(made.PAGE.read_text(), "x")
