@@ -1,0 +1,51 @@
+"""Links of README.md, CONTRIBUTING.md and docs: what they point at is there, and the index lists every page."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
+FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def prose(page):
+    """Return a page without its blocks of code, in which brackets and # mean something else."""
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
+
+
+def anchors(page):
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken(page, text):
+    """Return the relative links in the text of a page whose file or heading does not exist."""
+    found = []
+    for link in LINK.findall(text):
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        if not target.exists() or (anchor and anchor not in anchors(target)):
+            found.append(link)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_links_point_at_exists(page):
+    assert broken(page, prose(page)) == []
+
+
+def test_broken_links_are_found():
+    text = "[a](gone.md) [b](daemon.md#gone) [c](#gone) [d](daemon.md#the-clock) [e](https://example.org/gone.md)"
+    assert broken(DOCS / "page.md", text) == ["gone.md", "daemon.md#gone", "#gone"]
+
+
+def test_the_index_lists_every_page():
+    listed = {link.partition("#")[0] for link in LINK.findall(prose(DOCS / "README.md"))}
+    assert {page.name for page in DOCS.glob("*.md")} - {"README.md"} <= listed
