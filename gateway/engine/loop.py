@@ -129,7 +129,7 @@ def advance_time_debounce(T: Any, due: int, fault: int) -> None:
                 T.ring[place].evidence[e] = d.evidence[e]
 
 
-@kernel
+@kernel(inlined=False)
 def run_timers(T: Any, t_ns: int) -> None:
     """Run every timer due at or before ``t_ns``, in order of deadline, each at its own time."""
     while True:
@@ -229,7 +229,7 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
             mark_not_tested(T, t_ns, h)
 
 
-@kernel
+@kernel(inlined=False)
 def take_reports(T: Any) -> None:
     """Debounce the results that the gateway reports of itself, at the time it is."""
     clock = T.clock[0]

@@ -199,11 +199,15 @@ class Kernel:
                 self._entries[arguments] = self._ready(arguments)
             return self._entries[arguments]
 
+    @property
+    def keys(self) -> dict[str, str]:
+        """Digest of each signature for which there is code in this process -> the key of that code, from the sources."""
+        return {signature: self._key(signature) for signature in map(_signature, self._entries)}
+
     def _ready(self, arguments: tuple[Form, ...]) -> Entry:
         from gateway.jit import machine  # noqa: PLC0415 - not where nothing is compiled
 
-        text = ",".join(map(text_of, arguments))
-        signature = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+        signature = _signature(arguments)
         code = self._shipped(signature)
         if code is None:
             code = self._made(arguments, signature)
@@ -270,6 +274,11 @@ class Kernel:
         with progress.compiling(self._file(), len(self.closure.kernels)) as lowered:
             module, result = lower(self, arguments, symbol_of(key), lowered)
             return machine.optimise(module), text_of(result)
+
+
+def _signature(arguments: tuple[Form, ...]) -> str:
+    """Return the digest of the forms of a kernel's arguments."""
+    return hashlib.blake2b(",".join(map(text_of, arguments)).encode(), digest_size=8).hexdigest()
 
 
 class Same(NamedTuple):

@@ -3,7 +3,8 @@
 ``NUMBA_DISABLE_JIT=1``: as plain Python, for a debugger. ``GATEWAY_BOUNDSCHECK=1``: compiled with every index checked.
 ``GATEWAY_CACHE_DIR`` (else ``NUMBA_CACHE_DIR``, else the user's cache directory): where compiled kernels are kept.
 ``GATEWAY_KERNELS=shipped``: nothing may be compiled; a kernel that would have to be is an error (tests).
-``GATEWAY_KERNELS=source``: what is shipped is not used, and bitcode is kept beside the code (``scripts/precompile``).
+``GATEWAY_KERNELS=source``: what is shipped is not used; ``GATEWAY_KERNELS=changed``: it is where its key still fits. With
+both, bitcode is kept beside what is compiled (``scripts/precompile``).
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ COMPILED: bool = LOADABLE and not _on("NUMBA_DISABLE_JIT")
 BOUNDSCHECK: bool = _on("GATEWAY_BOUNDSCHECK")
 
 #: Whether code is made to be shipped; whether what is shipped is used, and whether what is not may be compiled.
-BUILDING: bool = os.environ.get("GATEWAY_KERNELS") == "source"
-USE_SHIPPED: bool = not BUILDING and not BOUNDSCHECK
+BUILDING: bool = os.environ.get("GATEWAY_KERNELS") in ("source", "changed")
+USE_SHIPPED: bool = os.environ.get("GATEWAY_KERNELS") != "source" and not BOUNDSCHECK
 MAY_COMPILE: bool = os.environ.get("GATEWAY_KERNELS") != "shipped"
 
 

@@ -57,7 +57,7 @@ def skip_settled_windows(T: Any, t_ns: int, h: Any) -> None:
         h.deadline_ns = h.until[STEP_FAULT]
 
 
-@kernel
+@kernel(inlined=False)
 def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
     """Judge what a bus says of itself."""
     clock = T.clock[0]

@@ -68,7 +68,7 @@ def skip_settled_timeouts(T: Any, t_ns: int, c: Any) -> None:
         c.silent_ns += skipped * c.timeout_ns
 
 
-@kernel
+@kernel(inlined=False)
 def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
     """Forget what a gap in the frames of a bus would make look like a fault of the senders.
 

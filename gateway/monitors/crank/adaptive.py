@@ -96,7 +96,7 @@ def recount(s: State, c: Const, number: int) -> None:
         s.hole = 1
 
 
-@kernel
+@kernel(inlined=False)
 def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval between two pulses.
 

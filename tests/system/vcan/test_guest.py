@@ -2,9 +2,11 @@
 
 Debian's user-mode-linux boots with the host's files in some seconds, without privileges. Tests in it run in real time
 and mostly wait: in each kernel several lanes run beside each other, each in a network namespace with a vcan0 to vcan2
-of its own. In CI its absence is a failure. Debian's kernel does not know the registers of a processor with AMX: ptrace_xsave.c is loaded
-before its C library, on every machine, and adds what it leaves out. On a machine with a vcan0 of its own the marked tests run directly:
+of its own. In CI its absence is a failure. On a machine with a vcan0 of its own the marked tests run directly:
 ``pytest -m vcan`` as root, with vcan0 to vcan2 (mtu 72) up.
+
+The kernel does not know the registers of a processor with AMX. ptrace_xsave.c adds them; it is loaded before the
+kernel's C library, on every machine.
 """
 
 import errno
