@@ -201,7 +201,7 @@ class Kernel:
 
     @property
     def keys(self) -> dict[str, str]:
-        """Digest of each signature for which there is code in this process -> the key of that code, from the sources."""
+        """Digest of each signature that has code in this process -> the key of that code, from the sources."""
         return {signature: self._key(signature) for signature in map(_signature, self._entries)}
 
     def _ready(self, arguments: tuple[Form, ...]) -> Entry:
