@@ -20,7 +20,7 @@ import crccheck
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from gateway.bus.base import Statistics
+from gateway.bus.base import Bus, Statistics
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import empty, to_message
 from gateway.common.resources import shipped
@@ -28,6 +28,9 @@ from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
 from gateway.fdi.wheel import Wheel
+from gateway.live.clock import Clock
+from gateway.live.link import Link
+from gateway.live.loop import Live
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 from gateway.signals.database import load_database
@@ -101,26 +104,83 @@ def replay_path(frames, chunk=100_000):
     return seconds
 
 
-def live_path(frames, batch):
-    """can_frame datagrams from a socket into batches into the gateway; only the receiver is timed."""
+class SocketBus(Bus):
+    """A bus whose frames come through one end of a pair of sockets, as those of SocketCAN through theirs."""
+
+    def __init__(self, uri, index, end):
+        super().__init__(uri, index)
+        self._end = end
+        self._receiver = RawReceiver(end, self.statistics)
+
+    def fileno(self):
+        return self._end.fileno()
+
+    def receive(self, out):
+        return self._receiver.receive(out, self.index)
+
+    def send(self, frames):
+        return len(frames)  # the DTC frame of each second: what it costs to send is the system's
+
+    def close(self):
+        self._end.close()
+
+
+def pair():
+    """Two ends of a socket that keeps datagrams apart; the first is the receiver's."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
     ours.setblocking(False)
-    gateway = Gateway(load_config(shipped("gateway.toml")))
-    receiver = RawReceiver(ours, Statistics())
-    out = empty(batch + 1)
+    return ours, theirs
+
+
+def timed(frames, batch, theirs, take):
+    """Send frames in batches; returns the seconds that it takes to take them."""
     datagrams = [pack(frame) for frame in frames]
-    gateway.start(0)
     seconds = 0.0
     for k in range(0, len(datagrams), batch):
         part = datagrams[k : k + batch]
         for datagram in part:
             theirs.send(datagram)
         begun = time.perf_counter()
+        take(len(part))
+        seconds += time.perf_counter() - begun
+    return seconds
+
+
+def turn_path(frames, batch):
+    """The daemon's loop: wait for the bus, receive, stamps, engine, servers; only its turns are timed."""
+    ours, theirs = pair()
+    clock = Clock()
+    link = Link("bench:", 0, "powertrain", lambda uri, index: SocketBus(uri, index, ours), clock)
+    link.start()
+    gateway = Gateway(load_config(shipped("gateway.toml")), lasting=True)
+    gateway.start(clock.now())
+    live = Live(gateway, [link], lambda event: None, clock=clock)
+    live.turn()  # RUNNING
+
+    seconds = timed(frames, batch, theirs, lambda count: live.turn())
+    assert gateway.engine.counters()["decoded"] == len(frames)
+    live.close()
+    link.close()
+    theirs.close()
+    gateway.close()
+    return seconds
+
+
+def receive_and_feed_path(frames, batch):
+    """Frames from a socket into the gateway, without the loop around it: no wait, stamps, clock or poll of servers."""
+    ours, theirs = pair()
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    receiver = RawReceiver(ours, Statistics())
+    out = empty(batch + 1)
+    gateway.start(0)
+
+    def take(sent):
         count = receiver.receive(out, 0)
         gateway.feed(out[:count])
-        seconds += time.perf_counter() - begun
-        assert count == len(part)
+        assert count == sent
+
+    seconds = timed(frames, batch, theirs, take)
     assert gateway.engine.counters()["frames"] == len(frames)
     ours.close()
     theirs.close()
@@ -164,9 +224,10 @@ def main():
         begun = time.perf_counter()
         user_loop(messages)
         measure("python-can + cantools + filterpy", len(messages), time.perf_counter() - begun)
-        measure("live, 1 frame a batch", len(live) // 4, live_path(live[: len(live) // 4], 1))
-        measure("live, 8 frames a batch", len(live), live_path(live, 8))
-        measure(f"live, {BATCH} frames a batch", len(live), live_path(live, BATCH))
+        for name, path in (("live loop", turn_path), ("receive + feed", receive_and_feed_path)):
+            measure(f"{name}, 1 frame a batch", len(live) // 4, path(live[: len(live) // 4], 1))
+            for batch in (8, BATCH):
+                measure(f"{name}, {batch} frames a batch", len(live), path(live, batch))
         measure("replay, whole gateway", len(frames), replay_path(frames))
         measure("loop: decode 6 signals", len(frames), engine_path(frames, 0, every_signal=True))
         measure(
