@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -13,6 +11,7 @@ from contextlib import contextmanager
 
 import paho.mqtt.client as mqtt
 import pytest
+from debian import program
 from kernel_can import wait_for
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -21,14 +20,10 @@ from gateway.serve.mqtt import BrokerSettings, Publisher, topic_part
 
 pytestmark = pytest.mark.system
 
-MOSQUITTO = os.environ.get("GATEWAY_MOSQUITTO") or shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-
 
 @pytest.fixture(autouse=True)
 def _needs_broker():
-    if MOSQUITTO is None:
-        assert not os.environ.get("CI"), ".ci/run installs mosquitto"
-        pytest.skip("no mosquitto: apt-get install mosquitto")
+    program("mosquitto")
 
 
 @pytest.fixture
@@ -43,7 +38,9 @@ def broker(folder, port):
     """A broker that keeps nothing when it ends."""
     config = folder / "mosquitto.conf"
     config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
-    started = subprocess.Popen([MOSQUITTO, "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    started = subprocess.Popen(
+        [program("mosquitto"), "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
 
         def answers():

@@ -1,8 +1,6 @@
 """Debian's Prometheus scrapes a gateway: what the dashboard and the alert rules ask for is answered."""
 
 import json
-import os
-import shutil
 import socket
 import subprocess
 import urllib.parse
@@ -11,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from debian import program
 from kernel_can import wait_for
 from processes import GATEWAY, bus, process
 
@@ -75,10 +74,7 @@ def failing_gateway(folder):
 @contextmanager
 def prometheus(folder, page):
     """Prometheus with the shipped configuration, but for the address of the page and the pace; yields its API."""
-    program = os.environ.get("GATEWAY_PROMETHEUS") or shutil.which("prometheus")
-    if program is None:
-        assert not os.environ.get("CI"), ".ci/run installs prometheus"
-        pytest.skip("no prometheus: apt-get install prometheus")
+    server = program("prometheus")
     rules = DEPLOY / "prometheus" / "gateway.rules.yml"
     text = (DEPLOY / "prometheus" / "prometheus.yml").read_text()
     for shipped, here in (
@@ -93,7 +89,7 @@ def prometheus(folder, page):
         probe.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{probe.getsockname()[1]}"
     started = subprocess.Popen(
-        [program, f"--config.file={folder / 'prometheus.yml'}", f"--storage.tsdb.path={folder / 'tsdb'}",
+        [server, f"--config.file={folder / 'prometheus.yml'}", f"--storage.tsdb.path={folder / 'tsdb'}",
          f"--web.listen-address={address}", "--log.level=error"],
         stderr=(folder / "prometheus.log").open("w"),
     )  # fmt: skip

@@ -5,24 +5,18 @@ import os
 import shutil
 from contextlib import contextmanager
 
-import pytest
+from debian import program
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
-
-CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"
-THERE = all(map(os.path.exists, (CHROMIUM, DRIVER)))
-
-#: In CI it is there (.ci/run), or the tests fail.
-needs_browser = pytest.mark.skipif(
-    not THERE and not os.environ.get("CI"), reason="no chromium: apt-get install chromium chromium-driver"
-)
 
 
 @contextmanager
 def browser(folder, *, width=1400, height=1400, phone=False):
     """Open a browser of its own, without a screen; it keeps what the page asked for."""
+    packages = ("chromium", "chromium-driver")
     options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
+    options.binary_location = program("chromium", *packages)
+    driver_program = program("chromedriver", *packages)
     profile = folder / "profile"
     for argument in (
         "--headless=new", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run",
@@ -34,7 +28,7 @@ def browser(folder, *, width=1400, height=1400, phone=False):
         metrics = {"width": 390, "height": 844, "pixelRatio": 2}
         options.add_experimental_option("mobileEmulation", {"deviceMetrics": metrics})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    driver = webdriver.Chrome(options=options, service=Service(driver_program))
     driver.set_page_load_timeout(300)
     driver.set_script_timeout(300)
     try:

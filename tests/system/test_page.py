@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
-from browser import asked_for, browser, complaints, needs_browser
+from browser import asked_for, browser, complaints
 from kernel_can import wait_for
 from processes import bus, gateway, process
 from selenium.webdriver.common.by import By
@@ -23,7 +23,7 @@ from testers import isotp_stack
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
 
-pytestmark = [pytest.mark.system, needs_browser]
+pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
 DTC = "P0336-39"
