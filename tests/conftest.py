@@ -5,21 +5,27 @@ import os
 
 import pytest
 from amount import SMALL, examples
-from hypothesis import settings
 
 from gateway.common import log
 from gateway.jit import BOUNDSCHECK, COMPILED
 
-# Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
-for _name, _repeated in (("local", False), ("ci", True)):
-    settings.register_profile(_name, deadline=None, print_blob=True, derandomize=_repeated)
-    settings.register_profile(
-        f"{_name}-small",
-        settings.get_profile(_name),
-        max_examples=examples(100),
-        stateful_step_count=20,
-    )
-settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if SMALL else ""))
+
+def pytest_configure(config):
+    """Say how many examples hypothesis tries; where its plugin is not loaded (a test kernel), it is not imported."""
+    if not config.pluginmanager.hasplugin("hypothesispytest"):
+        return
+    from hypothesis import settings
+
+    # Machines are slow and shared: no test fails for being slow. In CI the same examples come every time.
+    for name, repeated in (("local", False), ("ci", True)):
+        settings.register_profile(name, deadline=None, print_blob=True, derandomize=repeated)
+        settings.register_profile(
+            f"{name}-small",
+            settings.get_profile(name),
+            max_examples=examples(100),
+            stateful_step_count=20,
+        )
+    settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if SMALL else ""))
 
 
 def pytest_collection_modifyitems(config, items):

@@ -174,7 +174,8 @@ def test_healthy_channels_are_never_isolated(seed, hertz, channels):
     y = digitised(y * gains + rng.uniform(-0.008, 0.008, channels))
     result = run(*voter(channels), y)
     assert not result["isolated"].any()
-    assert (result["used"][5:] == (1 << channels) - 1).mean() > 0.995
+    left_out = (result["used"][5:] != (1 << channels) - 1).sum()
+    assert left_out <= max(0.005 * len(y), 3)  # of a short drive 0.5 % is less than one sample
 
 
 @pytest.mark.parametrize(("apart", "drift"), [(0.03, 0), (0.045, 0), (0.2, 1), (0.45, 1)])

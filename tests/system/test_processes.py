@@ -7,6 +7,7 @@ from contextlib import ExitStack
 import can
 import cantools
 import pytest
+from command import command
 from processes import bus, gateway, process
 from scenario_runs import unhurried
 
@@ -81,7 +82,8 @@ def test_a_socketcand_client_of_python_can_sees_the_dtc_frames(tmp_path):
         assert "U0100-87" in seen, "then the missing message"
 
 
-def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):
+def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.toml").write_text('[[bus]]\nname = "x"\nuri = "loopback:"\nfoo = 1\n')
     (tmp_path / "bad.log").write_text("nonsense\n")
     cases = [
@@ -101,10 +103,12 @@ def test_bad_usage_and_bad_input_end_with_2_and_one_clear_line(tmp_path):
         (("simulate",), "Missing argument"),
     ]
     for arguments, said in cases:
-        ended = gateway(*arguments, cwd=tmp_path)
-        assert ended.returncode == 2, (arguments, ended.stdout, ended.stderr)
-        assert said in ended.stderr, (arguments, ended.stderr)
-        assert "Traceback" not in ended.stderr
+        ended = command(capsys, monkeypatch, *arguments)
+        assert ended.code == 2, (arguments, ended)
+        assert said in ended.err, (arguments, ended)
+    ended = gateway("check", "bad.toml", cwd=tmp_path)  # and so ends the process
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
 
 
 def test_the_demo_shows_the_whole_chain(tmp_path):
@@ -126,27 +130,32 @@ def test_the_demo_shows_the_whole_chain(tmp_path):
     assert "speed [rpm]" in text
 
 
-def test_commands_for_scripts(tmp_path):
-    inside = gateway("simulate", "crank_missed_tooth", "--bus", "inside", "--check", "--json",
-                     "--record", "d.log", cwd=tmp_path)  # fmt: skip
-    assert inside.returncode == 0, inside.stderr
-    kinds = [json.loads(line)["event"] for line in inside.stdout.splitlines()]
+def test_commands_for_scripts(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        return command(capsys, monkeypatch, *arguments)
+
+    inside = run("simulate", "crank_missed_tooth", "--bus", "inside", "--check", "--json",
+                     "--record", "d.log")  # fmt: skip
+    assert inside.code == 0, inside.err
+    kinds = [json.loads(line)["event"] for line in inside.out.splitlines()]
     assert kinds.count("dtc") == 2
     assert kinds[-1] == "expectation"
     for flag, code in (((), 0), (("--fail-on-dtc",), 1)):
-        ended = gateway("replay", "d.log", "--memory", "f.sqlite", *flag, cwd=tmp_path)
-        assert ended.returncode == code, ended.stderr
-        assert "DTCs: P0336-39" in ended.stdout
-    shown = gateway("faults", "show", "P0336-39", "--memory", "f.sqlite", cwd=tmp_path)
-    assert "freeze frame 1 (first failure)" in shown.stdout
-    healthy = gateway("simulate", "crank_healthy", "--bus", "inside", "--record", "h.log", cwd=tmp_path)
-    assert healthy.returncode == 0
-    assert gateway("replay", "h.log", "--fail-on-dtc", cwd=tmp_path).returncode == 0
-    good = json.loads(gateway("check", "--json", cwd=tmp_path).stdout)
+        ended = run("replay", "d.log", "--memory", "f.sqlite", *flag)
+        assert ended.code == code, ended.err
+        assert "DTCs: P0336-39" in ended.out
+    shown = run("faults", "show", "P0336-39", "--memory", "f.sqlite")
+    assert "freeze frame 1 (first failure)" in shown.out
+    healthy = run("simulate", "crank_healthy", "--bus", "inside", "--record", "h.log")
+    assert healthy.code == 0
+    assert run("replay", "h.log", "--fail-on-dtc").code == 0
+    good = json.loads(run("check", "--json").out)
     assert good["ok"]
     assert {"fault": "crank.missed_pulse", "dtc": "P0336-39"}.items() <= good["faults"][0].items()
-    assert "properties" in json.loads(gateway("check", "--schema", cwd=tmp_path).stdout)
-    facts = json.loads(gateway("doctor", "--json", cwd=tmp_path).stdout)
+    assert "properties" in json.loads(run("check", "--schema").out)
+    facts = json.loads(run("doctor", "--json").out)
     assert facts["kernels"]["compiled"] is True
     assert facts["kernels"]["shipped"] > 20
     assert gateway("--version", cwd=tmp_path).stdout.startswith("gateway ")
