@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -49,6 +50,9 @@ WORDS = {
     "machine_voltage_sensor": "voltage sensor of the electric machine is wrong",
 }
 
+#: A unit at the end of a description: "torque of a jam [N m]".
+_UNIT = re.compile(r"\[([^][ ']+(?: [^][ ']+)?)\]$")
+
 #: Fields of a fault that say what it is a fault of.
 _SUBJECTS = ("signal", "message", "input", "name", "place", "channel")
 
@@ -65,9 +69,11 @@ def injected(fact: Truth, scenario: Scenario) -> str:
     of_kind, what = _parted(kind)
     known = {} if fault is None else {key: value for key, value in fault if value is not None and value != "*"}
     subject = _subject(known, of_kind)
-    details = [f"{key} {known[key]:g}" for key in ("size", "rate", "probability") if key in _given(fault)]
+    details = [] if fault is None else [_detail(fault, key) for key in _details(fault)]
     if fact.tooth >= 0:
         details += [f"{fact.count} at tooth {fact.tooth}"]
+    if known.get("when"):
+        details += [f"while {known['when']}"]
     if "to_s" in known:
         details += [f"until {known['to_s']:g} s"]
     return ", ".join([f"{subject}: {what}" if subject else what, *details])
@@ -86,9 +92,18 @@ def _begins_ns(fault: Any) -> int:
     return round(1e9 * (getattr(fault, "at_s", None) or 0.0 if begins is None else begins))
 
 
-def _given(fault: Any) -> set[str]:
-    """Return which fields the scenario gives."""
-    return set() if fault is None else set(fault.model_fields_set)
+def _details(fault: Any) -> list[str]:
+    """Return the fields that say how much, as far as the scenario gives them."""
+    told = {"kind", "ecu", "bus", "from_s", "to_s", "at_s", "when", "count", "tooth", *_SUBJECTS}
+    given = [key for key in type(fault).model_fields if key in fault.model_fields_set - told]
+    return [key for key in given if isinstance(getattr(fault, key), int | float) and getattr(fault, key) is not True]
+
+
+def _detail(fault: Any, key: str) -> str:
+    """Return a field with its value, and its unit where its description ends with one in brackets."""
+    found = _UNIT.search(type(fault).model_fields[key].description or "")
+    name, unit = (key, "") if found is None else (key.removesuffix(f"_{found[1]}"), f" {found[1]}")
+    return f"{name.replace('_', ' ')} {getattr(fault, key):g}{unit}"
 
 
 def _parted(kind: str) -> tuple[str, str]:

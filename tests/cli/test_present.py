@@ -12,7 +12,7 @@ from gateway.common.resources import shipped
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
 from gateway.vecu.contract import Truth
-from gateway.vecu.message_faults import KINDS
+from gateway.vecu.message_faults import KINDS, MessageFault
 from gateway.vecu.registry import VIRTUAL_ECUS
 from gateway.vecu.scenario import WireFault, load_scenario
 from gateway.vecu.words import WORDS, injected
@@ -147,3 +147,13 @@ def test_every_kind_of_fault_has_words():
 )  # fmt: skip
 def test_an_injected_fault_in_words(scenario, fact, text):
     assert injected(fact, load_scenario(shipped(f"scenarios/{scenario}.toml"))) == text
+
+
+def test_what_a_fault_s_own_keys_say_is_told_with_their_units():
+    healthy = load_scenario(shipped("scenarios/crank_healthy.toml"))
+    late = WireFault(kind="late", message="0x700", from_s=1, delay_ms=40, probability=0.5)
+    told = injected(Truth(1_000_000_000, "late", 3), healthy.model_copy(update={"wire": (late,)}))
+    assert told == "0x700: frames come late, probability 0.5, delay 40 ms"
+    fault = {"kind": "noise", "ecu": "engine", "signal": "A.X", "size": 2, "when": "A.Y > 1"}
+    noisy = healthy.model_copy(update={"fault": (MessageFault(**fault),)})
+    assert injected(Truth(5, "noise", 3), noisy) == "A.X: is noisy, size 2, while A.Y > 1"
