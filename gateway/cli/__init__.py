@@ -526,6 +526,13 @@ def record(
     )
 
 
+INJECT_HELP = (
+    "Inject a fault into the frames, from and to a time [s]: 'drop SPEED @10..12', 'offset SPEED.SPEED=40 @10'; "
+    "kinds: drop, repeat, freeze, flip, stuck, offset, value, jump; may be repeated."
+)
+MemoryOfReplay = Annotated[
+    Path | None, typer.Option("--memory", help="SQLite file of a fault memory to use; default: none is used.")
+]
 SeriesOption = Annotated[
     Path | None,
     typer.Option(
@@ -554,9 +561,7 @@ def replay(
         ),
     ] = None,
     maps: Maps = None,
-    memory: Annotated[
-        Path | None, typer.Option("--memory", help="SQLite file of a fault memory to use; default: none is used.")
-    ] = None,
+    memory: MemoryOfReplay = None,
     allow_empty: Annotated[
         bool,
         typer.Option("--allow-empty", help="Accept a log without a frame of a configured bus."),
@@ -573,9 +578,7 @@ def replay(
         list[str] | None,
         typer.Option(
             metavar="FAULT",
-            help="Inject a fault into the frames, from and to a time [s]: 'drop SPEED @10..12', "
-            "'offset SPEED.SPEED=40 @10'; kinds: drop, repeat, freeze, flip, stuck, offset, value, jump; "
-            "may be repeated.",
+            help=INJECT_HELP,
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the injected faults.")] = 1,

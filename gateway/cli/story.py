@@ -111,9 +111,10 @@ class Story(EventPrinter):
             scenario: as it was asked for.
         """
         wrong = sum(not finding.good for finding in findings)
-        verdict = (
-            "nothing was expected" if not findings else "all as expected" if not wrong else f"{wrong} NOT as expected"
-        )
+        judged = bool(findings) or self._scenario.unexpected == "fail"
+        verdict = "all as expected" if judged else "nothing is expected of it"
+        if wrong:
+            verdict = f"{wrong} NOT as expected"
         self._lines.print(
             f"Conclusion: {_counted(self._injected, 'fault')} injected,"
             f" {_counted(len(self._set), 'DTC')} set: {verdict}.",
@@ -127,7 +128,7 @@ class Story(EventPrinter):
 
 
 def _counted(count: int, what: str) -> str:
-    return f"{count or 'no'} {what}{'' if count == 1 else 's'}"
+    return f"{count or 'no'} {what}{'s' if count > 1 else ''}"
 
 
 def _duration(seconds: float) -> str:
