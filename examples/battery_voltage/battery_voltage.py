@@ -68,8 +68,8 @@ def faults(_: Params) -> tuple[Fault, ...]:
     """Return what it can report, in the order of the numbers above; failure types 16, 17 of SAE J2012-DA."""
     debounce = Debounce(failed_after=5, passed_after=5)
     return (
-        Fault("low", "P0562-16", "battery voltage below its limit", labels(Evidence), debounce),
-        Fault("high", "P0563-17", "battery voltage above its limit", labels(Evidence), debounce),
+        Fault("low", "P0562-16", "battery voltage below its limit", labels(Evidence), debounce, tested="voltage [V]"),
+        Fault("high", "P0563-17", "battery voltage above its limit", labels(Evidence), debounce, tested="voltage [V]"),
     )
 
 

@@ -98,8 +98,15 @@ def faults(_: Params) -> tuple[Fault, ...]:
     """Return what it can report, in the order of the numbers above."""
     sure = Debounce(failed_after=SURE, passed_after=SURE)
     return (
-        Fault("speed", "C1B40-64", "speed sensor contradicts the current", labels(Evidence), sure),
-        Fault("jam", "C1B41-72", "load is more than the drive can have", labels(Evidence), sure),
+        Fault(
+            "speed",
+            "C1B40-64",
+            "speed sensor contradicts the current",
+            labels(Evidence),
+            sure,
+            tested="innovation [rad/s]",
+        ),
+        Fault("jam", "C1B41-72", "load is more than the drive can have", labels(Evidence), sure, tested="load [N m]"),
     )
 
 

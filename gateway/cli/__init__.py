@@ -24,15 +24,17 @@ app = typer.Typer(
     name="gateway",
     cls=Commands,
     rich_markup_mode=None,  # it takes units in brackets, [s], for markup, and swallows them
-    help="CAN-bus ECU diagnostic gateway: fault detection, fault memory, DTCs back on the bus.",
+    help="Diagnostic gateway for ECUs on CAN buses: it finds faults, stores them, and reports their DTCs on the bus.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
-fleet_app = typer.Typer(help="Judge the logs of many cars.", no_args_is_help=True, rich_markup_mode=None)
+fleet_app = typer.Typer(
+    help="Run the logs of many cars through the monitors.", no_args_is_help=True, rich_markup_mode=None
+)
 convert_app = typer.Typer(
-    help="Turn recordings into CAN logs.",
+    help="Convert recordings into CAN logs.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -40,32 +42,38 @@ app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
 app.add_typer(fleet_app, name="fleet")
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text: one document, on one line.")]
-JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines instead of text: one event a line.")]
-FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with 1 if a DTC was set.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, on one line, instead of text.")]
+JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines, one event per line, instead of text.")]
+FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with code 1 if a DTC was set.")]
 ConfigArgument = Annotated[
-    Path | None, typer.Argument(help="Configuration; default: gateway.toml here, else the shipped.")
+    Path | None,
+    typer.Argument(help="Configuration file; default: gateway.toml in this folder, or else the shipped one."),
 ]
-MemoryOption = Annotated[Path | None, typer.Option("--memory", help="SQLite file of the fault memory.")]
+MemoryOption = Annotated[
+    Path | None, typer.Option("--memory", help="SQLite file of the fault memory; default: as configured.")
+]
 Maps = Annotated[
     list[str] | None,
     typer.Option(
         "--map",
         metavar="CHANNEL=BUS",
-        help="Take a channel of the log as a bus of the configuration; may be repeated.",
+        help="Read this channel of the log as this bus of the configuration; may be repeated.",
     ),
 ]
 StatusOption = Annotated[
     Path | None,
-    typer.Option("--status", help="Status socket; default: [status] of the configuration, or beside the fault memory."),
+    typer.Option("--status", help="Status socket; default: as configured in [status], or next to the fault memory."),
 ]
-HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report of it: one file, e.g. report.html.")]
-LOG_HELP = "candump .log, .asc, .blf, .mf4, .trc, .csv, .parquet; also as .gz, .bz2, .xz, .zst, .zip; or a folder."
+HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report into this file, e.g. report.html.")]
+LOG_HELP = (
+    "CAN log: .log (candump), .asc, .blf, .mf4, .trc, .csv, .parquet, each also as .gz, .bz2, .xz, .zst, .zip; "
+    "or a folder of segments."
+)
 LogArgument = Annotated[Path, typer.Argument(help=LOG_HELP)]
-JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file, a test case a fault.")]
-PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")]
-Seed = Annotated[int | None, typer.Option(help="Seed instead of the scenario's.")]
-ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped one.")]
+JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file with one test case per fault.")]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free port.")]
+Seed = Annotated[int | None, typer.Option(help="Seed of all randomness; default: the scenario's.")]
+ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped scenario.")]
 
 
 def _version(wanted: bool) -> None:
@@ -77,11 +85,11 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
     debug: Annotated[
         bool,
-        typer.Option("--debug", help="Show the traceback of an error of the gateway; or GATEWAY_DEBUG=1."),
+        typer.Option("--debug", help="Show tracebacks of errors (as GATEWAY_DEBUG=1 does)."),
     ] = False,
 ) -> None:
     from gateway.cli.progress import tell_of_kernels
@@ -95,16 +103,21 @@ def _main(
 @app.command()
 def demo(
     scenario: ScenarioArgument = Path("crank_missed_tooth"),
-    speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: as fast as it goes.")] = 2.0,
+    speed: Annotated[
+        float, typer.Option(min=0, help="Speed as a multiple of real time; 0: as fast as possible.")
+    ] = 2.0,
     seed: Seed = None,
-    page: Annotated[bool, typer.Option("--serve", help="Show it on a page, which stays until Ctrl-C.")] = False,
+    page: Annotated[bool, typer.Option("--serve", help="Also show the demo on a web page, until Ctrl-C.")] = False,
     port: PortOption = 8808,
     open_page: Annotated[
         bool, typer.Option("--open/--no-open", help="With --serve: open the page in a browser.")
     ] = True,
     json: JsonEvents = False,
 ) -> None:
-    """Show the whole chain in one process, virtual ECU to DTC frame."""
+    """Show how a fault is found, from virtual ECU to DTC.
+
+    Virtual ECUs and a gateway run in this process; no bus and no configuration is needed.
+    """
     from gateway.cli.simulate import demo as work
 
     shown = port if page else None
@@ -114,14 +127,14 @@ def demo(
 @app.command()
 def run(
     config: ConfigArgument = None,
-    bus: Annotated[str | None, typer.Option(help="URI instead of the configured one (one bus only).")] = None,
+    bus: Annotated[
+        str | None, typer.Option(help="URI of the bus instead of the configured one; for one bus only.")
+    ] = None,
     memory: MemoryOption = None,
-    record: Annotated[Path | None, typer.Option(help="Write every frame to this log, e.g. drive.log.")] = None,
-    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Also write every frame to this log, e.g. drive.log.")] = None,
+    duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,
     status: StatusOption = None,
-    page: Annotated[
-        bool, typer.Option("--serve", help="Show what happens on a page, in a process of its own.")
-    ] = False,
+    page: Annotated[bool, typer.Option("--serve", help="Also serve the web page, in its own process.")] = False,
     port: PortOption = 8808,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
@@ -148,25 +161,33 @@ def run(
 def serve(
     config: ConfigArgument = None,
     status: StatusOption = None,
-    host: Annotated[str, typer.Option(help="Address to listen at; not loopback: with tokens and TLS.")] = "127.0.0.1",
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; other addresses than loopback need both tokens and TLS.")
+    ] = "127.0.0.1",
     port: PortOption = 8808,
-    name: Annotated[list[str] | None, typer.Option(help="A further name of this server; may be repeated.")] = None,
+    name: Annotated[list[str] | None, typer.Option(help="One more host name of this server; may be repeated.")] = None,
     read_token_file: Annotated[
-        Path | None, typer.Option("--read-token-file", help="File of the token for reading; none: on loopback anybody.")
+        Path | None,
+        typer.Option(
+            "--read-token-file", help="File with the token for reading; default on loopback: no token is needed."
+        ),
     ] = None,
     control_token_file: Annotated[
         Path | None,
-        typer.Option("--control-token-file", help="File of the token for clearing; none: on loopback a new one, said."),
+        typer.Option(
+            "--control-token-file",
+            help="File with the control token; default on loopback: a new token, printed at start.",
+        ),
     ] = None,
-    cert: Annotated[Path | None, typer.Option("--cert", help="Certificate for TLS (PEM).")] = None,
-    key: Annotated[Path | None, typer.Option("--key", help="Its private key (PEM).")] = None,
+    cert: Annotated[Path | None, typer.Option("--cert", help="TLS certificate (PEM file).")] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="Private key of the TLS certificate (PEM file).")] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
 ) -> None:
-    """Serve the page of a running gateway.
+    """Serve the web page of a running gateway.
 
-    It shows residuals against their thresholds, DTCs with their evidence, buses and messages, and has metrics for
-    Prometheus at /metrics. The gateway may be started, stopped and started again meanwhile.
+    The page shows residuals against their thresholds, DTCs with their evidence, buses and messages. Metrics for
+    Prometheus are at /metrics. The gateway may be stopped and started again while the page is served.
     """
     from gateway.cli.serve import serve as work
 
@@ -191,12 +212,14 @@ def serve(
 def watch(
     config: ConfigArgument = None,
     status: StatusOption = None,
-    once: Annotated[bool, typer.Option("--once", help="Show it once; as where the output is no terminal.")] = False,
+    once: Annotated[
+        bool, typer.Option("--once", help="Print the state once and exit; this is the default in a pipe.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Show in the terminal what a running gateway sees.
+    """Show the state of a running gateway in the terminal.
 
-    DTCs, the tests that are nearest to a fault, buses.
+    The view has the DTCs, the tests closest to their limits, and the buses.
     """
     from gateway.cli.watch import watch as work
 
@@ -205,25 +228,33 @@ def watch(
 
 @app.command()
 def mqtt(
-    broker: Annotated[str, typer.Argument(help="HOST or HOST:PORT of the broker.")],
+    broker: Annotated[str, typer.Argument(help="Broker, as HOST or HOST:PORT.")],
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+        typer.Option(
+            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
+        ),
     ] = None,
     status: StatusOption = None,
     base: Annotated[str, typer.Option("--topic", help="First part of all topics.  [default: gateway/NAME]")] = "",
     signals: Annotated[
-        list[str] | None, typer.Option("--signal", help="A signal to tell, Message.Signal; may be repeated.")
+        list[str] | None, typer.Option("--signal", help="Also publish this signal, as Message.Signal; may be repeated.")
     ] = None,
-    rate: Annotated[float, typer.Option(min=0.01, max=20, help="How often each signal is told at most [Hz].")] = 1.0,
-    user: Annotated[str, typer.Option(help="User at the broker.")] = "",
-    password_file: Annotated[Path | None, typer.Option("--password-file", help="File of the password.")] = None,
-    tls: Annotated[bool, typer.Option("--tls", help="By TLS.")] = False,
-    ca: Annotated[Path | None, typer.Option("--ca", help="With --tls: certificates to trust (PEM).")] = None,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=20, help="Highest rate at which each signal is published [Hz].")
+    ] = 1.0,
+    user: Annotated[str, typer.Option(help="User name for the broker.")] = "",
+    password_file: Annotated[
+        Path | None, typer.Option("--password-file", help="File with the password for the broker.")
+    ] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="Connect with TLS.")] = False,
+    ca: Annotated[
+        Path | None, typer.Option("--ca", help="With --tls: file with the certificates to trust (PEM).")
+    ] = None,
 ) -> None:
-    """Tell an MQTT broker what a running gateway knows.
+    """Publish DTCs and signals of a running gateway by MQTT.
 
-    Trouble codes and online or offline as retained messages, chosen signals at a limited rate.
+    DTCs and the state (online or offline) are retained messages; chosen signals are sent at a limited rate.
     """
     from gateway.cli.mqtt import mqtt as work
 
@@ -249,29 +280,27 @@ def simulate(
     bus: Annotated[
         str | None,
         typer.Option(
-            help='Bus to drive, default that of the scenario\'s configuration; "inside": '
-            "with a gateway of its own, in this process, as fast as it goes."
+            help="URI of the bus to drive; default: as in the scenario's configuration; "
+            '"inside": run a gateway in this process, as fast as possible.'
         ),
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Exit with 1 unless the expected DTCs come.")] = False,
-    wait: Annotated[float, typer.Option(min=0, help="With --check: wait so long for a gateway [s].")] = 60.0,
-    record: Annotated[Path | None, typer.Option(help="Write the ECUs' frames to this log.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Exit with code 1 unless the expected DTCs come.")] = False,
+    wait: Annotated[float, typer.Option(min=0, help="With --check: how long to wait for a gateway [s].")] = 60.0,
+    record: Annotated[Path | None, typer.Option(help="Also write the frames of the ECUs to this log.")] = None,
     seed: Seed = None,
     html: HtmlOption = None,
     junit: Annotated[
         Path | None,
-        typer.Option(help="Write a JUnit file, a test case an expectation; as --check."),
+        typer.Option(help="Write a JUnit file with one test case per expectation; implies --check."),
     ] = None,
-    control: Annotated[
-        Path | None, typer.Option(help="Listen at this socket for signals and faults to be set (gateway control).")
-    ] = None,
+    control: Annotated[Path | None, typer.Option(help="Listen on this socket for commands of gateway control.")] = None,
     priority: Annotated[
         int | None,
-        typer.Option(min=1, max=99, help="Real-time priority (SCHED_RR): even cycles on a busy machine."),
+        typer.Option(min=1, max=99, help="Real-time priority (SCHED_RR), for even cycles on a busy machine."),
     ] = None,
     json: JsonEvents = False,
 ) -> None:
-    """Drive a bus with virtual ECUs and injected faults in real time."""
+    """Drive a bus with virtual ECUs and faults, in real time."""
     from gateway.cli.simulate import simulate as work
 
     raise typer.Exit(
@@ -296,10 +325,12 @@ def control(
     socket: Annotated[Path, typer.Argument(help="Socket of a running gateway simulate --control.")],
     words: Annotated[
         list[str] | None,
-        typer.Argument(help="set A.x=5 ..., release A.x, inject kind=lost message=A, heal; none: what is set."),
+        typer.Argument(
+            help="set A.x=5, release A.x, inject kind=lost message=A, or heal; default: list the set signals."
+        ),
     ] = None,
 ) -> None:
-    """Set signals and faults of a running simulation."""
+    """Set signals and inject faults in a running simulation."""
     from gateway.cli.control import ask, request_of
     from gateway.cli.present import print_json
 
@@ -308,26 +339,34 @@ def control(
 
 @app.command()
 def structure(
-    model: Annotated[Path, typer.Argument(help="Structural model, or the name of a shipped one: truck.")],
+    model: Annotated[
+        Path, typer.Argument(help="File of a structural model, or the name of a shipped one, e.g. truck.")
+    ],
     json: Json = False,
     plot: Annotated[Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")] = None,
     limit: Annotated[
-        int, typer.Option(min=1, help="Look at all MSO sets up to this number; of more, at as many as are enough.")
+        int,
+        typer.Option(
+            min=1, help="Search all MSO sets up to this number; if there are more, search only as many as needed."
+        ),
     ] = 20_000,
     residual: Annotated[
         str | None,
-        typer.Option(help="A residual generator's sequence and code: its name, or SET:EQUATION."),
+        typer.Option(help="Print the sequence and code of this residual generator, by its name or as SET:EQUATION."),
     ] = None,
     export: Annotated[
-        str | None, typer.Option(metavar="LANGUAGE", help="With --residual: its code in another language: c (C99).")
+        str | None, typer.Option(metavar="LANGUAGE", help="With --residual: write its code in this language: c (C99).")
     ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="With --export: the file to write.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="With --export: file to write.")] = None,
     sensors: Annotated[
         str | None,
-        typer.Option(help="Which of these unknowns to measure (a,b,c or all) so that faults are found."),
+        typer.Option(help="Choose sensors among these unknowns (a,b,c or all) so that faults can be found."),
     ] = None,
 ) -> None:
-    """Find which residual generators a model has, and what they tell."""
+    """Find the residual generators of a structural model.
+
+    It shows which faults each generator finds, and which faults can be told apart.
+    """
     from gateway.cli.structure import structure as work
 
     made = {"export": export, "output": None if output is None else str(output)}
@@ -339,21 +378,22 @@ def learn(
     files: Annotated[
         list[Path], typer.Argument(help="Databases (.dbc, .kcd, .sym, .arxml) and logs of healthy drives.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration to write.")] = Path("car.toml"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("car.toml"),
     bus: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=FILE[,FILE]", help="A bus with its databases; may be repeated."),
+        typer.Option(metavar="NAME=FILE[,FILE]", help="Name of a bus and its databases; may be repeated."),
     ] = None,
     hold_out: Annotated[
-        float, typer.Option(min=0.0, max=0.9, help="Share of each log that is kept back to prove what was learned.")
+        float,
+        typer.Option(min=0.0, max=0.9, help="Share of each log that is not learned from, but used to test the result."),
     ] = 0.3,
     maps: Maps = None,
-    pgn: Annotated[bool, typer.Option("--pgn", help="Extended identifiers match by J1939 PGN.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the faults that are put into what was kept back.")] = 1,
+    pgn: Annotated[bool, typer.Option("--pgn", help="Match extended identifiers by their J1939 PGN.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults that are injected into the test share.")] = 1,
     update: Annotated[
-        bool, typer.Option("--update", help="Add the logs to a configuration learned before; edited lines stay.")
+        bool, typer.Option("--update", help="Add the logs to a configuration learned earlier; edited lines stay.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     json: Json = False,
 ) -> None:
     """Learn a configuration from a database and healthy logs."""
@@ -377,32 +417,45 @@ def learn(
 
 @app.command()
 def calibrate(
-    config: Annotated[Path, typer.Argument(help="Configuration.")],
-    logs: Annotated[list[str], typer.Argument(help="Logs of healthy drives: files, folders, patterns as 'logs/**'.")],
+    config: Annotated[Path, typer.Argument(help="Configuration file.")],
+    logs: Annotated[
+        list[str], typer.Argument(help="Logs of healthy drives: files, folders, or patterns, e.g. 'logs/**'.")
+    ],
     mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
-    margin: Annotated[float, typer.Option(min=0.01, max=1, help="Largest healthy T of a CUSUM test over its J.")] = 0.5,
-    floor: Annotated[float, typer.Option(min=1, help="Least largest T of a CUSUM test, in units of nu.")] = 25.0,
-    into: Annotated[bool, typer.Option("--write", help="Put the thresholds into the configuration.")] = False,
+    margin: Annotated[
+        float, typer.Option(min=0.01, max=1, help="CUSUM tests: largest healthy T as a share of the threshold J.")
+    ] = 0.5,
+    floor: Annotated[
+        float, typer.Option(min=1, help="CUSUM tests: lower limit of the largest healthy T, in units of nu.")
+    ] = 25.0,
+    into: Annotated[bool, typer.Option("--write", help="Write the thresholds into the configuration.")] = False,
     write_to: Annotated[
-        Path | None, typer.Option("--write-to", help="Put them into a copy of it, a file beside it.")
+        Path | None,
+        typer.Option(
+            "--write-to", help="Write the thresholds into this copy of the configuration, in the same folder."
+        ),
     ] = None,
     parts: Annotated[
         Path | None,
-        typer.Option(help="A fleet's logs, by workers: folder that keeps what each said; only new logs are read."),
+        typer.Option(help="Folder for the result of each log, for a fleet: workers read only logs that are new."),
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="With --parts: Dask's scheduler, e.g. tcp://10.0.0.1:8786.")
+        str | None, typer.Option(help="With --parts: address of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=0, help="With --parts: processes on this machine; 0: this one; default: cores.")
+        int | None,
+        typer.Option(
+            min=0,
+            help="With --parts: number of workers on this machine; 0: none, use this process; default: one per core.",
+        ),
     ] = None,
     maps: Maps = None,
     json: Json = False,
 ) -> None:
-    """Find thresholds from healthy logs, and say how far these carry.
+    """Find thresholds from healthy logs, and how reliable they are.
 
-    Those of stopping rules and of CUSUM tests, models of plants, redundant sensors. With --parts a log that is damaged
-    or kills its worker is left out and told; without, it is an error.
+    It calibrates stopping rules, CUSUM tests, models of plants and redundant sensors. With --parts, a log that is
+    damaged or ends its worker is left out and reported; without --parts, it is an error.
     """
     from gateway.cli.calibrate import calibrate_logs as work
 
@@ -425,13 +478,13 @@ def calibrate(
 
 @app.command()
 def bus(
-    address: Annotated[str, typer.Argument(help="Loopback address and port.")] = "127.0.0.1:29536",
-    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
+    address: Annotated[str, typer.Argument(help="Loopback address and port to listen on.")] = "127.0.0.1:29536",
+    duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,
     json: JsonEvents = False,
 ) -> None:
-    """Run a CAN bus between processes, where the kernel has none.
+    """Run a CAN bus between processes, without kernel support.
 
-    It speaks the socketcand protocol, on this machine only; it does not ask local users who they are.
+    It speaks the socketcand protocol, on this machine only. Every local user can read and write frames.
     """
     from gateway.cli.bus import bus as work
 
@@ -444,16 +497,18 @@ def record(
     out: Annotated[
         Path | None, typer.Option(help="Log to write: .log, .blf, .asc, .mf4, .trc, .csv, .parquet.")
     ] = None,
-    ring: Annotated[Path | None, typer.Option(help="Folder: segments, the oldest given up for the newest.")] = None,
-    keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments [MB].")] = 256.0,
-    segment_mb: Annotated[float, typer.Option(help="With --ring: size of a segment [MB].")] = 16.0,
-    form: Annotated[str, typer.Option("--format", help="With --ring: log or blf.")] = "log",
-    duration: Annotated[float | None, typer.Option(min=0, help="End after so many seconds.")] = None,
+    ring: Annotated[
+        Path | None, typer.Option(help="Folder for a ring of segments: the newest segment replaces the oldest.")
+    ] = None,
+    keep_mb: Annotated[float, typer.Option(help="With --ring: size of all segments together [MB].")] = 256.0,
+    segment_mb: Annotated[float, typer.Option(help="With --ring: size of one segment [MB].")] = 16.0,
+    form: Annotated[str, typer.Option("--format", help="With --ring: format of the segments, log or blf.")] = "log",
+    duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,
     json: JsonEvents = False,
 ) -> None:
     """Record buses without monitoring them.
 
-    A bus that goes away is waited for.
+    If a bus goes away, the recording waits until it comes back.
     """
     from gateway.cli.record import record as work
 
@@ -471,17 +526,28 @@ def record(
     )
 
 
+INJECT_HELP = (
+    "Inject a fault into the frames, from and to a time [s]: 'drop SPEED @10..12', 'offset SPEED.SPEED=40 @10'; "
+    "kinds: drop, repeat, freeze, flip, stuck, offset, value, jump; may be repeated."
+)
+MemoryOfReplay = Annotated[
+    Path | None, typer.Option("--memory", help="SQLite file of a fault memory to use; default: none is used.")
+]
 SeriesOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Write what the monitors compute over time: .parquet or .csv (docs/series.md)."),
+    typer.Option(
+        metavar="FILE", help="Write what the monitors compute over time, as .parquet or .csv (docs/series.md)."
+    ),
 ]
 SeriesPlot = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Draw it: values against limits, DTCs marked; .svg, .png, .pdf."),
+    typer.Option(
+        metavar="FILE", help="Draw what the monitors compute: values against limits, DTCs marked (.svg, .png, .pdf)."
+    ),
 ]
 SeriesSignals = Annotated[
     list[str] | None,
-    typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals, --plot: this signal too. May be repeated."),
+    typer.Option(metavar="MESSAGE.SIGNAL", help="With --signals or --plot: add this signal; may be repeated."),
 ]
 
 
@@ -490,18 +556,20 @@ def replay(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)],
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+        typer.Option(
+            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
+        ),
     ] = None,
     maps: Maps = None,
-    memory: MemoryOption = None,
+    memory: MemoryOfReplay = None,
     allow_empty: Annotated[
         bool,
-        typer.Option("--allow-empty", help="A log without a frame of a configured bus is no error."),
+        typer.Option("--allow-empty", help="Accept a log without a frame of a configured bus."),
     ] = False,
-    allow_cut: Annotated[
-        bool, typer.Option("--allow-cut", help="A log that is cut off at its end is no error.")
-    ] = False,
-    only: Annotated[str | None, typer.Option("--only", metavar="MONITOR", help="This monitor alone, by name.")] = None,
+    allow_cut: Annotated[bool, typer.Option("--allow-cut", help="Accept a log that is cut off at its end.")] = False,
+    only: Annotated[
+        str | None, typer.Option("--only", metavar="MONITOR", help="Run only the monitor with this name.")
+    ] = None,
     trace: Annotated[
         bool,
         typer.Option("--trace", help="With --only: print inputs, state and results of each step."),
@@ -510,26 +578,25 @@ def replay(
         list[str] | None,
         typer.Option(
             metavar="FAULT",
-            help="Put a fault into the frames: 'drop SPEED @10..12', 'offset SPEED.SPEED=40 @10' (from, to [s]);"
-            " drop, repeat, freeze, flip, stuck, offset, value, jump. May be repeated.",
+            help=INJECT_HELP,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the faults' randomness.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the injected faults.")] = 1,
     html: HtmlOption = None,
     signals: SeriesOption = None,
     plot: SeriesPlot = None,
     signal: SeriesSignals = None,
     junit: JunitOfFaults = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=0, help="Several logs in so many processes; 0: a core each.")
+        int, typer.Option("--jobs", "-j", min=0, help="Number of processes for several logs; 0: one per core.")
     ] = 1,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
-    """Run recorded logs through the monitors, each by itself.
+    """Run recorded logs through the monitors, one by one.
 
-    Without --memory no fault memory is touched. Exit code 2 if a log is damaged, cut off, or holds no frame of a
-    configured bus; what it holds is replayed and shown first.
+    Without --memory, no fault memory is read or written. Exit code 2: a log is damaged, cut off, or has no frame of a
+    configured bus; its frames are replayed all the same.
     """
     from gateway.cli.replays import replays as work
 
@@ -560,28 +627,30 @@ def replay(
 @app.command()
 def decode(
     logs: Annotated[
-        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**/*.mf4'.")
+        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**/*.mf4'.")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the tables.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")],
     database: Annotated[
         list[Path] | None,
-        typer.Option("--database", "-d", help="Database of all frames (.dbc, .kcd, .sym, .arxml); may be repeated."),
+        typer.Option(
+            "--database", "-d", help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated."
+        ),
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration whose buses and databases are taken, instead."),
+        typer.Option("--config", "-c", help="Take buses and databases from this configuration, instead of --database."),
     ] = None,
     maps: Maps = None,
     device: Annotated[
-        str | None, typer.Option("--device", help="Whose the logs are.  [default: folder of the log]")
+        str | None, typer.Option("--device", help="Name of the device (car) of the logs.  [default: folder of the log]")
     ] = None,
-    numbers: Annotated[bool, typer.Option("--numbers", help="Numbers instead of the names of values.")] = False,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Write numbers instead of the names of values.")] = False,
     json: JsonEvents = False,
 ) -> None:
-    """Decode logs into Parquet: a table a message.
+    """Decode logs into Parquet tables, one table per message.
 
-    device/message/YYYY/MM/DD/log.parquet, with t in UTC and a column a signal. Exit code 2 if a log is damaged; what it
-    holds is written.
+    The files are device/message/YYYY/MM/DD/log.parquet, with the time t in UTC and one column per signal. Exit code 2:
+    a log is damaged; its whole frames are decoded all the same.
     """
     from gateway.cli.decode import decode as work
 
@@ -601,16 +670,16 @@ def decode(
 
 @app.command("plot")
 def plot_command(
-    series: Annotated[Path, typer.Argument(help="File of gateway replay --signals: .parquet or .csv.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Picture: .svg, .png, .pdf.")],
+    series: Annotated[Path, typer.Argument(help="File written by gateway replay --signals: .parquet or .csv.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .svg, .png, .pdf.")],
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="This monitor, fault, quantity or signal alone. May be repeated."),
+        typer.Option(metavar="NAME", help="Draw only this monitor, fault, quantity or signal; may be repeated."),
     ] = None,
 ) -> None:
-    """Draw what monitors computed over time.
+    """Draw what the monitors computed over time.
 
-    Values against their limits, DTCs marked.
+    The picture shows values against their limits, with DTCs marked.
     """
     from gateway.cli.watched import plot_file
 
@@ -620,10 +689,12 @@ def plot_command(
 @app.command()
 def check(
     config: ConfigArgument = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of the configuration.")] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of the configuration and exit.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Check a configuration; say all that is wrong at once."""
+    """Check a configuration and list all its errors."""
     from gateway.cli.check import check as work
 
     raise typer.Exit(work(config, schema_wanted=schema, json=json))
@@ -631,12 +702,12 @@ def check(
 
 @app.command("new-monitor")
 def new_monitor(
-    name: Annotated[str, typer.Argument(help="A name for a module of Python, e.g. coolant.")],
-    folder: Annotated[Path | None, typer.Option("--folder", help="Where to write it.  [default: NAME]")] = None,
+    name: Annotated[str, typer.Argument(help="Name of the monitor, also of its Python module, e.g. coolant.")],
+    folder: Annotated[Path | None, typer.Option("--folder", help="Folder to write.  [default: NAME]")] = None,
 ) -> None:
-    """Write a folder with a monitor of your own.
+    """Write a folder with a new monitor of your own.
 
-    It runs as it is: monitor, database, configuration, virtual ECU, scenario, test.
+    The folder has a monitor, database, configuration, virtual ECU, scenario and test. It runs as it is.
     """
     from gateway.cli.new_monitor import new_monitor as work
 
@@ -656,12 +727,12 @@ def doctor(
     config: ConfigArgument = None,
     memory: MemoryOption = None,
     running: Annotated[
-        bool, typer.Option("--running", help="Exit with 1 unless a gateway runs, its buses open.")
+        bool, typer.Option("--running", help="Exit with code 1 unless a gateway runs and its buses are open.")
     ] = False,
-    bench: Annotated[bool, typer.Option("--bench", help="Measure how fast it is, in ten seconds.")] = False,
+    bench: Annotated[bool, typer.Option("--bench", help="Measure the speed of the gateway, for ten seconds.")] = False,
     json: Json = False,
 ) -> None:
-    """Say what this machine offers, and how the gateway on it does."""
+    """Show what this machine offers and how its gateway is doing."""
     from gateway.cli.doctor import doctor as work
 
     raise typer.Exit(work(config, memory=memory, running=running, bench=bench, json=json))
@@ -669,38 +740,50 @@ def doctor(
 
 @fleet_app.command("run")
 def fleet_run(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns: 'logs/**'.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the verdicts.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**'.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration; default: gateway.toml here, else the shipped."),
+        typer.Option(
+            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Dask's scheduler, tcp://host:port; default: a cluster of this machine."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a Dask scheduler, as tcp://HOST:PORT; default: a local cluster on this machine.",
+        ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Workers of that cluster; 0: no cluster.  [default: one a core]"),
+        typer.Option(min=0, help="Number of workers of the local cluster; 0: no cluster.  [default: one per core]"),
     ] = None,
     memory: Annotated[
         str,
-        typer.Option(help="Fault memory: fresh for each log, or carried along each device's logs, in their order."),
+        typer.Option(
+            help="Fault memory: fresh (a new one for each log) or carried (one per device, through its logs in order)."
+        ),
     ] = "fresh",
     maps: Maps = None,
     device: Annotated[
-        str | None, typer.Option("--device", help="Whose the logs are.  [default: first folder below the pattern]")
+        str | None,
+        typer.Option(
+            "--device", help="Name of the device (car) of the logs.  [default: first folder below the pattern]"
+        ),
     ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Once more what failed or killed its worker.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Try logs again that failed or ended their worker.")] = False,
     dashboard: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port of Dask's dashboard on 127.0.0.1.")
+        int | None, typer.Option(min=1, max=65535, help="Port of the Dask dashboard on 127.0.0.1.")
     ] = None,
     json: JsonEvents = False,
 ) -> None:
-    """Run many logs through the monitors, each once.
+    """Run many logs through the monitors, each log once.
 
-    Tables of logs, DTCs, tests, events and errors as Parquet. Called again it does what is new. Exit code 2 if a log
-    could not be judged; others are.
+    The results are Parquet tables of logs, DTCs, tests, events and errors. If called again, it runs only new logs. Exit
+    code 2: a log could not be run; all others were.
     """
     from gateway.cli.fleet import fleet_run as work
 
@@ -723,13 +806,13 @@ def fleet_run(
 
 @fleet_app.command("diff")
 def fleet_diff(
-    first: Annotated[Path, typer.Argument(help="Verdicts of one configuration or version.")],
-    second: Annotated[Path, typer.Argument(help="Verdicts of another one.")],
+    first: Annotated[Path, typer.Argument(help="Folder with the results of one configuration or version.")],
+    second: Annotated[Path, typer.Argument(help="Folder with the results of the other one.")],
     json: Json = False,
 ) -> None:
-    """Say which logs changed their verdict between two runs.
+    """List logs with different results in two runs.
 
-    With the first event that differs. Exit code 1 if a verdict did.
+    It shows the first event that differs in each log. Exit code 1: at least one log differs.
     """
     from gateway.cli.fleet import fleet_diff as work
 
@@ -759,7 +842,7 @@ def faults_show(
 
 @faults_app.command("clear")
 def faults_clear(
-    dtc: Annotated[str | None, typer.Argument(help="One DTC; default: all.")] = None,
+    dtc: Annotated[str | None, typer.Argument(help="DTC to clear; default: all DTCs.")] = None,
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     json: Json = False,
@@ -772,7 +855,7 @@ def faults_clear(
 
 @faults_app.command("near-misses")
 def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
-    """List how often faults came near a failure, and how near."""
+    """List how often faults came close to failing, and how close."""
     from gateway.cli.faults import near_misses as work
 
     raise typer.Exit(work(config, memory=memory, json=json))
@@ -780,7 +863,7 @@ def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = Non
 
 @faults_app.command("interventions")
 def faults_interventions(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
-    """List what testers did, or were refused."""
+    """List changes that testers made, or were refused."""
     from gateway.cli.faults import interventions as work
 
     raise typer.Exit(work(config, memory=memory, json=json))
@@ -794,7 +877,7 @@ def faults_recordings(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the logs.")] = Path(),
     json: Json = False,
 ) -> None:
-    """Write the frames around a DTC's failures as candump logs."""
+    """Write the frames around the failures of a DTC as logs."""
     from gateway.cli.faults import recordings as work
 
     raise typer.Exit(work(dtc, config, memory=memory, folder=folder, json=json))
@@ -803,11 +886,11 @@ def faults_recordings(
 @faults_app.command("export")
 def faults_export(
     config: ConfigArgument = None,
-    out: Annotated[Path | None, typer.Option(help="File; default: standard output.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: standard output.")] = None,
 ) -> None:
-    """Write the catalogue as JSON.
+    """Write the catalogue of faults as JSON.
 
-    Faults, data identifiers, extended data records; indented, for people and files.
+    It has faults, data identifiers and extended data records, as indented JSON.
     """
     from gateway.cli.export import export as work
 
@@ -816,14 +899,19 @@ def faults_export(
 
 @convert_app.command("teeth")
 def convert_teeth(
-    capture: Annotated[Path, typer.Argument(help="Logic-analyser CSV: time [s], level[, ...].")],
+    capture: Annotated[
+        Path, typer.Argument(help="CSV file of a logic analyser, with the columns time [s], level[, ...].")
+    ],
     log: Annotated[Path, typer.Argument(help="CAN log to write, e.g. engine.log.")],
-    channel: Annotated[str, typer.Option(help="Channel: number from 0, or its name in the header.")] = "0",
-    edge: Annotated[str, typer.Option(help="Edge that a tooth makes: rising or falling.")] = ("falling"),
-    frame: Annotated[str, typer.Option(help="classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
+    channel: Annotated[str, typer.Option(help="Channel, by its number from 0 or its name in the header.")] = "0",
+    edge: Annotated[str, typer.Option(help="Edge that a tooth causes: rising or falling.")] = ("falling"),
+    frame: Annotated[str, typer.Option(help="Frames to write: classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
     json: Json = False,
 ) -> None:
-    """Turn a crank sensor's capture into frames of dbc/crank.dbc."""
+    """Convert a capture of a crank sensor into CAN frames.
+
+    The frames are those of dbc/crank.dbc.
+    """
     from gateway.cli.convert import convert_teeth as work
 
     raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
@@ -835,9 +923,9 @@ def convert_log(
     log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
     json: Json = False,
 ) -> None:
-    """Turn a CAN log into another format.
+    """Convert a CAN log into another format.
 
-    Parquet is what tools of data science read.
+    Data-science tools read Parquet.
     """
     from gateway.cli.convert import convert_log as work
 

@@ -17,6 +17,7 @@ from gateway.common.extras import need
 from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
 from gateway.vecu.player import Player, TruthReader
+from gateway.vecu.words import injected
 
 #: How long the page is waited for before the scenario begins, and how long it has to draw then [s].
 PATIENCE_S, LOOK_S = 20.0, 2.0
@@ -56,7 +57,7 @@ class DemoPage:
     def begin(self, gateway: Gateway, player: Player) -> None:
         """Open the page, and wait until it is there."""
         gateway.engine.warm()  # what has to be compiled is, before anybody looks
-        self._truth = TruthReader(player)
+        self._truth, self._scenario = TruthReader(player), player.scenario
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
         gateway.listen(self._socket.tell)
         self._page = PageProcess(self._folder / "status", self._port, open_page=self._open)
@@ -77,9 +78,7 @@ class DemoPage:
             return
         self._socket.on_frames(frames)
         for fact in self._truth.until(int(frames["t_ns"][-1])):
-            tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
-            text = f"{fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
-            self._socket.tell({"event": "injected", "t_ns": fact.t_ns, "text": text})
+            self._socket.tell({"event": "injected", "t_ns": fact.t_ns, "text": injected(fact, self._scenario)})
 
     def on_step(self, _: int) -> None:
         """Serve the page."""

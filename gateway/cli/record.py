@@ -11,7 +11,8 @@ from pathlib import Path
 from gateway.bus.logs import open_writer
 from gateway.bus.ring import Ring, RingParams
 from gateway.bus.uri import channel_of, open_bus
-from gateway.cli.present import EventPrinter, say
+from gateway.cli.events import EventPrinter
+from gateway.cli.present import say
 from gateway.cli.run import Ending
 from gateway.common.tomlfile import validate
 from gateway.errors import InputError

@@ -14,8 +14,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
+from gateway.cli.events import EventPrinter
 from gateway.cli.junit import Case, of_faults, write_junit
-from gateway.cli.present import EventPrinter, find_config, say_unless_stored
+from gateway.cli.present import find_config, say_unless_stored
 from gateway.cli.report import RunReport
 from gateway.cli.trace import Trace, only, single
 from gateway.cli.watched import Watched
@@ -71,6 +72,7 @@ def replay(
     parts = prepare(config, path, extra=chosen)
     injectors = _injectors(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
+    printer.definition = gateway.catalogue.get
     gateway.listen(printer)
     failures = _Failures(printer, gateway)
     try:

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Self
 
 from gateway.bus.logs import open_writer
-from gateway.cli.present import EventPrinter, find_config, say, say_unless_stored
+from gateway.cli.events import EventPrinter
+from gateway.cli.present import find_config, say, say_unless_stored
 from gateway.common.extras import need
 from gateway.config.load import load_config
+from gateway.faults.catalogue import FaultDefinition
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
 
@@ -111,6 +113,11 @@ def run(
             status=status,
         )
         stack.callback(daemon.close)
+
+        def definition(fault: str) -> FaultDefinition | None:
+            return daemon.gateway.catalogue.get(fault)  # of the gateway that runs: a reload makes another
+
+        printer.definition = definition
         if page is not None and status is not None:
             stack.callback(PageProcess(status, page).close)
         signal.signal(signal.SIGHUP, daemon.reloader.request)

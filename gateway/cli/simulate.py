@@ -11,24 +11,19 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
 from gateway.cli.control import Control
+from gateway.cli.events import EventPrinter
 from gateway.cli.junit import write_junit
 from gateway.cli.junit_scenario import of_findings, stopped
-from gateway.cli.present import (
-    EventPrinter,
-    find_scenario,
-    print_json,
-    say,
-    status_text,
-)
+from gateway.cli.lines import wrapped
+from gateway.cli.present import find_scenario, print_json, say
 from gateway.cli.report import RunReport
 from gateway.cli.run import Ending
+from gateway.cli.story import Story
 from gateway.common.extras import need
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
@@ -37,9 +32,9 @@ from gateway.errors import GatewayError, InputError
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive, judgeable
 from gateway.runtime.playing import player_of
-from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
+from gateway.servers.dtc_frame import message_of, read_dtc_frame
 from gateway.vecu.expectations import Finding, Judge
-from gateway.vecu.player import Player, TruthReader
+from gateway.vecu.player import Player
 from gateway.vecu.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -66,58 +61,6 @@ def _finding_event(finding: Finding) -> dict[str, Any]:
     return {"event": "expectation", "met": finding.good, "text": finding.text}
 
 
-class _Narrator:
-    """Tells what happens in a demo, line by line, each with the scenario's time.
-
-    Args:
-        console: to print to.
-        player: of the scenario.
-        gateway: whose readings are shown.
-    """
-
-    def __init__(self, console: Console, player: Player, gateway: Gateway) -> None:
-        self._console = console
-        self._player, self._truth = player, TruthReader(player)
-        self._gateway = gateway
-        self._shown_s = -1
-
-    def begin(self, scenario: Scenario) -> None:
-        """Introduce the scenario and its ECUs."""
-        self._console.print(f"[bold]{scenario.name}[/]: {scenario.description} (seed {self._player.seed})")
-        for ecu in scenario.ecu:
-            self._console.print(
-                f"virtual ECU [bold]{ecu.name}[/]: {ecu.summary},"
-                f" {self._player.count} frames in {scenario.duration_s} s"
-            )
-
-    def on_frames(self, frames: Frames) -> None:
-        """Tell what was injected before the gateway can have seen it."""
-        for fact in self._truth.until(int(frames["t_ns"][-1])) if len(frames) else ():
-            tooth = f" at tooth {fact.tooth}" if fact.tooth >= 0 else ""
-            self._console.print(
-                f"{fact.t_ns / 1e9:10.4f} s  [yellow]injected[/]: {fact.kind.replace('_', ' ')}, {fact.count}{tooth}"
-            )
-
-    def on_report(self, report: DtcReport) -> None:
-        """Show a DTC frame."""
-        if report.dtc is None:
-            return
-        where = "change" if report.index == 0 else f"{report.index} of {report.count}"
-        self._console.print(
-            f"{report.t_ns / 1e9:10.4f} s  [cyan]CAN GW_DTC[/] ({where}): {report.dtc}"
-            f"  status 0x{report.status:02X} = {status_text(report.status)}"
-        )
-
-    def on_step(self, t_ns: int) -> None:
-        """Show what the monitors read, once a second."""
-        if t_ns // 10**9 <= self._shown_s:
-            return
-        self._shown_s = t_ns // 10**9
-        for name, values in self._gateway.engine.readout().items():
-            facts = "  ".join(f"{k} {v:.6g}" for k, v in values.items() if k != "not_tested")
-            self._console.print(f"{t_ns / 1e9:10.4f} s  {name}: {facts}", style="dim")
-
-
 def demo(
     scenario_name: Path,
     *,
@@ -138,26 +81,24 @@ def demo(
 
 def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, shown: DemoPage | None = None) -> int:
     scenario, config, player = _open(scenario_name, seed)
-    printer = EventPrinter(as_json=json)
     gateway = Gateway(config, None if shown is None else shown.memory, file=scenario.config)
+    story = None if json else Story(scenario, player, gateway)
+    printer = EventPrinter(as_json=True) if story is None else story
     gateway.listen(printer)
     if shown is not None:
         shown.begin(gateway, player)
     judge = Judge(scenario)
-    narrator = None if json else _Narrator(Console(highlight=False, soft_wrap=True), player, gateway)
-    if narrator is not None:
-        narrator.begin(scenario)
+    if story is not None:
+        story.begin(speed)
     begun = time.monotonic()
 
     def on_frames(frames: Frames) -> None:
-        if narrator is not None:
-            narrator.on_frames(frames)
+        if story is not None:
+            story.on_frames(frames)
         if shown is not None:
             shown.on_frames(frames)
 
     def on_step(t_ns: int) -> None:
-        if narrator is not None:
-            narrator.on_step(t_ns)
         if shown is not None:
             shown.on_step(t_ns)
         if speed:
@@ -169,12 +110,14 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
             player,
             judge=judge,
             on_frames=on_frames,
-            on_report=None if narrator is None else narrator.on_report,
+            on_report=None if story is None else story.on_report,
             on_step=on_step,
             stop=(lambda: False) if shown is None else shown.stop,
         )
         printer(gateway.summary(time.monotonic() - begun))
         code = _verdict(judge, json=json, check=False)
+        if story is not None:
+            story.end(judge.findings(), scenario_name)
         if shown is not None:
             shown.stay()
     finally:
@@ -190,7 +133,7 @@ def _verdict(judge: Judge, *, json: bool, check: bool) -> int:
         if json:
             print_json(_finding_event(finding))
         else:
-            print(("as expected: " if finding.good else "NOT as expected: ") + finding.text)
+            print(wrapped(("as expected: " if finding.good else "NOT as expected: ") + finding.text, hang=2))
     return 1 if check and not all(finding.good for finding in findings) else 0
 
 
@@ -229,8 +172,7 @@ def simulate(
             gateway = Gateway(config, file=scenario.config)
             stop.ready()
             stack.callback(gateway.close)
-            printer = EventPrinter(as_json=json)
-            gateway.listen(printer)
+            printer = _printer(gateway, json=json)
             report = None if html is None else RunReport(html, gateway, scenario.config)
             begun = time.monotonic()
             drive(
@@ -264,6 +206,14 @@ def simulate(
         return _stopped(scenario, stop, junit_file) if check else 0
     junit_file.write(judge)
     return _verdict(judge, json=json, check=check) if check else 0
+
+
+def _printer(gateway: Gateway, *, json: bool) -> EventPrinter:
+    """Return what prints the events of a gateway in this process."""
+    printer = EventPrinter(as_json=json)
+    printer.definition = gateway.catalogue.get
+    gateway.listen(printer)
+    return printer
 
 
 def _tester(stack: ExitStack, buses: list[Bus], judge: Judge, player: Player, control: Path | None) -> _Tester:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import Frames
+from gateway.cli.lines import wrapped
 from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.errors import InputError, nearest
@@ -102,6 +103,8 @@ def _result(row: Any, faults: Any) -> dict[str, Any]:
     }
 
 
+#: Where a step's fields begin.
+_HANG = 24
 #: Longest array of a state that is shown; histories are longer.
 MOST_NUMBERS = 1000
 
@@ -119,31 +122,24 @@ def _plain(value: Any) -> Any:
     return number if not isinstance(number, float) or np.isfinite(number) else None
 
 
-def text_of(event: dict[str, Any], start_ns: int) -> list[str]:
-    """Return a step as lines for people."""
+def text_of(event: dict[str, Any], start_ns: int, width: int) -> list[str]:
+    """Return a step as lines for people, of at most ``width`` columns."""
     seconds = (event["t_ns"] - start_ns) / 1e9
     more = f" ({event['not_shown']} before it not shown)" if event["not_shown"] else ""
     lines = [f"{seconds:10.4f} s  {event['monitor']} step {event['step']}: {event['trigger']}{more}"]
-    lines += _fields("in", event["inputs"]) + _fields("state", event["state"])
+    lines += [_fields("in", event["inputs"]), _fields("state", event["state"])]
     for result in event.get("results", ()):
         found = f"{result['fault']} {result['result']}: {_number(result['value'])} against"
-        lines += [f"{'':14}{found} {_number(result['threshold'])}"]
+        lines.append(f"{'':14}{found} {_number(result['threshold'])}")
         if result["result"] == "failed":
-            lines += _fields("evidence", result["evidence"])
+            lines.append(_fields("evidence", result["evidence"]))
     if "sent" in event:
-        lines += _fields("sent", event["sent"])
-    return lines
+        lines.append(_fields("sent", event["sent"]))
+    return [wrapped(line, width, _HANG) for line in lines]
 
 
-def _fields(title: str, fields: dict[str, Any]) -> list[str]:
-    parts = [f"{name} {_shown(value)}" for name, value in fields.items()]
-    lines, line = [], f"{'':14}{title:<10}"
-    for part in parts:
-        if len(line) + len(part) > 110 and line.strip() != title:
-            lines.append(line.rstrip())
-            line = " " * 24
-        line += part + "  "
-    return [*lines, line.rstrip()]
+def _fields(title: str, fields: dict[str, Any]) -> str:
+    return f"{'':14}{title:<10}" + "  ".join(f"{name} {_shown(value)}" for name, value in fields.items())
 
 
 def _shown(value: Any) -> str:

@@ -319,10 +319,10 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
         else:
             return count
         decoded = clock.decoded
-        if own == 0 and frame["can_id"] & _ERROR == 0:  # what we say ourselves proves nothing
+        if own == 0 and frame["can_id"] & _ERROR == 0:  # frames we sent ourselves are not evidence that the bus works
             on_sign_of_life(T, frame["t_ns"], frame["bus"])
         dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
-        if own == 1:  # what we say ourselves is no traffic
+        if own == 1:  # frames we sent ourselves are not traffic
             clock.decoded = decoded
         if clock.stop == 1:
             return i

@@ -45,6 +45,7 @@ class FaultDefinition:
         aging_cycles: how many of them delete it.
         caused_by: ids of the faults that may cause it.
         remedy: what to do about it, for people.
+        tested: name and unit of what its test results compare with a threshold, for people; "": not said.
     """
 
     id: str
@@ -72,6 +73,7 @@ class FaultDefinition:
     aging_cycles: int = 40
     caused_by: tuple[str, ...] = ()
     remedy: str = ""
+    tested: str = ""
 
     @property
     def rules(self) -> Rules:
@@ -116,6 +118,7 @@ def define(
         description=settings.description or fault.description,
         remedy=settings.remedy or fault.remedy or remedy_of(dtc.value),
         evidence=fault.evidence,
+        tested=fault.tested,
         debounce=fault.debounce.changed(settings.debounce.asked),
         severity=SEVERITIES[settings.severity] | CLASSES[settings.dtc_class],
         emission_related=related,

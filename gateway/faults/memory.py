@@ -251,7 +251,7 @@ class FaultMemory(Readable):
         self._held.add_recordings(recordings)
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Keep how the buses do, with the next commit."""
+        """Store each bus's state with the next commit."""
         self._held.note_buses(states)
 
     def note_intervention(self, intervention: Intervention) -> Intervention | None:

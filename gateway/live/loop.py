@@ -72,7 +72,7 @@ class Fed(Protocol):
         """Do what other processes ask."""
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Keep how the buses do."""
+        """Store each bus's state."""
 
     def finish(self, t_ns: int) -> Frames:
         """Put down what a successor is to find; returns the frames to send."""

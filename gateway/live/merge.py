@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.bus.frames import Frames, empty
 
-#: A frame is in its queue so long after its stamp at the latest [ns].
+#: Longest time between a frame's time stamp and its arrival in the queue [ns].
 SETTLE_NS = 200_000
 #: No frame is held back longer than this [ns]: clocks of interfaces may differ.
 LONGEST_NS = 5_000_000

@@ -207,6 +207,8 @@ class Fault:
         evidence: names (with units) of the values in ``result.evidence``; of a record: ``labels(Evidence)``.
         debounce: default debounce.
         remedy: what to do about it, for people; "": as for any fault of its failure type.
+        tested: name of ``result.value`` and ``result.threshold`` for people, with their unit as in evidence:
+            ``"pulse away from its place [pitch]"``; "": not said.
     """
 
     name: str
@@ -215,6 +217,7 @@ class Fault:
     evidence: tuple[str, ...] = ()
     debounce: Debounce = field(default_factory=Debounce)
     remedy: str = ""
+    tested: str = ""
 
 
 @dataclass(frozen=True)

@@ -346,7 +346,7 @@ class Gateway:
         self._upkeep.tend()
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Keep how the buses do where other processes can see it; the fault memory's file has it."""
+        """Store each bus's state in the fault memory so that other processes can read it."""
         self.memory.note_buses(states)
 
     def _on_events(self, events: Events) -> None:

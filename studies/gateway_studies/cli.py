@@ -25,25 +25,28 @@ class _Studies(TyperGroup):
 evaluate = typer.Typer(
     cls=_Studies,
     rich_markup_mode=None,
-    help="How good the methods are: figures and tables of our own data.",
+    add_completion=False,
+    help="Measure how good the methods are: tables and figures.",
     no_args_is_help=True,
 )
 
 
 @evaluate.command("crank")
 def crank(
-    seeds: Annotated[int, typer.Option(min=0, help="Faults for each wheel, kind, speed and ramp; 0: none.")] = 20,
-    pulses: Annotated[int, typer.Option(min=0, help="Healthy pulses for each wheel and jitter; 0: none.")] = 200_000,
+    seeds: Annotated[int, typer.Option(min=0, help="Number of faults per wheel, kind, speed and ramp; 0: none.")] = 20,
+    pulses: Annotated[
+        int, typer.Option(min=0, help="Number of healthy pulses per wheel and jitter; 0: none.")
+    ] = 200_000,
     outside: Annotated[
-        int, typer.Option(min=0, help="Runs of each engine, defect and wheel outside the regular sweep; 0: none.")
+        int, typer.Option(min=0, help="Number of runs per engine, defect and wheel outside the regular sweep; 0: none.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 2 to 5 into this folder.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw Figs. 2 to 5 of the paper into this folder.")] = None,
 ) -> None:
-    """Crankshaft: missed and added pulses.
+    """Evaluate crankshaft methods: missed and added pulses.
 
-    Our two methods beside those of open engine controllers.
+    It compares our two methods with those of open engine controllers.
     """
     from gateway_studies.crank.command import crank as work
 
@@ -52,17 +55,17 @@ def crank(
 
 @evaluate.command("pedal")
 def pedal(
-    seeds: Annotated[int, typer.Option(min=0, help="Runs of each case; 0: none.")] = 300,
+    seeds: Annotated[int, typer.Option(min=0, help="Number of runs per case; 0: none.")] = 300,
     seed: Annotated[
         int,
-        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
+        typer.Option(min=0, help="First seed; no parameter was chosen with seeds from 100000 up."),
     ] = 100_000,
     json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 9 to 14 into this folder.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw Figs. 9 to 14 of the paper into this folder.")] = None,
 ) -> None:
-    """Pedal: voters with faulty sensors.
+    """Evaluate pedal voters with faulty sensors.
 
-    Ours beside average, median, predictive and Kalman hybrid.
+    It compares our voter with average, median, predictive and Kalman hybrid voters.
     """
     from gateway_studies.pedal.command import pedal as work
 
@@ -71,19 +74,23 @@ def pedal(
 
 @evaluate.command("steering")
 def steering(
-    runs: Annotated[int, typer.Option(min=0, help="Runs of each fault; 0: none.")] = 40,
-    healthy: Annotated[int, typer.Option(min=0, help="Healthy runs of 24 s.")] = 120,
+    runs: Annotated[int, typer.Option(min=0, help="Number of runs per fault; 0: none.")] = 40,
+    healthy: Annotated[int, typer.Option(min=0, help="Number of healthy runs, each of 24 s.")] = 120,
     seed: Annotated[
         int,
-        typer.Option(min=0, help="First seed; no parameter was chosen on those from 100000 on."),
+        typer.Option(min=0, help="First seed; no parameter was chosen with seeds from 100000 up."),
     ] = 100_000,
-    rules: Annotated[bool, typer.Option("--rules", help="Also all filters, distances and stopping rules.")] = False,
+    rules: Annotated[
+        bool, typer.Option("--rules", help="Also compare all filters, distances and stopping rules.")
+    ] = False,
     json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 4 to 7 and ours into this folder.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw Figs. 4 to 7 of the paper, and our own figures, into this folder.")
+    ] = None,
 ) -> None:
-    """Steering: the motor's angle, and faults of its sensors.
+    """Evaluate steering: the motor angle and faults of its sensors.
 
-    Estimators, faults found and named, operations of the paper's Table 1.
+    It shows estimators, faults found and named, and the operations of Table 1 of the paper.
     """
     from gateway_studies.steering.command import steering as work
 
@@ -92,14 +99,16 @@ def steering(
 
 @evaluate.command("truck")
 def truck(
-    seeds: Annotated[int, typer.Option(min=1, help="Noises of each case.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="First seed; nothing was chosen on those from 30000 on.")] = 30_000,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of noise seeds per case.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 30000 up.")] = 30_000,
     json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 5 to 9 and ours into this folder.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw Figs. 5 to 9 of the paper, and our own figures, into this folder.")
+    ] = None,
 ) -> None:
-    """Hybrid powertrain: which system isolates which fault.
+    """Evaluate fault isolation in a hybrid truck.
 
-    On trucks as modelled, and on others.
+    It shows which system of tests isolates which fault, on trucks as modelled and on others.
     """
     from gateway_studies.truck.command import truck as work
 
@@ -108,18 +117,20 @@ def truck(
 
 @evaluate.command("linear")
 def linear(
-    cases: Annotated[int, typer.Option(min=0, help="Random cases; 0: none.")] = 600,
-    hours: Annotated[float, typer.Option(min=0, help="Healthy flight, for each noise [h].")] = 20.0,
+    cases: Annotated[int, typer.Option(min=0, help="Number of random cases; 0: none.")] = 600,
+    hours: Annotated[float, typer.Option(min=0, help="Length of healthy flight, for each noise [h].")] = 20.0,
     seed: Annotated[
         int,
-        typer.Option(min=0, help="First seed; nothing was chosen on those from 100000 on."),
+        typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up."),
     ] = 100_000,
     json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the paper's Figs. 3 to 11 and ours into this folder.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw Figs. 3 to 11 of the paper, and our own figures, into this folder.")
+    ] = None,
 ) -> None:
-    """Bank of PI observers: actuators and sensors of a linear plant.
+    """Evaluate the bank of PI observers on linear plants.
 
-    The paper's figures, random faults, false alarms.
+    It shows the figures of the paper, random faults of actuators and sensors, and false alarms.
     """
     from gateway_studies.linear.command import linear as work
 

@@ -43,7 +43,10 @@ def test_a_demo_shows_truth_and_dtc_and_ends_in_good_order(tmp_path):
         wait_for(lambda: {"injected", "dtc"} <= {event["event"] for event in state_of(url)["events"]})
         wait_for(lambda: [entry["dtc"] for entry in state_of(url)["memory"]["entries"]] == ["P0336-39"])
         shown = state_of(url)
-        assert next(e["text"] for e in shown["events"] if e["event"] == "injected") == "missed pulses, 1 at tooth 20"
+        assert (
+            next(e["text"] for e in shown["events"] if e["event"] == "injected")
+            == "sensor misses pulses, 1 at tooth 20"
+        )
         assert "The test found" in " ".join(shown["memory"]["entries"][0]["words"])
         wait_for(lambda: "stays until" in (tmp_path / "said").read_text())
         assert started.poll() is None

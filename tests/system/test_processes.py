@@ -118,16 +118,24 @@ def test_the_demo_shows_the_whole_chain(tmp_path):
     places = [
         text.index(part)
         for part in (
-            "teeth",
-            "injected: missed pulses, 1 at tooth 20",
-            "DTC P0336-39 SET",
-            "CAN GW_DTC (change): P0336-39  status 0x2F",
+            "healthy so far: 1553 frames",
+            "INJECTED: sensor misses pulses, 1 at tooth 20",
+            "DTC P0336-39 SET  crank.missed_pulse  0.913 ms after the fault",
+            "meaning   pulses of the crankshaft sensor missed",
+            "evidence  pulse away from its place: 0.992, limit 0.5 [pitch]",
+            "tooth 20  speed [rpm] 1504",
+            "to do     check the sensor",
+            "sent on CAN  P0336-39  status 0x2F (failed now, confirmed)",
             "DTC P0336-39 healed",
+            "status 0x2E (not failed now, confirmed)",
             "as expected: P0336-39 healed",
+            "1 fault injected, 1 DTC set: all as expected",
+            "gateway demo crank_missed_tooth --json",
         )
     ]
     assert places == sorted(places)
-    assert "speed [rpm]" in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert "\x1b" not in text, "colours are for terminals"
 
 
 def test_commands_for_scripts(tmp_path, capsys, monkeypatch):

@@ -152,7 +152,7 @@ def run(config, frames):
     return {event["fault"] for event in events if event["event"] == "dtc" and event["status"] & 1}
 
 
-def test_simulate_and_demo_play_it(tmp_path, capsys):
+def test_simulate_and_demo_play_it(tmp_path, capsys, monkeypatch):
     keys, _, courses, _ = CARS["vw_mqb"]
     keys += '\nmessages = ["ESP_21", "LWI_01"]'
     checks = '{ message = "ESP_21", timeout_ms = 300, protection = "auto" }'
@@ -163,8 +163,12 @@ def test_simulate_and_demo_play_it(tmp_path, capsys):
     assert "NOT as expected: U0402-83 set at 1." in capsys.readouterr().out
     file.write_text(file.read_text() + '[[expect]]\ndtc = "U0402-83"\nafter_s = 1\nby_s = 1.5\n')
     assert simulate(file, **asked) == 0
-    assert demo(file, speed=0, seed=None, json=False) == 0
-    assert "injected: checksum, 20" in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    assert demo(Path(file.name), speed=0, seed=None, json=False) == 0
+    said = capsys.readouterr().out
+    assert "INJECTED: ESP_21: checksum is wrong" in said
+    assert "1 fault injected, 1 DTC set: all as expected" in said
+    assert max(map(len, said.splitlines())) <= 80
 
 
 DBC = """VERSION ""

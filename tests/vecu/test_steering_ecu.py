@@ -14,6 +14,7 @@ from gateway.errors import InputErrors
 from gateway.fdi.filters.motor import Motor
 from gateway.jit import COMPILED
 from gateway.signals.database import load_database
+from gateway.vecu.contract import Truth
 from gateway.vecu.player import Player
 from gateway.vecu.scenario import load_scenario
 from gateway.vecu.steering.column import Column, pinion, sampled
@@ -118,7 +119,8 @@ def test_currents_and_voltages_of_one_counter_belong_together():
     after = (voltages[:n] - currents[:n]) / 1e6
     assert (after > 0.0).all()
     assert (after < 0.3).all()
-    late, _ = frames_of(0.5, late_voltage=(0.2, 0.3))
+    late, truth = frames_of(0.5, late_voltage=(0.2, 0.3))
+    assert truth == [Truth(200_000_000, "late_voltage", 100)]
     again = late[late["can_id"] == 0x121]["t_ns"].astype(np.int64)
     moved = (again - voltages[: len(again)]) / 1e6
     assert np.isclose(moved, 1.0, atol=0.2).sum() in range(98, 102)

@@ -9,7 +9,7 @@ Lines are::
     0.100000 2  ErrorFrame
     30.80673 CANFD   3 Rx        50005x                                   1 0 8  8 01 02 03 04 05 06 07 08  ...
 
-What is no frame is passed over, as python-can does it. Stamps count from the begin of the measurement; the date,
+Lines that are not frames are skipped, as in python-can. Stamps count from the begin of the measurement; the date,
 which has no time zone, is taken as UTC where wall time is wanted. Where the header says ``timestamps relative`` a
 stamp counts from the event before, which python-can does not know.
 """

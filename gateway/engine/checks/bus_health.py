@@ -56,6 +56,7 @@ FAULTS = (
         ("transmit errors", "receive errors"),
         _AT_ONCE,
         remedy="check wires, termination (60 Ohm between CAN_H and CAN_L) and bit rate of the bus",
+        tested="error counter",
     ),
     Fault(
         "bus_passive",
@@ -64,6 +65,7 @@ FAULTS = (
         ("transmit errors", "receive errors"),
         _AT_ONCE,
         remedy="check that another node is on the bus, its wires, termination and bit rate",
+        tested="error counter",
     ),
     Fault(
         "bus_errors",
@@ -72,6 +74,7 @@ FAULTS = (
         ("error classes", "protocol error", "location"),
         _AT_ONCE,
         remedy="check wires, termination and bit rate of the bus; the evidence says which errors",
+        tested="errors in the window",
     ),
     Fault(
         "bus_lost",
@@ -88,6 +91,7 @@ FAULTS = (
         ("lost since the start",),
         _AT_ONCE,
         remedy="give it a larger buffer (?rcvbuf= in its URI, net.core.rmem_max), or less to do",
+        tested="frames lost",
     ),
 )
 

@@ -28,6 +28,7 @@ OWN_FAULTS = (
         "wall clock was set while the gateway ran",
         ("step [s]", "steps since the start"),
         Debounce(failed_after=1, passed_after=1, jump_down=True),
+        tested="step [s]",
     ),
 )
 

@@ -46,6 +46,7 @@ FAULTS = (
         ("silent [ms]",),
         Debounce(failed_after=1, passed_after=5),
         remedy="check the sender: powered, awake, its wires to this bus; and that it does send this message",
+        tested="silent [ms]",
     ),
     Fault(
         "counter",
@@ -54,6 +55,7 @@ FAULTS = (
         ("step", "last", "received"),
         Debounce(failed_after=3, passed_after=50),
         remedy="check the bus for lost frames (gateway doctor, load), the sender for a standstill",
+        tested="step of the counter",
     ),
     Fault(
         "crc",
@@ -70,6 +72,7 @@ FAULTS = (
         ("length [byte]",),
         Debounce(failed_after=2, passed_after=50),
         remedy="check the sender's software against the database",
+        tested="length [byte]",
     ),
     Fault(
         "value",

@@ -17,8 +17,8 @@ An offset b of a sensor that the observer does take leaves
 
     S(0) = 0,   S(d+1) = ([[Phi, Gamma], [0, 1]] - L C) S(d) + L e_j,   and adds (e_j - C S(d)) b to the innovation
 
-(S: what the estimate is moved by). Whoever has one sensor less, and still needs something to explain its innovations,
-is asked whether a jump of another sensor would do as well as the actuators' (:func:`other_sensor`).
+(S: what the estimate is moved by). An observer that omits one sensor and still cannot explain its innovations is tested
+against a jump of another sensor, as well as of the actuators (:func:`other_sensor`).
 """
 
 from __future__ import annotations

@@ -139,15 +139,18 @@ class Evidence(Record, overlay=True):
 Reports: TypeAlias = Out[Evidence, Any]
 
 _ONCE = Debounce(failed_after=1, passed_after=10)
+#: What the tests of single pulses compare.
+_PLACE = "pulse away from its place [pitch]"
 
 FAULTS = (
-    Fault("missed_pulse", "P0336-39", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE),
+    Fault("missed_pulse", "P0336-39", "pulses of the crankshaft sensor missed", labels(Shape), _ONCE, tested=_PLACE),
     Fault(
         "added_pulse",
         "P0336-3A",
         "pulses of the crankshaft sensor that no tooth made",
         labels(Shape),
         _ONCE,
+        tested=_PLACE,
     ),
     Fault(
         "sync_lost",
@@ -162,6 +165,7 @@ FAULTS = (
         "three pulses or more of the crankshaft sensor missed in a row: intermittent circuit",
         labels(Shape),
         _ONCE,
+        tested=_PLACE,
     ),
     Fault(
         "doubled_edges",
@@ -169,6 +173,7 @@ FAULTS = (
         "the sensor gives more than one pulse for a tooth",
         labels(Doubled),
         Debounce(failed_after=1, passed_after=3),
+        tested="share of teeth with more than one pulse",
     ),
     Fault(
         "no_gap",
@@ -176,6 +181,7 @@ FAULTS = (
         "teeth arrive, but the wheel's gap never comes: wrong edge, polarity or wheel",
         labels(NoGap),
         Debounce(failed_after=1, passed_after=1),
+        tested="largest interval / its neighbours",
     ),
     Fault(
         "runout",
@@ -183,6 +189,7 @@ FAULTS = (
         "the pitch varies once a revolution: wheel off centre, or bent",
         labels(Runout),
         Debounce(failed_after=3, passed_after=10),
+        tested="amplitude of the pitch",
     ),
     Fault(
         "reversed",
@@ -197,6 +204,7 @@ FAULTS = (
         "an edge of the cam sensor does not fit the crank",
         labels(CamCorrelation),
         Debounce(failed_after=3, passed_after=10),
+        tested="edge away from its place [deg]",
     ),
     Fault(
         "cam_silent",
@@ -204,6 +212,7 @@ FAULTS = (
         "the crank turns, but no edge of the cam sensor comes",
         labels(CamSilent),
         Debounce(failed_after=1, passed_after=3),
+        tested="revolutions without an edge",
     ),
     Fault(
         "relocated",
@@ -211,6 +220,7 @@ FAULTS = (
         "the place on the wheel was wrong: the gap came elsewhere turn by turn, and the index was put right",
         labels(Relocated),
         _ONCE,
+        tested="teeth from the wrong place to the right one",
     ),
     Fault(
         "damaged_tooth",
@@ -218,6 +228,7 @@ FAULTS = (
         "a tooth is farther from its place than any engine moves it: bent, chipped or not of this wheel",
         labels(Damaged),
         Debounce(failed_after=3, passed_after=10),
+        tested="tooth away from its place [pitch]",
     ),
     Fault(
         "frames_lost",
@@ -225,5 +236,6 @@ FAULTS = (
         "so many tooth frames are lost on the bus that nothing can be told about the sensor",
         labels(Unwatched),
         Debounce(failed_after=1, passed_after=3),
+        tested="share of pulses that no frame brought",
     ),
 )

@@ -174,6 +174,7 @@ def _faults(p: Params) -> tuple[Fault, ...]:
             "the plant does not do what its model does",
             labels(Evidence),
             debounce,
+            tested="normalised innovation squared",
         )
     ]
     for k, part in enumerate(p.output, start=1):
@@ -185,6 +186,7 @@ def _faults(p: Params) -> tuple[Fault, ...]:
                 text,
                 labels(Evidence),
                 debounce,
+                tested="level of its alarm, from the innovations",
             )
         )
     return tuple(found)

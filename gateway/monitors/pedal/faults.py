@@ -61,32 +61,52 @@ _ELECTRIC = Debounce(failed_after=20, passed_after=200)
 _JUDGED = Debounce(failed_after=1, passed_after=200)
 _SLOW = Debounce(failed_after=20, passed_after=200)
 
-#: Name, failure type byte (SAE J2012-DA), description, debounce.
+#: Name, failure type byte (SAE J2012-DA), description, debounce, what is tested.
 _CHANNEL = (
-    ("low", "14", "reading below its range: short to ground, or open", _ELECTRIC),
-    ("high", "15", "reading above its range: short to the supply, or open", _ELECTRIC),
-    ("range", "1C", "reading beyond the pedal's travel", _ELECTRIC),
-    ("stuck", "2A", "repeats its reading while the pedal moves", _JUDGED),
-    ("implausible", "64", "does not go with the pedal: rejected again and again", _JUDGED),
-    ("erratic", "2F", "single readings are wrong, too often", _SLOW),
+    ("low", "14", "reading below its range: short to ground, or open", _ELECTRIC, "reading"),
+    ("high", "15", "reading above its range: short to the supply, or open", _ELECTRIC, "reading"),
+    ("range", "1C", "reading beyond the pedal's travel", _ELECTRIC, "position [%]"),
+    ("stuck", "2A", "repeats its reading while the pedal moves", _JUDGED, "equal readings in a row [samples]"),
+    (
+        "implausible",
+        "64",
+        "does not go with the pedal: rejected again and again",
+        _JUDGED,
+        "rejected in a row [samples]",
+    ),
+    ("erratic", "2F", "single readings are wrong, too often", _SLOW, "share of samples at which it goes wrong [%]"),
 )
-_DRIFTS = ("drifts", "28", "has moved away from the other two slowly", _JUDGED)
+_DRIFTS = ("drifts", "28", "has moved away from the other two slowly", _JUDGED, "distance from the others [%]")
 _COMMON = (
-    ("correlation", "62", "the channels do not agree, and none can be told to be wrong", _JUDGED),
-    ("drift", "28", "the channels move apart slowly; which one drifts, two cannot tell", _SLOW),
+    (
+        "correlation",
+        "62",
+        "the channels do not agree, and none can be told to be wrong",
+        _JUDGED,
+        "share of time without agreement",
+    ),
+    (
+        "drift",
+        "28",
+        "the channels move apart slowly; which one drifts, two cannot tell",
+        _SLOW,
+        "distance of the channels [%]",
+    ),
     (
         "jump",
         "27",
         "all channels jump together, faster than the pedal can move",
         Debounce(failed_after=2, passed_after=200),
+        "common jump / the largest possible",
     ),
-    ("invalid", "29", "no channel has a reading that can be believed", _JUDGED),
+    ("invalid", "29", "no channel has a reading that can be believed", _JUDGED, "no reading for [samples]"),
 )
 _SUPPLY = (
     "supply",
     "1C",
     "the common supply of all channels is wrong: both slopes tell; the value is put right by it",
     _JUDGED,
+    "supply away from what it should be [share]",
 )
 
 
@@ -95,9 +115,9 @@ def _dtcs(preset: str) -> dict[str, str]:
     codes = {
         f"channel_{i + 1}_{name}": f"{bases[i]}-{byte}"
         for i in range(MOST_CHANNELS)
-        for name, byte, _, _ in (*_CHANNEL, _DRIFTS)
+        for name, byte, *_ in (*_CHANNEL, _DRIFTS)
     }
-    return codes | {name: f"{bases[-1]}-{byte}" for name, byte, _, _ in (*_COMMON, _SUPPLY)}
+    return codes | {name: f"{bases[-1]}-{byte}" for name, byte, *_ in (*_COMMON, _SUPPLY)}
 
 
 #: Preset -> name of a fault -> its DTC.
@@ -108,16 +128,16 @@ def faults(p: Params) -> tuple[Fault, ...]:
     """Return the faults of redundant sensors, in the order of the places above."""
     codes, channels = DTCS[p.preset], len(p.channels)
 
-    def of_channel(i: int, row: tuple[str, str, str, Debounce]) -> Fault:
+    def of_channel(i: int, row: tuple[str, str, str, Debounce, str]) -> Fault:
         name = f"channel_{i + 1}_{row[0]}"
         text = f"channel {i + 1}: {row[2]}"
-        return Fault(name, codes[name], text, labels(ChannelEvidence), row[3])
+        return Fault(name, codes[name], text, labels(ChannelEvidence), row[3], tested=row[4])
 
     found = [of_channel(i, row) for i in range(channels) for row in _CHANNEL]
-    found += [Fault(n, codes[n], text, labels(CommonEvidence), d) for n, _, text, d in _COMMON]
+    found += [Fault(n, codes[n], text, labels(CommonEvidence), d, tested=tested) for n, _, text, d, tested in _COMMON]
     if channels == MOST_CHANNELS:
         found += [of_channel(i, _DRIFTS) for i in range(channels)]
     if p.tells_supply:
-        name, _, text, debounce = _SUPPLY
-        found.append(Fault(name, codes[name], text, labels(SupplyEvidence), debounce))
+        name, _, text, debounce, tested = _SUPPLY
+        found.append(Fault(name, codes[name], text, labels(SupplyEvidence), debounce, tested=tested))
     return tuple(found)

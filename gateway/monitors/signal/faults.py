@@ -46,6 +46,21 @@ def kinds_of(watched: Watched) -> list[int]:
     return [kind for kind, is_asked in enumerate(asked) if is_asked]
 
 
+def _tested(kind: int, watched: Watched) -> str:
+    """Return what a kind of fault compares with its limit, with its unit."""
+    unit = watched.unit
+    if kind in (BELOW, ABOVE, LOW, HIGH):
+        return f"value [{unit}]" if unit else "value"
+    if kind == GRADIENT:
+        return f"change [{unit or 'its unit'}/s]"
+    if kind == NOISE:
+        return f"scatter [{unit}]" if unit else "scatter"
+    stuck = watched.limits.stuck
+    if kind == STUCK and stuck is not None and stuck.moving is None:
+        return "does not move for [s]"
+    return "away [s]" if kind == MISSING else ""
+
+
 def faults(p: PartParams) -> tuple[Fault, ...]:
     """Return the faults of a part's signals, in the order of the signals and of :data:`KINDS`."""
     found = []
@@ -62,6 +77,7 @@ def faults(p: PartParams) -> tuple[Fault, ...]:
                     ("away [s]",) if kind == MISSING else (f"value{unit}", f"before{unit}"),
                     _AT_ONCE if kind == MISSING else debounce,
                     remedy=remedy,
+                    tested=_tested(kind, watched),
                 )
             )
     return tuple(found)

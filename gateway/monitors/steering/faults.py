@@ -75,4 +75,10 @@ _ROWS = (
     ("ratio", "C1A09-64", "road wheel angle does not follow the ratio asked for", _SEEN),
 )
 
-FAULTS = tuple(Fault(name, dtc, text, labels(Evidence), debounce) for name, dtc, text, debounce in _ROWS)
+#: What is tested where that is not a symptom's strength.
+_TESTED = {"pairing": "counters apart [frames]", "ratio": "off what the ratio asks for"}
+
+FAULTS = tuple(
+    Fault(name, dtc, text, labels(Evidence), debounce, tested=_TESTED.get(name, "strength of the symptom"))
+    for name, dtc, text, debounce in _ROWS
+)

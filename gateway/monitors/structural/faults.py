@@ -19,6 +19,8 @@ MOST_SIZES = 2
 _MOST_NAME = 60
 
 _FOUND = Debounce(failed_after=1, passed_after=1)
+#: What a verdict rests on.
+_LARGEST = "largest test statistic / its threshold"
 
 
 def names_of(plan: Plan) -> tuple[str, ...]:
@@ -123,5 +125,5 @@ def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, .
         )
         remedy = f"{f'look at {words}' if faults else 'look at what the fired tests have in common'}; {checks}"
         labels = _labels(model, plan, what)
-        found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy))
+        found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy, tested=_LARGEST))
     return tuple(found)

@@ -12,6 +12,9 @@ STRUCTURAL = ("f_b_sc", "f_pe", "f_em_eta", "f_em_R", "f_em_U_sens")
 
 _FOUND = Debounce(failed_after=1, passed_after=10)
 
+#: What a verdict rests on.
+_LARGEST = "largest test statistic / its threshold"
+
 #: Manufacturer's powertrain codes; failure types of SAE J2012-DA.
 _ROWS = (
     ("battery_short", "P1A10-01", "hybrid battery: cells in short circuit"),
@@ -33,4 +36,4 @@ def faults_of(tests: tuple[str, ...]) -> tuple[Fault, ...]:
         "faults that explain them, likeliest first (1 battery, 2 inverter, 3 efficiency, 4 resistance, 5 sensor)",
         "error of the machine's torque as motor, T7's estimate",
     )
-    return tuple(Fault(name, dtc, text, evidence, _FOUND) for name, dtc, text in _ROWS)
+    return tuple(Fault(name, dtc, text, evidence, _FOUND, tested=_LARGEST) for name, dtc, text in _ROWS)

@@ -67,7 +67,7 @@ class Security:
     """State of security access.
 
     Wrong keys are counted in the fault memory's file, before they are looked at: neither a restart nor a power cut
-    makes them forgotten. Who restarts the gateway in a delay waits for the whole of it again.
+    makes them forgotten. Restarting the gateway during a delay restarts the delay.
 
     Args:
         levels: those of the configuration.

@@ -57,7 +57,7 @@ class LinearParams(EcuParams):
     def summary(self) -> str:
         """What it is, for people."""
         plant = self.plant
-        return f"linear plant, {plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs"
+        return f"linear plant; states: {plant.states}, inputs: {plant.inputs}, outputs: {plant.outputs}"
 
     @model_validator(mode="after")
     def _shapes_fit(self) -> Self:

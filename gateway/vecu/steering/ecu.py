@@ -109,14 +109,16 @@ def _stamped(rows: list[Row], jitter_us: float, duration_s: float, bus: int, rng
     return frames[frames["t_ns"] < duration_s * 1e9]
 
 
-def _injected(faults: Iterable[SteeringFault], duration_s: float, period_ms: float) -> list[Truth]:
+def _injected(params: SteeringParams, faults: Iterable[SteeringFault], duration_s: float) -> list[Truth]:
     """Return what was injected within the run, counted in samples of the motor."""
+    times: list[tuple[str, float, float | None]] = [(fault.kind, fault.from_s, fault.to_s) for fault in faults]
+    if params.late_voltage is not None:
+        times.append(("late_voltage", *params.late_voltage))
     truth = []
-    for fault in faults:
-        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
-        if fault.from_s < end:
-            count = round((end - fault.from_s) * 1e3 / period_ms)
-            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
+    for kind, begin, to_s in times:
+        end = duration_s if to_s is None else min(to_s, duration_s)
+        if begin < end:
+            truth.append(Truth(round(begin * 1e9), kind, round((end - begin) * 1e3 / params.period_ms)))
     return truth
 
 
@@ -142,7 +144,7 @@ def steering_frames(
     told = sense(params.plant, params.column, course, faults, params.period_ms * 1e-3, rng)
     rows = _motor_rows(params, told) + _other_rows(params, course, told)
     frames = _stamped(rows, params.jitter_us, duration_s, bus, rng)
-    return frames, _injected(faults, duration_s, params.period_ms)
+    return frames, _injected(params, faults, duration_s)
 
 
 def _frames(params: SteeringParams, faults: Sequence[SteeringFault], run: Run) -> tuple[Frames, list[Truth]]:

@@ -77,6 +77,8 @@ UNEXPLAINED = 0
 
 #: Verdicts have been persistent already.
 _FOUND = Debounce(failed_after=1, passed_after=5)
+#: What the tests of actuators and sensors compare.
+_SIZE = "size of the fault"
 
 
 def _faults(p: Params) -> tuple[Fault, ...]:
@@ -93,10 +95,10 @@ def _faults(p: Params) -> tuple[Fault, ...]:
     ]
     for k, part in enumerate(p.input, start=1):
         text = f"actuator {part.name}: does something else than it is commanded"
-        found.append(Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND))
+        found.append(Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND, tested=_SIZE))
     for k, sensor in enumerate(p.output, start=1):
         text = f"sensor {sensor.name}: contradicts the others"
-        found.append(Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND))
+        found.append(Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND, tested=_SIZE))
     return tuple(found)
 
 

@@ -1,0 +1,155 @@
+"""Events of the JSON contract on stdout: as text for people, or as JSON Lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from gateway.cli.dtc_words import advice, against, others
+from gateway.cli.lines import HANG, Lines, number
+from gateway.cli.present import print_json
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.status import Status
+
+#: Columns of the names of a DTC's parts.
+_LABEL = 10
+
+
+class EventPrinter:
+    """Prints events of the JSON contract as they come.
+
+    Args:
+        as_json: JSON Lines instead of text.
+        start_ns: time stamp that people see as zero.
+        log: name of the log that they are of, for each line of JSON; None: there is one log, which needs no name.
+
+    Attributes:
+        failures: how many DTCs were set.
+        definition: id of a fault -> its definition, for its meaning and what to do; None: not known.
+    """
+
+    def __init__(self, *, as_json: bool, start_ns: int = 0, log: str | None = None) -> None:
+        self._json = as_json
+        self._more = {} if log is None else {"log": log}
+        self.start_ns = start_ns
+        self.failures = 0
+        self.definition: Callable[[str], FaultDefinition | None] = lambda fault: None
+        self._explained: set[str] = set()
+        self._advised: dict[str, str] = {}
+        self._lines = Lines()
+
+    def __call__(self, event: dict[str, Any]) -> None:
+        """Print one event."""
+        if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
+            self.failures += 1
+        if self._json:
+            print_json({**event, **self._more})
+        elif (shown := getattr(self, f"_on_{event['event']}", None)) is not None:  # others are for programs
+            shown(event)
+
+    def _time(self, event: dict[str, Any]) -> str:
+        return f"{(event['t_ns'] - self.start_ns) / 1e9:10.4f} s"
+
+    def _on_dtc(self, event: dict[str, Any]) -> None:
+        failed = bool(event["status"] & Status.TEST_FAILED)
+        colour, word = ("bold red", "SET") if failed else ("green", "healed")
+        mark = f"DTC {event['dtc']} {word}"
+        lost = "" if event["stored"] else "  NOT STORED"
+        self._lines.print(
+            f"{self._time(event)}  {mark}  {event['fault']}{lost}{self._aside(event)}", mark=mark, colour=colour
+        )
+        if failed:
+            self._explain(event)
+        if status := self._status(event):
+            self._part("status", status)
+
+    def _explain(self, event: dict[str, Any]) -> None:
+        """Print what a DTC that was set means, its evidence, and what to do; of each once what does not change."""
+        definition = self.definition(event["fault"])
+        explained = event["fault"] in self._explained
+        self._explained.add(event["fault"])
+        if definition is not None and not explained:
+            self._part("meaning", definition.description)
+        self._part("evidence", self._evidence(event, "" if definition is None else definition.tested), style="dim")
+        if definition is not None and not explained:
+            text = advice(definition)
+            first = self._advised.setdefault(text, event["dtc"])
+            self._part("to do", text if first == event["dtc"] else f"as for {first}")
+
+    def _part(self, label: str, text: str, *, style: str = "") -> None:
+        self._lines.print(f"{'':{HANG}}{label:{_LABEL}}{text}", hang=HANG + _LABEL, style=style)
+
+    def _aside(self, event: dict[str, Any]) -> str:
+        """Return more words for the line with the DTC, after two spaces."""
+        return ""
+
+    def _status(self, event: dict[str, Any]) -> str:
+        """Return how the DTC is stored; "": not to be told."""
+        return f"0x{event['status']:02X}  fdc {event['fdc']:+d}  occurrence {event['occurrence']}"
+
+    def _evidence(self, event: dict[str, Any], tested: str) -> str:
+        """Return the evidence of a DTC that was set."""
+        return "  ".join([against(event["evidence"], tested), *others(event["evidence"], tested)])
+
+    def _on_step(self, event: dict[str, Any]) -> None:
+        from gateway.cli.trace import text_of  # noqa: PLC0415 - few want it
+
+        print("\n".join(text_of(event, self.start_ns, self._lines.width)))
+
+    def _on_clear(self, event: dict[str, Any]) -> None:
+        gone = ", ".join(event["faults"]) or "no entry was there"
+        self._lines.print(f"{self._time(event)}  cleared: {gone}")
+
+    def _on_intervention(self, event: dict[str, Any]) -> None:
+        how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
+        by = f"{event['protocol']} {event['address']:X}"
+        self._lines.print(f"{self._time(event)}  tester: {event['action']} by {by}{how}")
+
+    def _on_config(self, event: dict[str, Any]) -> None:
+        self._lines.print(f"configuration {event['state']} {event['reason']}".rstrip())
+
+    def _on_log(self, event: dict[str, Any]) -> None:
+        for note in event["notes"]:
+            self._lines.print(f"log: {note}", hang=5)
+
+    def _on_clock(self, event: dict[str, Any]) -> None:
+        self.start_ns += round(event["step_s"] * 1e9)  # the seconds that people see go on evenly
+        text = f"{self._time(event)}  clock set by {event['step_s']:+.6f} s"
+        self._lines.print(text, mark="clock set", colour="bold red")
+
+    def _on_memory(self, event: dict[str, Any]) -> None:
+        colour = "green" if event["state"] == "written" else "bold red"
+        aside = f"; put aside: {event['aside']}" if event.get("aside") else ""
+        mark = f"fault memory {event['state']}"
+        text = f"{event['file']} {event['reason']}{aside}".rstrip()
+        self._lines.print(f"{self._time(event)}  {mark}  {text}", mark=mark, colour=colour)
+
+    def _on_bus(self, event: dict[str, Any]) -> None:
+        if event["state"] in ("open", "lost"):
+            colour = "green" if event["state"] == "open" else "bold red"
+            mark = f"bus {event['bus']} {event['state']}"
+            text = f"{self._time(event)}  {mark}  {event['reason'] or event['uri']}"
+            self._lines.print(text, mark=mark, colour=colour)
+        elif event["overflow"]:
+            self._lines.print(f"{event['bus']}: {event['overflow']} frames lost before they were read")
+
+    def _on_summary(self, event: dict[str, Any]) -> None:
+        print_ = self._lines.print
+        print_(
+            f"{event['frames']} frames, {event['decoded']} decoded, {event['events']} events"
+            f" in {event['seconds']:.3f} s ({event['frames_per_s']:,.0f} frames/s)"
+        )
+        for name, values in event["monitors"].items():
+            print_(f"{name}: " + readings(values), hang=2)
+        odd = {k: v for k, v in event["counters"].items() if v and k not in {"frames", "decoded"}}
+        if odd:
+            print_("counters: " + readings(odd), hang=2)
+        for name, counts in event["buses"].items():
+            if counts:
+                print_(f"bus {name}: " + readings(counts), hang=2)
+        print_("DTCs: " + (", ".join(event["dtcs"]) or "none"), hang=6)
+
+
+def readings(values: dict[str, float]) -> str:
+    """Return numbers with their names."""
+    return "  ".join(f"{name} {number(value)}" for name, value in values.items())
