@@ -176,7 +176,7 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
         printer(gateway.summary(time.monotonic() - begun))
         code = _verdict(judge, json=json, check=False)
         if shown is not None:
-            shown.stay()
+            shown.stay(f"The scenario {scenario.name} has ended after {scenario.duration_s:g} s.")
     finally:
         if shown is not None:
             shown.end()

@@ -321,6 +321,21 @@ def test_a_report_with_long_names_fits_a_telephone(site):
         assert phone.execute_script(when) > 250
 
 
+def test_the_page_of_a_demo_says_that_it_has_ended(site, tmp_path):
+    command = ("demo", "--serve", "--no-open", "--port", "0", "--speed", "20")
+    with process(*command, cwd=tmp_path, ready="page:") as demo:
+        site.driver.get(demo.said.split()[1])
+        wait_for(lambda: text_of(site, "#link") == "ended")
+        wait_for(lambda: text_of(site, "#verdict-text") == "No faults at the end")
+        said = text_of(site, "#verdict-more")
+        site.driver.save_screenshot(str(Path(os.environ.get("GATEWAY_PICTURES", tmp_path)) / "ended.png"))
+    assert said.startswith(
+        "The scenario crank_missed_tooth has ended after 8 s. Nothing is monitored any more. 1 trouble code"
+    )
+    wait_for(lambda: text_of(site, "#link") == "gateway not reached")
+    site.driver.get(site.url)
+
+
 def test_a_slow_page_does_not_hold_others_up(site):
     """Somebody opens the stream and never reads."""
     host, _, port = urlsplit(site.plain).netloc.partition(":")
