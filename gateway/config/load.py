@@ -122,6 +122,19 @@ def load_config(path: Path, without: Collection[tuple[int, str]] = ()) -> Config
     data: dict[str, Any] = read_toml(path)
     for place, key in without:
         data["monitor"][place].pop(key, None)
+    return config_of(data, path)
+
+
+def config_of(data: dict[str, Any], path: Path) -> Config:
+    """Return the configuration that the tables of a file are.
+
+    Args:
+        data: the tables.
+        path: of the file.
+
+    Raises:
+        InputErrors: every key that is wrong.
+    """
     try:
         config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:
