@@ -81,6 +81,42 @@ class InputErrors(GatewayError):
         super().__init__("\n".join(str(error) for error in errors))
 
 
+def each_of(error: InputError | InputErrors) -> list[InputError]:
+    """Return the single errors of an error."""
+    return error.errors if isinstance(error, InputErrors) else [error]
+
+
+class Gathered:
+    """The errors of several pieces of work, so that all of them are done before any is raised.
+
+    Each piece is done ``with`` it, which takes its errors; :meth:`check` raises them.
+    """
+
+    def __init__(self) -> None:
+        self._errors: list[InputError] = []
+
+    def __enter__(self) -> None:
+        """Begin a piece of work."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Take its errors; returns whether it had any."""
+        if not isinstance(error, InputError | InputErrors):
+            return False
+        self._errors += each_of(error)
+        return True
+
+    def check(self) -> None:
+        """Raise what was wrong.
+
+        Raises:
+            InputError, InputErrors: one error, or several.
+        """
+        if len(self._errors) > 1:
+            raise InputErrors(self._errors)
+        if self._errors:
+            raise self._errors[0]
+
+
 class BusError(GatewayError):
     """A bus that cannot be opened, or that failed while in use."""
 

@@ -13,7 +13,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the settings, and an option that does nothing without them."""
     parser.addini("gateway_scenarios", "folders whose scenarios (.toml) are tests", type="paths", default=[])
     parser.addini("gateway_config", "configuration of the fixture gateway_bench", type="paths", default=[])
-    parser.addini("gateway_artifacts", "folder of what failed scenarios leave", type="paths", default=[])
+    parser.addini("gateway_artifacts", "folder of what failed tests leave", type="paths", default=[])
     group = parser.getgroup("gateway", "ECU gateway")
     group.addoption(
         "--gateway-bus",

@@ -3,6 +3,7 @@
 import random
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from amount import FULL, examples
@@ -14,7 +15,7 @@ from gateway.bus.logs import open_writer, read_log
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.schema import schema
-from gateway.errors import InputError, InputErrors
+from gateway.errors import GatewayError, InputError, InputErrors
 from gateway.faults import service
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive
@@ -382,3 +383,44 @@ def test_an_empty_log_is_no_cycle():
     gateway = Gateway(load_config(shipped("gateway.toml")))
     assert replay(gateway, [empty(0)]) == 0
     assert gateway.memory.cycle_number() == 0
+
+
+def test_a_gateway_that_is_closed_takes_no_frames_and_no_time():
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    gateway.start(0)
+    gateway.close()
+    with pytest.raises(GatewayError, match=r"^this gateway is closed"):
+        gateway.feed(empty(1))
+    with pytest.raises(GatewayError, match=r"^this gateway is closed"):
+        gateway.advance(10**9)
+
+
+@pytest.mark.parametrize(
+    ("frames", "what"),
+    [
+        ([can.Message(arbitration_id=0x123)], "list"),
+        (can.Message(), "Message"),
+        (None, "NoneType"),
+        (empty(2)[0], "void"),
+        (np.zeros(3), r"array of float64 and shape \(3,\)"),
+        (empty(4).reshape(2, 2), r"array of .* and shape \(2, 2\)"),
+    ],
+)
+def test_what_is_no_batch_of_frames_is_refused(frames, what):
+    gateway = Gateway(load_config(shipped("gateway.toml")))
+    gateway.start(0)
+    with pytest.raises(TypeError, match=rf"gateway\.bus\.frames\.FRAME.*; this is: {what}$"):
+        gateway.feed(frames)
+    gateway.feed(empty(1))  # an array of the same fields, whoever made it
+    gateway.feed(np.zeros(1, np.dtype(FRAME.descr)))
+    gateway.close()
+
+
+def test_paths_may_be_texts(tmp_path):
+    path = str(shipped("gateway.toml"))
+    assert load_config(path) == load_config(Path(path))
+    gateway = Gateway(load_config(path), str(tmp_path / "faults.sqlite"))
+    gateway.close()
+    assert (tmp_path / "faults.sqlite").exists()
+    with pytest.raises(InputError, match=r"^none\.toml: No such file"):
+        load_config("none.toml")

@@ -1,11 +1,16 @@
 """Mistakes in checks and in monitors signal and rule: each is one line that names file, key, value and what is near."""
 
+import json
+
 import pytest
 from car import write
 
+from gateway.cli.check import check
+from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
+from gateway.runtime.mistakes import mistakes
 
 DBC = (
     'BO_ 256 Wheel: 8 A\n SG_ Speed : 0|16@1- (0.01,0) [-300|300] "km/h" B\n SG_ Gear : 16|8@1+ (1,0) [0|255] "" B\n'
@@ -142,6 +147,7 @@ def test_a_mistake_is_one_line(tmp_path, text, key, said):
     assert rest.startswith((key, 'fault."w.Speed.high".caused_by'))
     assert key in rest
     assert said in rest
+    assert [str(error) for error in mistakes(path)] == [line]
 
 
 def test_with_many_faults_only_near_names_are_told(tmp_path):
@@ -152,3 +158,176 @@ def test_with_many_faults_only_near_names_are_told(tmp_path):
     with pytest.raises(InputErrors, match=r"known: 122; did you mean w\.S33\.high") as told:
         Gateway(load_config(path), file=path)
     assert len(str(told.value)) < 300
+
+
+#: Of each stage: keys, what tables say of each other, names of the database, what monitors want, faults.
+ALL_STAGES = """
+[[bus.check]]
+message = "Wheel"
+timeout = 5
+[[bus.check]]
+message = "Boddy"
+lost = "U0101"
+invalid = "U0402"
+[[monitor]]
+name = "s"
+type = "signal"
+signal = [{ signal = "Wheel.Sped", plausible = [0, 1] }, { signal = "Whel.Speed", plausible = [0, 1] }]
+[[monitor]]
+name = "w"
+type = "signal"
+bus = "cam"
+signal = [{ signal = "Wheel.Speed", gradient = 1 }]
+[[monitor]]
+name = "r"
+type = "rule"
+rule = [{ name = "a", holds = "Wheel.Speed < Body.Angle" }]
+[[monitor]]
+name = "good"
+type = "signal"
+signal = [{ signal = "Wheel.Speed", plausible = [0, 1] }]
+[fault."w.Speed.steep"]
+priority = 1
+[fault."good.Speed.hihg"]
+priority = 1
+[fault."good.Speed.high"]
+caused_by = ["good.Speed.lo"]
+[fault."good.Speed.low"]
+freeze_frame = ["Wheel.Ger", "w:value"]
+[memory]
+entries = 0
+[cycle.drive]
+begins = { signal = "Wheel.Geer", min = 1 }
+ends = { signal = "Wheel.Gear", max = 0 }
+"""
+
+
+def test_the_mistakes_of_all_stages_are_told_at_once_in_the_order_of_the_file(tmp_path, capsys):
+    path = write(tmp_path, DBC, ALL_STAGES)
+    wanted = [
+        "bus[0].check[0].timeout",
+        "bus[0].check[1].message = 'Boddy'",
+        "monitor[0].signal[0].signal = 'Wheel.Sped'",
+        "monitor[0].signal[1].signal = 'Whel.Speed'",
+        "monitor[1].bus = 'cam'",
+        "monitor[2].rule[0].holds = 'Wheel.Speed < Body.Angle'",
+        'fault."good.Speed.hihg"',
+        "fault.\"good.Speed.high\".caused_by = 'good.Speed.lo'",
+        "fault.\"good.Speed.low\".freeze_frame[0] = 'Wheel.Ger'",
+        "memory.entries = 0",
+        "cycle.drive.begins.signal = 'Wheel.Geer'",
+    ]
+    with pytest.raises(InputErrors) as told:
+        check(path, schema_wanted=False, json=False)
+    lines = [line.removeprefix(f"{path}: ") for line in str(told.value).splitlines()]
+    assert [line[: len(key)] for line, key in zip(lines, wanted, strict=True)] == wanted
+    assert check(path, schema_wanted=False, json=True) == 2
+    errors = json.loads(capsys.readouterr().out)["errors"]
+    assert [error["key"] for error in errors] == [key.partition(" = ")[0] for key in wanted]
+    assert {error["file"] for error in errors} == {str(path)}
+
+
+def test_of_many_wrong_monitors_each_is_told(tmp_path):
+    tables = [
+        f'[[monitor]]\nname = "m{k}"\ntype = "signal"\nsignal = [{{ {t} }}]' for k, (t, *_) in enumerate(OF_SIGNALS)
+    ]
+    tables += [
+        f'[[monitor]]\nname = "r{k}"\ntype = "rule"\nrule = [{{ name = "a", {t} }}]'
+        for k, (t, *_) in enumerate(OF_RULES)
+    ]
+    path = write(tmp_path, DBC, "\n".join(tables))
+    path.write_text(path.read_text().replace('name = "b"', 'name = "can"'))
+    said = [str(error) for error in mistakes(path)]
+    for k, (line, (_, key, text)) in enumerate(zip(said, OF_SIGNALS + OF_RULES, strict=True)):
+        assert key.replace("monitor[0]", f"monitor[{k}]") in line
+        assert text in line
+
+
+WATCHING = 'type = "signal"\nsignal = [{ signal = "Wheel.Speed", plausible = [0, 1] }]\n'
+MISSPELT = WATCHING.replace("Speed", "Sped")
+#: One mistake, and what is wrong only because of it.
+CONSEQUENCES = {
+    "monitor": (
+        f'[[monitor]]\nname = "w"\npriorit = 1\n{WATCHING}plausibel = 1\n[fault."w.Speed.high"]\npriority = 1\n'
+        f'[[monitor]]\nname = "v"\n{WATCHING}[fault."v.Speed.high"]\ncaused_by = ["w.Speed.low"]\n',
+        ["monitor[0].priorit", "monitor[0].plausibel"],
+    ),
+    "monitor without a name": (
+        f'[[monitor]]\n{WATCHING}[fault."w.Speed.high"]\npriority = 1\n',
+        ["monitor[0].name"],
+    ),
+    "live value": (
+        f'[[monitor]]\nname = "w"\n{WATCHING}bus = "x"\n[[did]]\nid = 0x1234\nname = "d"\nsignal = "w:value"\n',
+        ["monitor[0].bus"],
+    ),
+    "check": (
+        '[[bus.check]]\nmessage = "Whel"\ntimeout_ms = 5\n[fault."b.Wheel.timeout"]\npriority = 1\n',
+        ["bus[0].check[0].message"],
+    ),
+    "codes": (
+        '[[bus.check]]\nmessage = "Wheel"\ntimeout_ms = 5\n[[bus.check]]\nmessage = "Body"\ntimeout_ms = 5\n'
+        '[fault."b.Body.timeout"]\ndtc = "U0155-87"\npriorit = 1\n[fault."b.Body.length"]\ndtc = "U0156-82"\n',
+        ['fault."b.Body.timeout".priorit'],
+    ),
+    "cycle": (
+        f'[[monitor]]\nname = "w"\n{WATCHING}[fault."w.Speed.high"]\ncycle = "drive"\n'
+        '[cycle.drive]\nbegin = { signal = "Wheel.Gear", min = 1 }\nends = { signal = "Wheel.Gear", max = 0 }\n',
+        ["cycle.drive.begin"],
+    ),
+    "identifier": (
+        f'[[monitor]]\nname = "w"\n{WATCHING}[fault."w.Speed.high"]\nfreeze_frame = ["gear"]\n'
+        '[[did]]\nid = 0x1234\nname = "gear"\nsignal = "Wheel.Gear"\nlenght = 1\n',
+        ["did[0].lenght"],
+    ),
+    "levels": (
+        '[output.uds]\nrequst = 1\nsecurity = [{ level = 1, secret = "00112233445566778899AABBCCDDEEFF" }]\n'
+        "[access.clear]\nsecurity = 1\n",
+        ["output.uds.requst"],
+    ),
+    "misspelt table": (
+        f'[[monitr]]\nname = "w"\n{WATCHING}[fault."w.Speed.high"]\npriority = 1\n',
+        ["monitr"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONSEQUENCES)
+def test_what_follows_from_a_mistake_is_not_told(tmp_path, case):
+    text, keys = CONSEQUENCES[case]
+    said = [error.key for error in mistakes(write(tmp_path, DBC, text))]
+    assert said == keys
+
+
+def test_a_bus_whose_database_is_missing_hides_only_what_is_on_it(tmp_path):
+    path = write(
+        tmp_path,
+        DBC,
+        '[[bus]]\nname = "c"\nuri = "virtual:y"\ndatabase = ["none.dbc"]\n[[bus.check]]\nmessage = "Wheel"\n'
+        f'[[monitor]]\nname = "w"\nbus = "c"\n{WATCHING}[[monitor]]\nname = "v"\nbus = "b"\n{MISSPELT}'
+        f'[[monitor]]\nname = "u"\nbus = "b"\n{WATCHING}signals = {{ "Wheel.Speed" = "c.Wheel.Speed" }}\n'
+        f'[[monitor]]\nname = "t"\nbus = "b"\n{WATCHING}'
+        '[fault."c.bus_off"]\npriority = 1\n[fault."c.Wheel.length"]\npriority = 1\n'
+        '[fault."t.Speed.high"]\nfreeze_frame = ["Other.Signal", "b.Wheel.Ger"]\n[output.dtc_frame]\nbus = "c"\n',
+    )
+    said = [(error.file, error.key) for error in mistakes(path)]
+    assert said == [
+        (str(tmp_path / "none.dbc"), None),
+        (str(path), "monitor[1].signal[0].signal"),
+        (str(path), 'fault."t.Speed.high".freeze_frame[1]'),
+    ]
+
+
+def test_a_key_of_a_bus_that_nothing_depends_on_hides_nothing(tmp_path):
+    path = write(tmp_path, DBC, f'[[monitor]]\nname = "w"\n{MISSPELT}', more="bitrate = 5\n")
+    path.write_text(path.read_text().replace("virtual:x", "vcan0"))
+    assert [error.key for error in mistakes(path)] == ["bus[0].uri", "bus[0].bitrate", "monitor[0].signal[0].signal"]
+
+
+def test_a_file_that_cannot_be_read_is_one_mistake(tmp_path):
+    (tmp_path / "c.toml").write_text("bus = [\n")
+    assert [error.line for error in mistakes(tmp_path / "c.toml")] == [2]
+    assert [error.file for error in mistakes(tmp_path / "none.toml")] == [str(tmp_path / "none.toml")]
+
+
+def test_a_configuration_that_is_right_has_none(tmp_path):
+    assert mistakes(shipped("gateway.toml")) == []

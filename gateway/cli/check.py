@@ -10,8 +10,9 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
-from gateway.errors import InputError, InputErrors
+from gateway.errors import InputError, InputErrors, each_of
 from gateway.runtime.app import Gateway
+from gateway.runtime.mistakes import mistakes
 from gateway.servers.access_review import ways_around
 
 #: Columns that are left for a name after the codes given out for it, of 80.
@@ -28,9 +29,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         config = load_config(path)
         gateway = Gateway(config, None, file=path)
     except (InputError, InputErrors) as error:
+        errors = mistakes(path) or each_of(error)
         if not json:
-            raise
-        errors = error.errors if isinstance(error, InputErrors) else [error]
+            raise InputErrors(errors) from error
         print_json(
             {
                 "ok": False,

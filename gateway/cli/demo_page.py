@@ -85,8 +85,14 @@ class DemoPage:
         if self._socket is not None:
             self._socket.turn(time.monotonic())
 
-    def stay(self) -> None:
-        """Serve the page until told to stop."""
+    def stay(self, ended: str) -> None:
+        """Serve the page until told to stop.
+
+        Args:
+            ended: what the page says of the scenario, which is over.
+        """
+        if self._socket is not None:
+            self._socket.end(ended)
         say("the scenario is over; the page stays until Ctrl-C")
         while not self.stop():
             self._turn()

@@ -119,7 +119,7 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
         if story is not None:
             story.end(judge.findings(), scenario_name)
         if shown is not None:
-            shown.stay()
+            shown.stay(f"The scenario {scenario.name} has ended after {scenario.duration_s:g} s.")
     finally:
         if shown is not None:
             shown.end()

@@ -86,6 +86,7 @@ def told(hub: Hub) -> dict[str, Any]:
     return {
         "name": hub.hello["name"],
         "connected": hub.connected,
+        "ended": hub.hello.get("ended", ""),
         "dtcs": hub.memory["entries"],
         "nearest": [
             {"fault": faults[row["fault"]]["id"], **{k: row.get(k) for k in ("value", "threshold", "ratio", "fdc")}}
@@ -118,6 +119,8 @@ def _head(hub: Hub) -> Text:
         line.append(f"{len(failing)} now: " + ", ".join(e["dtc"] for e in failing), style="bold red")
     else:
         line.append("no faults now", style="green")
+    if hub.connected and hub.hello.get("ended"):  # an older gateway does not say it
+        line.append(f"   {hub.hello['ended']}", style="bold yellow")
     cycles = ", ".join(f"{name} {cycle['number']}" for name, cycle in hub.memory["cycles"].items())
     line.append(f"   cycle {cycles or '-'}", style="dim")
     if hub.memory["error"]:

@@ -108,7 +108,7 @@ def _overridden(data: dict[str, Any], path: Path) -> Config:
         raise InputError(text, file=path) from error
 
 
-def load_config(path: Path, without: Collection[tuple[int, str]] = ()) -> Config:
+def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; relative database paths become relative to its folder.
 
     Args:
@@ -119,9 +119,23 @@ def load_config(path: Path, without: Collection[tuple[int, str]] = ()) -> Config
         InputError: the file cannot be read, or is not TOML.
         InputErrors: every key that is wrong.
     """
+    path = Path(path)
     data: dict[str, Any] = read_toml(path)
     for place, key in without:
         data["monitor"][place].pop(key, None)
+    return config_of(data, path)
+
+
+def config_of(data: dict[str, Any], path: Path) -> Config:
+    """Return the configuration that the tables of a file are.
+
+    Args:
+        data: the tables.
+        path: of the file.
+
+    Raises:
+        InputErrors: every key that is wrong.
+    """
     try:
         config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:

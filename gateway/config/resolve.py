@@ -5,7 +5,7 @@ What is built of it (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -20,7 +20,7 @@ from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.gate import CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, InputErrors, nearest
+from gateway.errors import Gathered, InputError, InputErrors, each_of, nearest
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
@@ -95,12 +95,11 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     uds = config.output.uds
     _find_access(config, names)
     _find_usage(config, names)
-    for name in extra:
-        names.find(name, "--signal")
+    _each(names.find, ((name, "--signal") for name in extra))
     notes: list[str] = []
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
     codes = network_codes(config, (fault for type_ in whole for fault in checked_faults(*type_)))
-    monitors = tuple(each for at, type_ in enumerate(types) for each in _monitors(config, at, *type_, databases, codes))
+    monitors = _all_monitors(config, types, databases, codes)
     pairs = codes_of_messages(config, databases, codes)
     checks = tuple(_checks(config, databases, pairs, notes))
     return Resolved(
@@ -133,50 +132,88 @@ def load_databases(config: Config) -> tuple[Database, ...]:
     """Load the databases of every bus.
 
     Raises:
-        InputErrors: every database that cannot be loaded.
+        InputError, InputErrors: every database that cannot be loaded.
     """
-    loaded: list[Database] = []
-    wrong: list[InputError] = []
+    loaded, wrong = [], Gathered()
     for bus in config.bus:
-        try:
+        with wrong:
             loaded.append(load_database(bus.database))
-        except InputError as error:
-            wrong.append(error)
-        except InputErrors as errors:
-            wrong += errors.errors
-    if wrong:
-        raise InputErrors(wrong)
+    wrong.check()
     return tuple(loaded)
+
+
+def _each(find: Callable[[str, str], object], asked: Iterable[tuple[str, str]]) -> None:
+    """Find what names stand for, each with the key that has it.
+
+    Raises:
+        InputError, InputErrors: those that are not there.
+    """
+    wrong = Gathered()
+    for name, key in asked:
+        with wrong:
+            find(name, key)
+    wrong.check()
 
 
 def _checks(
     config: Config, databases: Sequence[Database], pairs: Mapping[str, Pair], notes: list[str]
-) -> Iterator[CheckInstance]:
-    """Yield the checks of messages; codes given out and what databases say of protections is put in, this is noted."""
+) -> list[CheckInstance]:
+    """Return the checks of messages; codes given out and what databases say of protections is put in, this is noted.
+
+    Raises:
+        InputError, InputErrors: checks of messages that are not there.
+    """
+    made, wrong = [], Gathered()
     for index, bus in enumerate(config.bus):
         for at, check in enumerate(bus.check):
             name, key = f"{bus.name}.{check.message}", f"bus[{index}].check[{at}]"
             given = pairs[name]._asdict() if name in pairs else {}
             update: dict[str, Any] = {what: code for what, code in given.items() if what not in check.model_fields_set}
             if check.protection == "auto":
-                try:
-                    message = databases[index].message(check.message)
-                    taken, why = automatic(message, databases[index].file_of(check.message))
-                except InputError as error:
-                    raise InputError(error.message, key=f"{key}.message", value=check.message) from error
-                update |= {what: getattr(taken, what) for what in ("e2e", "checksum", "counter")}
-                notes.append(f"{name}: {why}")
-            yield CheckInstance(check.model_copy(update=update), index, name, key)
+                with wrong:
+                    taken, why = _automatic(databases[index], check.message, key)
+                    update |= {what: getattr(taken, what) for what in ("e2e", "checksum", "counter")}
+                    notes.append(f"{name}: {why}")
+            made.append(CheckInstance(check.model_copy(update=update), index, name, key))
+    wrong.check()
+    return made
+
+
+def _automatic(database: Database, name: str, key: str) -> tuple[ProtectionParams, str]:
+    """Return what a database says of the protection of a message, and why.
+
+    Raises:
+        InputError: there is no such message.
+    """
+    try:
+        return automatic(database.message(name), database.file_of(name))
+    except InputError as error:
+        raise InputError(error.message, key=f"{key}.message", value=name) from error
 
 
 def protections(config: Config) -> dict[tuple[int, str], ProtectionParams]:
     """Return how messages are protected, by their checks: (bus index, message) -> keys of the check.
 
     Raises:
-        InputError: a check of a message that is not there.
+        InputError, InputErrors: checks of messages that are not there.
     """
     checks = _checks(config, load_databases(config), {}, [])
     return {(check.bus, check.params.message): check.params for check in checks}
+
+
+def _all_monitors(
+    config: Config,
+    types: Sequence[tuple[Monitor[Any], MonitorParams]],
+    databases: Sequence[Database],
+    codes: NetworkCodes,
+) -> tuple[MonitorInstance, ...]:
+    made: list[MonitorInstance] = []
+    wrong = Gathered()
+    for at, type_ in enumerate(types):
+        with wrong:
+            made += _monitors(config, at, *type_, databases, codes)
+    wrong.check()
+    return tuple(made)
 
 
 def _monitors(
@@ -186,8 +223,12 @@ def _monitors(
     params: MonitorParams,
     databases: Sequence[Database],
     codes: NetworkCodes,
-) -> Iterator[MonitorInstance]:
-    """Yield a configured monitor, or its parts."""
+) -> list[MonitorInstance]:
+    """Return a configured monitor, or its parts.
+
+    Raises:
+        InputError, InputErrors: signals that are not there, what a part cannot be made of.
+    """
     entry, key = config.monitor[at], f"monitor[{at}]"
     bus = config.bus_index(entry.bus)
     sent = _emission(entry, monitor, params, databases[bus]) if entry.send else None
@@ -197,19 +238,26 @@ def _monitors(
         def find(name: str) -> Signal:
             return _signal(config, databases, bus, entry.signals.get(name, name))
 
+        wrong = Gathered()
         for name, other in entry.signals.items():
             try:
                 find(name)
             except InputError as error:
-                raise InputError(error.message, key=f'{key}.signals."{name}"', value=other) from error
-
+                with wrong:
+                    raise InputError(error.message, key=f'{key}.signals."{name}"', value=other) from error
+        wrong.check()
         try:
             several = dict(parts.of(params, find, partial(codes.give, config.bus[bus].name)))
-        except InputError as error:
-            own = f"{key}.{error.key}" if error.key else key
-            raise InputError(error.message, key=own, value=error.value) from error
-    for name, part in several.items():
-        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
+        except (InputError, InputErrors) as error:
+            for each in each_of(error):
+                own = f"{key}.{each.key}" if each.key else key
+                with wrong:
+                    raise InputError(each.message, key=own, value=each.value) from error
+            wrong.check()
+    return [
+        MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
+        for name, part in several.items()
+    ]
 
 
 def _signal(config: Config, databases: Sequence[Database], bus: int, name: str) -> Signal:
@@ -258,17 +306,23 @@ def _emission(entry: MonitorConfig, monitor: Monitor[Any], params: MonitorParams
 def _freeze_frames(config: Config, names: Names) -> dict[str, tuple[str, ...]]:
     """Return the signals that the faults' freeze frames ask for."""
     asked = {fault: settings.freeze_frame for fault, settings in config.fault.items() if settings.freeze_frame}
-    for fault, wanted in asked.items():
-        for k, name in enumerate(wanted):
-            names.find_shown(name, f'fault."{fault}".freeze_frame[{k}]')
+    _each(
+        names.find_shown,
+        (
+            (name, f'fault."{fault}".freeze_frame[{k}]')
+            for fault, wanted in asked.items()
+            for k, name in enumerate(wanted)
+        ),
+    )
     return asked
 
 
 def _shown(config: Config, names: Names) -> tuple[str, ...]:
     """Return what OBD and J1939 show of freeze frames; finds what identifiers read, too."""
-    for k, did in enumerate(config.did):
-        if did.signal is not None:
-            names.find_shown(did.signal, f"did[{k}].signal")
+    _each(
+        names.find_shown,
+        ((did.signal, f"did[{k}].signal") for k, did in enumerate(config.did) if did.signal is not None),
+    )
     shown = {}
     if config.output.obd is not None:
         for k, pid in enumerate(config.output.obd.pid):
@@ -276,8 +330,7 @@ def _shown(config: Config, names: Names) -> tuple[str, ...]:
     if config.output.j1939 is not None:
         for k, entry in enumerate(config.output.j1939.freeze_frame):
             shown[entry.signal] = f"output.j1939.freeze_frame[{k}].signal"
-    for signal, key in shown.items():
-        names.find(signal, key)
+    _each(names.find, shown.items())
     return tuple(shown)
 
 
@@ -287,9 +340,14 @@ def _find_access(config: Config, names: Names) -> None:
     rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
     rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, *SESSIONLESS)}
     rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
-    for key, rule in rules.items():
-        for k, condition in enumerate(rule.when or () if rule is not None else ()):
-            names.find(condition.signal, f"{key}.when[{k}].signal")
+    _each(
+        names.find,
+        (
+            (condition.signal, f"{key}.when[{k}].signal")
+            for key, rule in rules.items()
+            for k, condition in enumerate(rule.when or () if rule is not None else ())
+        ),
+    )
 
 
 def _find_usage(config: Config, names: Names) -> None:
@@ -297,20 +355,26 @@ def _find_usage(config: Config, names: Names) -> None:
     usage = config.usage
     if usage is None:
         return
-    for what, conditions in (("running", usage.running), ("denominator", usage.denominator)):
-        for k, condition in enumerate(conditions):
-            names.find(condition.signal, f"usage.{what}[{k}].signal")
-    for what, signal in (("speed", usage.speed), ("odometer", usage.odometer)):
-        if signal is not None:
-            names.find(signal, f"usage.{what}")
+    named = [
+        (condition.signal, f"usage.{what}[{k}].signal")
+        for what, conditions in (("running", usage.running), ("denominator", usage.denominator))
+        for k, condition in enumerate(conditions)
+    ]
+    others = (("speed", usage.speed), ("odometer", usage.odometer))
+    named += [(signal, f"usage.{what}") for what, signal in others if signal is not None]
+    _each(names.find, named)
 
 
 def _gates(config: Config, names: Names) -> dict[str, Gate]:
     """Return when the test results of each fault count."""
     gates = _caused_by_buses(config)
+    cycles = tuple(config.cycle)
+    wrong = Gathered()
     for fault, settings in config.fault.items():
         roots = settings.caused_by or gates.get(fault, Gate()).roots
-        gates[fault] = replace(_gate(names, fault, settings, tuple(config.cycle)), roots=roots)
+        with wrong:
+            gates[fault] = replace(_gate(names, fault, settings, cycles), roots=roots)
+    wrong.check()
     return gates
 
 

@@ -34,7 +34,7 @@ from gateway.engine.tables import (
 )
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
-from gateway.errors import InputError, named
+from gateway.errors import Gathered, InputError, named
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS, Arrivals
 from gateway.signals.database import Database
@@ -78,11 +78,11 @@ def build_engine(
         in order, then the gateway's own.
 
     Raises:
-        InputError: a message or signal that no database has, a CRC signal off its byte boundary.
+        InputError, InputErrors: a message or signal that no database has, a CRC signal off its byte boundary.
     """
     by_bus, gates = dict(databases), gates or {}
     monitors = sorted(monitors, key=lambda m: m.priority)
-    wirings = [wire(m, by_bus, {bus.name: k for k, bus in enumerate(buses)}) for m in monitors]
+    wirings = _wirings(monitors, by_bus, {bus.name: k for k, bus in enumerate(buses)})
     wanted = _signals(wirings, checks, by_bus, gates, cycles) | set(extra)
     plan = compile_plan(databases, wanted, messages=_messages(wirings, checks), pgn=pgn)
     faults: list[FaultSlot] = []
@@ -100,6 +100,17 @@ def build_engine(
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(made.states), tuple(made.consts))
 
 
+def _wirings(
+    monitors: Sequence[MonitorInstance], databases: Mapping[int, Database], buses: Mapping[str, int]
+) -> list[Wired]:
+    wirings, wrong = [], Gathered()
+    for m in monitors:
+        with wrong:
+            wirings.append(wire(m, databases, buses))
+    wrong.check()
+    return wirings
+
+
 def _signals(
     wirings: Sequence[Wired],
     checks: Sequence[CheckInstance],
@@ -112,8 +123,11 @@ def _signals(
     wanted.update(c.signal for cycle in cycles for c in (cycle.begins, cycle.ends))
     for wired in wirings:
         wanted.update(reference for reference in wired.inputs if reference is not None)
+    wrong = Gathered()
     for check in checks:
-        wanted.update(communication.signals_of(check, databases[check.bus]))
+        with wrong:
+            wanted.update(communication.signals_of(check, databases[check.bus]))
+    wrong.check()
     return wanted
 
 
@@ -294,7 +308,7 @@ def _verdicts(
     """Fill what makes a verdict of test results.
 
     Raises:
-        InputError: a root cause that is no fault.
+        InputError, InputErrors: a root cause that is no fault.
     """
     debounces = table(len(faults), DebounceRow)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
@@ -308,14 +322,13 @@ def _verdicts(
 
 
 def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> None:
-    for name, gate in gates.items():
-        for root in gate.roots:
-            if root not in ids or root == name:
-                raise InputError(
-                    named("no such fault; known:", root, set(ids) - {name}),
-                    key=f'fault."{name}".caused_by',
-                    value=root,
-                )
+    wrong = Gathered()
+    for name, root in ((name, root) for name, gate in gates.items() for root in gate.roots):
+        if root not in ids or root == name:
+            text = named("no such fault; known:", root, set(ids) - {name})
+            with wrong:
+                raise InputError(text, key=f'fault."{name}".caused_by', value=root)
+    wrong.check()
 
 
 def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protection.Tables, **others: Any) -> Tables:

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from gateway.common.tomlfile import key_path
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, nearest
+from gateway.errors import Gathered, InputError, nearest
 from gateway.monitors.conformance import connections
 from gateway.monitors.contract import Signal
 from gateway.signals.database import Database
@@ -34,7 +34,8 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     """Find what a monitor is connected to.
 
     Raises:
-        InputError: a signal or message that is not there, another unit, a name that the monitor does not know.
+        InputError, InputErrors: a signal or message that is not there, another unit, a name that the monitor does not
+            know.
     """
     connected = connections(m.monitor, m.params)
     known = {signal.name for _, signal in connected.inputs if signal is not None}
@@ -43,22 +44,27 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     triggers: set[tuple[int, str]] = set()
     optional: set[tuple[int, str]] = set()
     key = m.key or f'monitor "{m.name}"'
+    wrong = Gathered()
     for name in m.signals:
         if name not in known:
             text = f"the monitor has no such signal{nearest(name, known)}"
-            raise InputError(text, key=f"{key}.signals", value=name)
+            with wrong:
+                raise InputError(text, key=f"{key}.signals", value=name)
+    wrong.check()
     for _, signal in connected.inputs:
-        if signal is None:
-            inputs.append(None)
-            continue
-        place = _found(m, signal, databases, buses, key)
+        place: SignalRef | None = None
+        with wrong:
+            place = None if signal is None else _found(m, signal, databases, buses, key)
         inputs.append(place)
+        if signal is None or place is None:
+            continue
         message = signal.name.rpartition(".")[0]
         places[message] = (place.bus, place.message)
         if signal.optional:
             optional.add((place.bus, place.message))
         if signal.triggers:
             triggers.add((place.bus, place.message))
+    wrong.check()
     triggers |= {places.get(name, (m.bus, name)) for name in connected.messages}
     for bus, name in triggers:
         try:

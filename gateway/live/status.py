@@ -107,6 +107,7 @@ class StatusSocket:
         self._due = [0.0, 0.0, 0.0]
         self._count = 0
         self._deaf_until = 0.0
+        self._ended = ""
         self.sent_away = self.refused = self.ticks = 0
         self.replace(gateway)
 
@@ -118,11 +119,17 @@ class StatusSocket:
         """Show another gateway from now on; the readers are told what there is now."""
         self._gateway = gateway
         self._commands = Commands(gateway)
-        self._hello = b""
         self._traffic = Traffic(len(gateway.config.bus))
-        self._tell_all_counters()
-        for reader in self._readers:
-            reader.put(self._greeting())
+        self._greet()
+
+    def end(self, text: str) -> None:
+        """Tell the readers, and those that come later, that what is shown has ended; they can still look at it.
+
+        Args:
+            text: what has ended, a sentence for people.
+        """
+        self._ended = text
+        self._greet()
 
     def listening(self) -> bool:
         """Tell whether somebody reads."""
@@ -290,9 +297,16 @@ class StatusSocket:
 
     # What is shown
 
+    def _greet(self) -> None:
+        """Tell all readers what there is to see now."""
+        self._hello = b""
+        self._tell_all_counters()
+        for reader in self._readers:
+            reader.put(self._greeting())
+
     def _greeting(self) -> bytes:
         if not self._hello:
-            self._hello = _message("hello", **_described(self._gateway))
+            self._hello = _message("hello", **_described(self._gateway), ended=self._ended)
         return self._hello
 
     def _tell_all_counters(self) -> None:

@@ -50,7 +50,9 @@ class CanLog:
 
     def write(self, path: Path | None = None) -> Path:
         """Write a log that ``gateway replay`` and others read; returns its path, by default ``path``."""
-        path = self.path if path is None else path
+        if path is None:
+            path = self.path
+            path.parent.mkdir(parents=True, exist_ok=True)
         with open_writer(path) as writer:
             writer.write(self.frames)
         return path

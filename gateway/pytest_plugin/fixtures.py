@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,6 +19,9 @@ from gateway.pytest_plugin.uds import client_of
 
 if TYPE_CHECKING:
     from udsoncan.client import Client
+
+#: Longest name of a folder that is made of a test's name.
+_MOST_OF_NAME = 100
 
 
 def _config_of(request: pytest.FixtureRequest) -> Path:
@@ -74,10 +79,31 @@ def dtcs(gateway_bench: Bench) -> Dtcs:
     return Dtcs(gateway_bench)
 
 
+def left_in(folder: Path, nodeid: str) -> Path:
+    """Return the folder below a folder in which a test leaves its files, one of its own for each test.
+
+    Args:
+        folder: of the setting ``gateway_artifacts``.
+        nodeid: of the test, as pytest has it: ``tests/test_a.py::TestB::test_c[4]``.
+    """
+    file, *names = nodeid.split("::")
+    return folder.joinpath(*map(_folder_name, (*PurePosixPath(file).with_suffix("").parts, *names)))
+
+
+def _folder_name(part: str) -> str:
+    """Return part of a test's name as the name of a folder; two that differ stay two."""
+    name = re.sub(r"[^\w.,=+\[\]-]", "_", part)[:_MOST_OF_NAME]
+    if name == part and part not in (".", ".."):
+        return name
+    return f"{name}-{hashlib.blake2b(part.encode(), digest_size=4).hexdigest()}"
+
+
 @pytest.fixture
-def can_log(gateway_bench: Bench, tmp_path: Path) -> CanLog:
+def can_log(request: pytest.FixtureRequest, gateway_bench: Bench) -> CanLog:
     """All frames from here on: ``frames``, ``of("Message")``, ``write(path)``; a failed test leaves it as a file."""
-    return CanLog(gateway_bench, tmp_path / "can.log")
+    folders: list[Path] = request.config.getini("gateway_artifacts")
+    folder = left_in(folders[0], request.node.nodeid) if folders else request.getfixturevalue("tmp_path")
+    return CanLog(gateway_bench, folder / "can.log")
 
 
 @pytest.fixture

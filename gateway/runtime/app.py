@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import are_steps
-from gateway.bus.frames import OWN, Frames, chosen, empty, joined
+from gateway.bus.frames import FRAME, OWN, Frames, chosen, empty, joined
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
@@ -27,6 +27,7 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     Events,
 )
+from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
 from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.entries import DtcChange
@@ -87,7 +88,7 @@ class Gateway:
     def __init__(
         self,
         config: Config,
-        memory_path: Path | None = None,
+        memory_path: str | Path | None = None,
         *,
         file: Path | None = None,
         parts: Parts | None = None,
@@ -97,7 +98,8 @@ class Gateway:
         self.config = config
         self._parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
-        self.store = KeptStore(memory_path) if store is None else store
+        self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
+        self._closed = False
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
         self._judged = [self._parts.slots[name] for name in signals_of(config.needs)]
@@ -234,7 +236,8 @@ class Gateway:
         self._doubts.seek_beside()
 
     def close(self) -> None:
-        """Close the fault memory."""
+        """Close the fault memory; a gateway that is closed takes no frames, and no time passes for it."""
+        self._closed = True
         self._upkeep.close()
         self._doubts.close()
         self.store.close()
@@ -243,7 +246,16 @@ class Gateway:
         """Take a batch of frames; returns the frames to send.
 
         What the returned frames say is stored before they are returned, unless it cannot be (see ``upkeep``).
+
+        Args:
+            frames: of FRAME, shape (n,), in order of time.
+
+        Raises:
+            TypeError: these are no frames.
+            GatewayError: the gateway is closed.
         """
+        if self._closed or type(frames) is not np.ndarray or frames.dtype is not FRAME or frames.ndim != 1:
+            self._refuse_unless_frames(frames)
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         if self.servers.indifferent(frames):  # as to nearly every batch
@@ -255,6 +267,21 @@ class Gateway:
                 made = self.servers.on_frame(k, last, self.engine.now_ns)
                 sent += [*self._take_early(), made]
         return joined(sent)
+
+    def _refuse_unless_open(self) -> None:
+        if self._closed:
+            raise GatewayError("this gateway is closed: make a new one")
+
+    def _refuse_unless_frames(self, frames: object) -> None:
+        self._refuse_unless_open()
+        if not isinstance(frames, np.ndarray) or frames.dtype != FRAME or frames.ndim != 1:
+            kind = type(frames).__name__
+            if isinstance(frames, np.ndarray):
+                kind = f"array of {frames.dtype} and shape {frames.shape}"
+            text = (
+                "frames are an array of gateway.bus.frames.FRAME, shape (n,), which put() and put_message() there fill"
+            )
+            raise TypeError(f"{text}; this is: {kind}")
 
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
@@ -296,7 +323,12 @@ class Gateway:
         return joined([sent, more])
 
     def advance(self, t_ns: int) -> Frames:
-        """Let time pass without frames; returns the frames to send."""
+        """Let time pass without frames; returns the frames to send.
+
+        Raises:
+            GatewayError: the gateway is closed.
+        """
+        self._refuse_unless_open()
         looks = self._meter.times(t_ns) if self._meter.measures else ()
         sent = [self._look(look_ns) for look_ns in looks]
         return self._emit(joined([*sent, self.engine.advance(t_ns, self._on_events)]))

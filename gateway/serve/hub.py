@@ -104,7 +104,9 @@ class Hub:
     def __init__(self, socket: Path) -> None:
         self.link = StatusLink(socket, self._on_message, self._on_link)
         self.connected, self.reason = False, "not reached yet"
-        self.hello: dict[str, Any] = {"name": "", "faults": [], "buses": [], "version": "", "memory": None}
+        self.hello: dict[str, Any] = {
+            "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "",
+        }  # fmt: skip
         self.memory_file = MemoryFile(None)
         self.memory: dict[str, Any] = self.memory_file.read(())
         self.buses: list[dict[str, Any]] = []

@@ -1,11 +1,14 @@
 """The plugin in a project of others: pytest runs it in a process of its own, in its own folder."""
 
 import tomllib
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
 from foreign_project import ROOT, properties, run
 from junitparser import JUnitXml
+
+from gateway.pytest_plugin.fixtures import left_in
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"
 DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
@@ -144,10 +147,29 @@ def test_a_broken_scenario_fails(project, workers):
     assert "Traceback" not in said
 
 
+@pytest.mark.parametrize(
+    ("nodeid", "folder"),
+    [
+        ("tests/test_a.py::test_b", "tests/test_a/test_b"),
+        ("test_a.py::TestC::test_b[4-x=1]", "test_a/TestC/test_b[4-x=1]"),
+        ("../test_a.py::test_b", "..-????????/test_a/test_b"),
+        ("test_a.py::test_b[P0562/16 | 2]", "test_a/test_b[P0562_16___2]-????????"),
+        (f"test_a.py::test_b[{'x' * 300}]", f"test_a/test_b[{'x' * 93}-????????"),
+    ],
+)
+def test_each_test_leaves_its_files_in_a_folder_of_its_own(nodeid, folder):
+    left = left_in(Path("left"), nodeid)
+    assert fnmatchcase(str(left), f"left/{folder.replace('[', '[[]')}")
+    assert left_in(Path("left"), nodeid) == left
+    assert left_in(Path("left"), nodeid.replace("/", "_")) != left or "/" not in nodeid
+
+
 @pytest.mark.long
-def test_what_fails_says_what_was_seen(project):
+@pytest.mark.parametrize("artifacts", [False, True])
+def test_what_fails_says_what_was_seen(project, artifacts):
     (project / "tests" / "test_battery.py").write_text(FAILING)
-    code, said = run(project, "--junitxml=out.xml", "-o", "junit_logging=system-out")
+    folder = ("-o", "gateway_artifacts=left") if artifacts else ()
+    code, said = run(project, "--junitxml=out.xml", "-o", "junit_logging=system-out", *folder)
     assert (code, "5 failed" in said) == (1, True), said
     for text in (
         "P0562-16 not set by 5.1 s (set so far: none; now 5.100 s)",
@@ -161,6 +183,8 @@ def test_what_fails_says_what_was_seen(project):
     assert "gateway/pytest_plugin/" not in said  # the way through our own code helps nobody
     [log] = [line for line in said.splitlines() if line.strip().endswith("can.log")]
     assert Path(log.strip()).stat().st_size > 1000
+    wanted = project / "left" / "tests" / "test_battery" / "test_too_early" / "can.log"
+    assert (Path(log.strip()) == wanted) == artifacts
     cases = {case.name: case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite}
     assert f"[[ATTACHMENT|{log.strip()}]]" in cases["test_too_early"].system_out.splitlines()
     assert not any("ATTACHMENT" in (case.system_out or "") for name, case in cases.items() if name != "test_too_early")

@@ -14,6 +14,7 @@ from gateway.cli.simulate import INSIDE, simulate
 from gateway.common.resources import shipped
 from gateway.errors import InputError
 from gateway.serve.report.page import OF_THE_MOMENT
+from gateway.serve.report.timeline import MOST_TICKS, Span, timeline
 
 CONFIG = shipped("gateway.toml")
 MOST_BYTES = 5_000_000
@@ -66,7 +67,37 @@ def test_its_numbers_are_those_of_json_and_its_bytes_are_the_same_each_time(log,
     assert f"The test found {evidence['value']:.6g}; its limit is {evidence['threshold']:.6g}" in text
     figures = json.dumps(part(text, "figures"))
     assert f"{evidence['value']:.7g}"[:8] in figures, "the peak is in a column"
-    assert "around its failure" in figures
+    assert "around its failure" in text
+
+
+def test_its_times_begin_with_the_log_whatever_its_clock_says(log, tmp_path):
+    """A recorder's clock may have begun with the recorder, hours before the log."""
+    later = tmp_path / "drive.log"
+    stamps = re.compile(r"^\((\d+)\.", re.M)
+    later.write_text(stamps.sub(lambda found: f"({int(found[1]) + 46400}.", log.read_text()))
+    text, other = report_of(log, tmp_path / "one.html"), report_of(later, tmp_path / "two.html")
+    assert "<td>46" not in other
+    for pattern in ("length</th><td>.*? s<", '<div class="timeline">.*?</div></div>', r"first \S* s, last \S* s"):
+        (found,) = re.findall(pattern, text)
+        assert re.findall(pattern, other) == [found]
+    assert part(other, "figures") == part(text, "figures")
+
+
+def test_its_words_stand_in_the_page_where_they_take_the_lines_that_they_need(log, tmp_path):
+    text = report_of(log, tmp_path / "one.html")
+    assert "<p>P0336-39 crank.missed_pulse</p>" in text
+    assert ">crank.missed_pulse around its failure at 4.0" in text
+    assert "crank.missed_pulse" not in json.dumps(part(text, "figures")), "a canvas does not break lines"
+
+
+@pytest.mark.parametrize("length", [0.0, 3e-4, 0.9, 8.0, 59.993, 60.0, 3600.0, 86400 * 30.0])
+def test_a_timeline_has_few_round_numbers_within_the_run(length):
+    found = re.findall(r'<span style="left:([\d.]+)%">([\d.e+-]+) s<', timeline([Span("a", 0.0)], length))
+    assert 1 < len(found) <= MOST_TICKS
+    assert [float(share) for share, _ in found] == sorted({float(share) for share, _ in found})
+    for share, text in found:
+        assert float(text) == pytest.approx(float(share) / 100 * max(length, 1e-3), rel=1e-3)
+        assert float(share) <= 96
 
 
 class Links(HTMLParser):
@@ -86,7 +117,7 @@ def test_a_scenario_tells_its_verdict_and_the_truth(tmp_path, capsys):
     text = path.read_text()
     assert part(text, "events") == [event for event in told if event["event"] != "expectation"]
     assert "As expected" in text
-    assert "injected: missed pulses, 1" in json.dumps(part(text, "figures"))
+    assert "<p>injected: missed pulses, 1</p>" in text
     with pytest.raises(InputError, match="inside"):
         simulate(Path("crank_missed_tooth"), html=path, **{**more, "bus": "virtual:x"})
 

@@ -57,6 +57,13 @@ def test_a_dtc_that_fails_is_what_is_said_first(hub):
     assert "not reached: gone" in text_of(hub)
 
 
+def test_a_demo_that_is_over_says_so(hub):
+    assert told(hub)["ended"] == ""
+    hub._on_hello({**hub.hello, "kind": "hello", "protocol": 1, "ended": "The scenario x has ended after 8 s."}, b"")
+    assert told(hub)["ended"] in text_of(hub).splitlines()[0]
+    assert told(hub)["nearest"], "what it showed is still there"
+
+
 def test_without_a_gateway_it_says_so(tmp_path, capsys):
     assert watch(None, status=tmp_path / "nobody", once=True, json=False) == 2
     assert "no gateway" in capsys.readouterr().err

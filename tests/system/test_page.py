@@ -298,6 +298,44 @@ def test_a_report_opens_without_a_server(site):
     site.driver.get(site.url)
 
 
+def test_a_report_with_long_names_fits_a_telephone(site):
+    name = "crank_of_the_engine_that_is_in_the_front_of_the_car"
+    scenario = (ROOT / "scenarios" / "crank_missed_tooth.toml").read_text().replace("../gateway.toml", "long.toml")
+    (site.folder / "long_names.toml").write_text(scenario)
+    text = (site.folder / "gateway.toml").read_text().replace('name = "crank"', f'name = "{name}"')
+    (site.folder / "long.toml").write_text(text.replace('"crank.missed_pulse"', f'"{name}.missed_pulse"'))
+    ended = gateway("simulate", "long_names.toml", "--bus", "inside", "--html", "long.html", cwd=site.folder)
+    assert ended.returncode == 0, ended.stderr
+    with browser(site.folder / "phone", phone=True) as phone:
+        phone.get((site.folder / "long.html").as_uri())
+        drawn = "return Bokeh.documents[0].roots().map((root) => root.inner_width ?? 0)"
+        wait_for(lambda: all(phone.execute_script(drawn)))
+        assert f"{name}.missed_pulse" in phone.page_source
+        assert phone.execute_script("return document.documentElement.scrollWidth") <= 390, "nothing sticks out"
+        assert min(phone.execute_script(drawn)) > 250, "a figure has room for its curve"
+        hidden = (
+            "[...document.querySelectorAll('h3, p, li, .when, .figure')].filter((e) => e.scrollWidth > e.clientWidth)"
+        )
+        assert phone.execute_script(f"return {hidden}.map((e) => e.outerHTML)") == []
+        when = "return Math.min(...[...document.querySelectorAll('.when')].map((e) => e.clientWidth))"
+        assert phone.execute_script(when) > 250
+
+
+def test_the_page_of_a_demo_says_that_it_has_ended(site, tmp_path):
+    command = ("demo", "--serve", "--no-open", "--port", "0", "--speed", "20")
+    with process(*command, cwd=tmp_path, ready="page:") as demo:
+        site.driver.get(demo.said.split()[1])
+        wait_for(lambda: text_of(site, "#link") == "ended")
+        wait_for(lambda: text_of(site, "#verdict-text") == "No faults at the end")
+        said = text_of(site, "#verdict-more")
+        site.driver.save_screenshot(str(Path(os.environ.get("GATEWAY_PICTURES", tmp_path)) / "ended.png"))
+    assert said.startswith(
+        "The scenario crank_missed_tooth has ended after 8 s. Nothing is monitored any more. 1 trouble code"
+    )
+    wait_for(lambda: text_of(site, "#link") == "gateway not reached")
+    site.driver.get(site.url)
+
+
 def test_a_slow_page_does_not_hold_others_up(site):
     """Somebody opens the stream and never reads."""
     host, _, port = urlsplit(site.plain).netloc.partition(":")

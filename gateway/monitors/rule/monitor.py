@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any
 
-from gateway.errors import InputError
+from gateway.errors import Gathered, InputError
 from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.contract import Inputs as Event
@@ -126,7 +126,12 @@ def _parts(
 ) -> dict[str, PartParams]:
     assert isinstance(p, Params)
     codes = give(rule.name for rule in p.rule if rule.code is None)
-    return {rule.name: _part(rule, rule.code or codes[rule.name], find, f"rule[{k}]") for k, rule in enumerate(p.rule)}
+    parts, wrong = {}, Gathered()
+    for k, rule in enumerate(p.rule):
+        with wrong:
+            parts[rule.name] = _part(rule, rule.code or codes[rule.name], find, f"rule[{k}]")
+    wrong.check()
+    return parts
 
 
 MONITOR = Monitor(

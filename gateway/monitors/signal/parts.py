@@ -7,7 +7,7 @@ from typing import Any
 
 from cantools.database.can.signal import Signal
 
-from gateway.errors import InputError, nearest
+from gateway.errors import Gathered, InputError, nearest
 from gateway.monitors.signal.params import (
     MOST_CODES,
     MOST_LEVELS,
@@ -144,25 +144,35 @@ def parts(
     assert isinstance(p, Params)
     codes = give(limits.signal for limits in p.signal if limits.code is None)
     by_message: dict[str, list[Watched]] = {}
+    wrong = Gathered()
     for k, limits in enumerate(p.signal):
-        key = f"signal[{k}]"
-        try:
-            signal = find(limits.signal)
-        except InputError as error:
-            raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
-        _refuse_unknown(limits, find, key)
-        levels = _levels(limits, signal, find, key)
-        watched = _watched(limits, signal, limits.code or codes[limits.signal], levels, key)
-        if watched.codes or watched.values or watched.ones is not None or _asks(limits):
+        with wrong:
+            watched = _one(limits, find, limits.code or codes[limits.signal], f"signal[{k}]")
             by_message.setdefault(limits.signal.rpartition(".")[0], []).append(watched)
-        else:
-            raise InputError("nothing is asked of it", key=key, value=limits.signal)
+    wrong.check()
     return {
         f"{message}.{at // MOST_SIGNALS}": PartParams(signal=tuple(w.limits for w in some), watched=tuple(some))
         for message, found in by_message.items()
         for at in range(0, len(found), MOST_SIGNALS)
         for some in [found[at : at + MOST_SIGNALS]]
     }
+
+
+def _one(limits: Limits, find: Callable[[str], Signal], code: str, key: str) -> Watched:
+    """Return one signal with its limits in numbers.
+
+    Raises:
+        InputError: as :func:`parts`.
+    """
+    try:
+        signal = find(limits.signal)
+    except InputError as error:
+        raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
+    _refuse_unknown(limits, find, key)
+    watched = _watched(limits, signal, code, _levels(limits, signal, find, key), key)
+    if watched.codes or watched.values or watched.ones is not None or _asks(limits):
+        return watched
+    raise InputError("nothing is asked of it", key=key, value=limits.signal)
 
 
 def _refuse_unknown(limits: Limits, find: Callable[[str], Signal], key: str) -> None:

@@ -3,8 +3,8 @@
 Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
 weak spots:
 
-increment  the sensor's step less the one that the alpha-beta filter's speed makes: sees what changes at once, at rest
-too angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
+increment  the sensor's step less the one of the alpha-beta filter's speed: sees what changes at once, at rest too
+angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
            (E_d, E_q) = c_M omega (sin, cos) of the sensor's error. Resistance and dead time act along the current,
            which the controller keeps on q, so that E_d knows hardly anything of them; blind at rest
 balance    the EMF vector less c_M omega of the sensor's own speed: currents or voltages are wrong, or the angle

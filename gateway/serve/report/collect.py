@@ -14,8 +14,6 @@ from gateway.runtime.app import Gateway
 
 #: Finest column [ns], and how many there are at most: beyond, two become one.
 STEP_NS, MOST_COLUMNS = 50_000_000, 800
-#: Stamps below are of a clock that began with the run [ns].
-CALENDAR_NS = 10**15
 #: Around a failure fine columns are kept [ns]: so long before, and after.
 BEFORE_NS, AFTER_NS = 3_000_000_000, 2_000_000_000
 #: Failures with fine columns, and events that are kept.
@@ -42,13 +40,13 @@ class Collector:
         windows: fine columns around failures.
         loads: number of a column -> bits and frames of each bus, shape (buses, 3): nominal, data, frames.
         total: buckets of the whole run.
-        first_ns: zero of the times that people see: the first frame's, or 0 of a clock that began with the run.
+        first_ns: zero of the times that people see: the start of the run, which is a log's first frame.
         last_ns: of the frames, by the wall clock.
     """
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self.start, self.without_own = gateway.start, gateway.without_own
+        self.without_own = gateway.without_own
         self.events: list[dict[str, Any]] = []
         self.left_out = 0
         self.width_ns = STEP_NS
@@ -57,7 +55,6 @@ class Collector:
         self.windows: list[Window] = []
         self.total: Buckets = np.zeros(len(gateway.engine.faults), Bucket.dtype)
         self.first_ns = self.last_ns = 0
-        self._empty = True
         self._traffic = Traffic(len(gateway.config.bus))
         self._bits = self._counted()
         self._fine: dict[int, Buckets] = {}  # number of a fine column -> buckets
@@ -65,13 +62,14 @@ class Collector:
         self._open: list[Window] = []
         gateway.listen(self._on_event)
 
+    def start(self, t_ns: int) -> None:
+        """Start an operation cycle."""
+        self.first_ns = self.last_ns = t_ns
+        self._gateway.start(t_ns)
+
     def feed(self, frames: Frames) -> Frames:
         """Feed frames, column by column."""
         sent = [empty(0)]
-        if self._empty and len(frames):
-            self._empty = False
-            t_ns = int(frames[0]["t_ns"])
-            self.first_ns = 0 if t_ns < CALENDAR_NS else t_ns
         for piece in _pieces(frames):
             self._traffic.write(piece)
             sent.append(self._gateway.feed(piece))

@@ -15,7 +15,7 @@ from bokeh.plotting import figure
 
 from gateway.serve.report.collect import STEP_NS, Collector
 
-BAND, BAD, GOOD, INK, EDGE = "#3d7fc0", "#b3261e", "#1a6b3f", "#55616e", "#dfe4ea"
+BAND, BAD, INK, EDGE = "#3d7fc0", "#b3261e", "#55616e", "#dfe4ea"
 HEIGHT = 190
 _ID = re.compile(r'"id": ?"(p\d+)"')
 
@@ -50,9 +50,9 @@ def _safe(text: str) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _blank(title: str, **more: Any) -> Any:
-    made: Any = figure(height=HEIGHT, sizing_mode="stretch_width", toolbar_location=None, tools="", title=title, **more)
-    made.title.text_font_size, made.title.text_color = "13px", INK
+def _blank() -> Any:
+    # Without a title: one that the browser sets goes on in a second line where there is no room.
+    made: Any = figure(height=HEIGHT, sizing_mode="stretch_width", toolbar_location=None, tools="")
     made.background_fill_color = made.border_fill_color = None
     made.outline_line_color = None
     for axis in (*made.xaxis, *made.yaxis):
@@ -65,11 +65,10 @@ def _blank(title: str, **more: Any) -> Any:
     return made
 
 
-def band(title: str, columns: Iterable[tuple[float, float, Any]], *, marks: Sequence[float] = ()) -> Any:
+def band(columns: Iterable[tuple[float, float, Any]], *, marks: Sequence[float] = ()) -> Any:
     """Return a residual over time.
 
     Args:
-        title: of the figure.
         columns: middle and width [s], and the bucket.
         marks: times to be marked [s].
     """
@@ -83,7 +82,7 @@ def band(title: str, columns: Iterable[tuple[float, float, Any]], *, marks: Sequ
         "near": [_short(row["ratio"]) for _, _, row in rows],
         "c": [BAD if row["ratio"] >= 1 else BAND for _, _, row in rows],
     }
-    made = _blank(title)
+    made = _blank()
     source = ColumnDataSource(data)
     bars = made.vbar(
         x="x", width="w", top="high", bottom="low", fill_color="c", line_color="c", fill_alpha=0.75, source=source
@@ -97,37 +96,8 @@ def band(title: str, columns: Iterable[tuple[float, float, Any]], *, marks: Sequ
     return made
 
 
-def timeline(rows: Sequence[tuple[str, float, float, bool]], points: Sequence[tuple[str, float]], end: float) -> Any:
-    """Return what was when: truth, and DTCs.
-
-    Args:
-        rows: name, from, to [s], whether it is a fault.
-        points: name and time [s] of what was injected.
-        end: of the run [s].
-    """
-    names = list(dict.fromkeys([*(name for name, *_ in rows), *(name for name, _ in points)]))[::-1]
-    made = _blank("", y_range=names or [""], x_range=(0.0, max(end, 1e-3)))
-    made.height = 70 + 26 * max(len(names), 1)
-    bars: dict[str, list[Any]] = {
-        "y": [r[0] for r in rows],
-        "left": [r[1] for r in rows],
-        "right": [r[2] for r in rows],
-        "c": [BAD if r[3] else GOOD for r in rows],
-    }
-    made.hbar(
-        y="y", left="left", right="right", height=0.5, fill_color="c", line_color="c", source=ColumnDataSource(bars)
-    )
-    dots = {"y": [name for name, _ in points], "x": [t for _, t in points]}
-    made.scatter(
-        x="x", y="y", size=11, marker="diamond", fill_color="#f0a93b", line_color=INK, source=ColumnDataSource(dots)
-    )
-    made.xaxis.axis_label = "s"
-    made.xaxis.ticker.desired_num_ticks = 4  # beside long names, on a phone
-    return made
-
-
-def load(name: str, found: Collector, bus: int, rates: tuple[int | None, int | None]) -> Any:
-    """Return how busy a bus was: share of time where the bit rate is known, else kbit/s."""
+def load(found: Collector, bus: int, rates: tuple[int | None, int | None]) -> tuple[Any, str]:
+    """Return how busy a bus was, and in what unit: share of time where the bit rate is known, else kbit/s."""
     width = found.width_ns / 1e9
     places = sorted(found.loads)
     if rates[0]:
@@ -139,14 +109,14 @@ def load(name: str, found: Collector, bus: int, rates: tuple[int | None, int | N
     else:
         values = [float(found.loads[k][bus][:2].sum()) / width / 1e3 for k in places]
         unit = "kbit/s; no bit rate is configured"
-    made = _blank(f"{name}: {unit}")
+    made = _blank()
     data = {
-        "x": [_short((k + 0.5) * width - found.first_ns / 1e9) for k in places],
+        "x": [_short((k * found.width_ns - found.first_ns) / 1e9 + width / 2) for k in places],
         "top": [_short(v) for v in values],
     }
     made.vbar(x="x", top="top", width=width, fill_color=BAND, line_color=BAND, source=ColumnDataSource(data))
     made.xaxis.axis_label = "s"
-    return made
+    return made, unit
 
 
 def columns_of(found: Collector, fault: int) -> list[tuple[float, float, Any]]:

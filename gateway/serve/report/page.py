@@ -22,7 +22,8 @@ from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.report.collect import Collector
-from gateway.serve.report.figures import Figure, band, columns_of, documents, fine_columns, load, timeline
+from gateway.serve.report.figures import Figure, band, columns_of, documents, fine_columns, load
+from gateway.serve.report.timeline import Span, timeline
 from gateway.serve.words import number, told_in_words
 
 #: Figures of residuals without a failure.
@@ -117,7 +118,8 @@ class _Page:
     def _figure(self, model: Any, text: str) -> str:
         place = f"figure-{len(self._figures)}"
         self._figures.append(Figure(place, model, text))
-        return f'<div id="{place}" class="figure" role="img" aria-label="{escape(text)}"></div>'
+        figure = f'<div id="{place}" class="figure" role="img" aria-label="{escape(text)}"></div>'
+        return f'<p class="called" aria-hidden="true">{escape(text)}</p>{figure}'
 
     def _verdict(self) -> str:
         findings, entries = self._told.findings, self._entries
@@ -141,7 +143,7 @@ class _Page:
 
     def _timeline(self) -> str:
         since: dict[str, float] = {}
-        rows: list[tuple[str, float, float, bool]] = []
+        spans: list[Span] = []
         end = self._seconds(self._found.last_ns)
         for event in self._found.events:
             if event["event"] != "dtc":
@@ -151,13 +153,11 @@ class _Page:
             if failed:
                 since.setdefault(name, self._seconds(event["t_ns"]))
             elif name in since:
-                rows.append((name, since.pop(name), self._seconds(event["t_ns"]), True))
-        rows += [(name, begun, end, True) for name, begun in since.items()]
-        points = [(f"injected: {text}", self._seconds(t_ns)) for text, t_ns in self._told.truth]
-        if not rows and not points:
-            return _card("Timeline", '<p class="none">Nothing failed.</p>')
-        said = "; ".join(f"{name} from {a:.3f} s to {b:.3f} s" for name, a, b, _ in rows)
-        return _card("Timeline", self._figure(timeline(rows, points, end), said or "what was injected"))
+                spans.append(Span(name, since.pop(name), self._seconds(event["t_ns"])))
+        spans += [Span(name, begun, end) for name, begun in since.items()]
+        spans.sort(key=lambda span: span.begin)
+        spans += [Span(f"injected: {text}", self._seconds(t_ns)) for text, t_ns in self._told.truth]
+        return _card("Timeline", timeline(spans, end) if spans else '<p class="none">Nothing failed.</p>')
 
     def _codes(self) -> str:
         if not self._entries:
@@ -196,7 +196,7 @@ class _Page:
             if columns:
                 at = self._seconds(window.t_ns)
                 title = f"{window.fault} around its failure at {at:.3f} s"
-                parts.append(self._figure(band(title, columns, marks=[at]), title))
+                parts.append(self._figure(band(columns, marks=[at]), title))
         total = found.total
         order = sorted(index, key=lambda name: (name not in failed, -float(total[index[name]]["ratio"]), index[name]))
         others = 0
@@ -205,7 +205,7 @@ class _Page:
             others += name not in failed
             if columns and (name in failed or (others <= MOST_OTHERS and total[index[name]]["ratio"] > 0)):
                 title = f"{name} over the whole run, {number(float(total[index[name]]['ratio']))} of what is allowed"
-                parts.append(self._figure(band(title, columns, marks=failed.get(name, ())), title))
+                parts.append(self._figure(band(columns, marks=failed.get(name, ())), title))
         return _card("Residuals against their limits", "".join(parts) or '<p class="none">No test has run.</p>')
 
     def _tests(self) -> str:
@@ -230,9 +230,8 @@ class _Page:
             errors = {name: n for name, n in self._gateway.engine.error_counters(k).items() if n}
             parts.append(f"<p>{escape(bus.name)}: {frames} frames; errors: {escape(str(errors or 'none'))}</p>")
             if frames:
-                parts.append(
-                    self._figure(load(bus.name, found, k, (bus.bitrate, bus.data_bitrate)), f"load of {bus.name}")
-                )
+                model, unit = load(found, k, (bus.bitrate, bus.data_bitrate))
+                parts.append(self._figure(model, f"load of {bus.name}: {unit}"))
         return _card("Buses", "".join(parts))
 
     def _settings(self) -> str:

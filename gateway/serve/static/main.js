@@ -84,26 +84,32 @@ function showMemory() {
 
 function showLink() {
   const pill = byId("link");
-  say(pill, state.connected ? "monitoring" : "gateway not reached");
-  pill.className = `pill ${state.connected ? "good" : "bad"}`;
-  pill.title = state.reason;
+  const [text, kind] = !state.connected ? ["gateway not reached", "bad"] : ended() ? ["ended", "warning"] : ["monitoring", "good"];
+  say(pill, text);
+  pill.className = `pill ${kind}`;
+  pill.title = state.reason || ended();
   showVerdict();
 }
+
+// What the gateway says of a demo that is over; "": it goes on.
+const ended = () => state.hello?.ended ?? "";
 
 function showVerdict() {
   const place = byId("verdict");
   const failing = state.memory.entries.filter((entry) => entry.status & 1);
   const stored = state.memory.entries.length - failing.length;
+  const when = ended() ? "at the end" : "now";
   const count = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   let [kind, text, more] = ["good", "No faults", "All tests that have run have passed."];
   if (!state.connected) {
     [kind, text, more] = ["", "The gateway is not reached", state.reason];
   } else if (failing.length) {
     const named = failing.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
-    [kind, text, more] = ["bad", `${count(failing.length, "fault")} now`, named.slice(0, 3).join("; ")];
+    [kind, text, more] = ["bad", `${count(failing.length, "fault")} ${when}`, named.slice(0, 3).join("; ")];
   } else if (stored) {
-    [kind, text, more] = ["warning", "No faults now", `${count(stored, "trouble code")} stored of faults that were there.`];
+    [kind, text, more] = ["warning", `No faults ${when}`, `${count(stored, "trouble code")} stored of faults that were there.`];
   }
+  if (state.connected && ended()) more = `${ended()} Nothing is monitored any more. ${more}`;
   place.className = `verdict ${kind}`;
   say(byId("verdict-text"), text);
   say(byId("verdict-more"), more);

@@ -4,28 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
-
-from pydantic import Field
 
 from gateway.common.extras import need
 from gateway.errors import InputError
 from gateway.vecu.contract import Run, Running, VirtualEcu
+from gateway.vecu.fmu.params import FmuParams
 from gateway.vecu.loop import Loop, sends
-from gateway.vecu.loop_params import LoopFault, LoopParams, fits
-
-
-class FmuParams(LoopParams):
-    """An FMU; its inputs, outputs and parameters have the names of its variables."""
-
-    type: Literal["fmu"]
-    name: str = "fmu"
-    file: Path = Field(description="relative to the scenario")
-
-    @property
-    def summary(self) -> str:
-        """What it is, for people."""
-        return f"FMU {self.file.name}"
+from gateway.vecu.loop_params import LoopFault, fits
 
 
 def _begin(params: FmuParams, faults: Sequence[LoopFault], run: Run) -> Running:

@@ -22,7 +22,7 @@ from gateway.common.tomlfile import key_path
 from gateway.errors import InputError, named
 
 if TYPE_CHECKING:
-    from gateway.vecu.fmu.ecu import FmuParams
+    from gateway.vecu.fmu.params import FmuParams
 
 _log = get_logger(__name__)
 

@@ -2,9 +2,8 @@
 
     reset(s, c)              the states that are carried begin at their given values
     start(s, c, u)           the other states begin so that the residual does at zero, (24) and (25); ``u`` may be
-    low-pass
-                             filtered, as in (37) and (38)
-    step(s, c, u, dt)        one sample, ``dt`` [s] after the one before (0 for the first behind a start); the residual
+                             low-pass filtered, as in (37) and (38)
+    step(s, c, u, dt)        one sample, ``dt`` [s] after the one before (0 for the first after a start); the residual
 
 Records: ``s`` of STATE, ``c`` of CONST (parameters, tables, bandwidths), ``u`` with a float field for each known
 variable. Where an equation gives no number (a division by zero, a root that is not real) the residual is NaN, and the

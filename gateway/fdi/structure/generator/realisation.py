@@ -9,8 +9,7 @@ Three kinds of state:
   its gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha
   h / 2 of its slope.) It begins with r = 0, (25). Several such variables are one r~ = der(x) + a der(y) + b;
 - of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and
-the
-  filter's slope is taken for der(x).
+  the filter's slope is taken for der(x).
 """
 
 from __future__ import annotations
