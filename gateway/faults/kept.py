@@ -23,7 +23,7 @@ from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
 from gateway.faults.schema import MIGRATIONS
-from gateway.faults.store import Connect, DamagedError, Store, StoreError, UnusableError
+from gateway.faults.store import Connect, DamagedError, Store, StoreError, UnusableError, damage
 
 T = TypeVar("T")
 
@@ -277,7 +277,7 @@ class KeptStore(Store):
         self._mishaps.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
 
     def _read_all(self) -> None:
-        """Find what is damaged but not seen by SQLite.
+        """Find what is damaged but not seen by SQLite: rows that make no sense, or that the chain does not know.
 
         Raises:
             DamagedError: something is.
@@ -285,6 +285,9 @@ class KeptStore(Store):
         for read in (super().load, super().cycles, super().permanent, super().identifiers, super().interventions):
             read()
         super().facts()
+        broken = self.verify().broken
+        if broken:
+            raise damage(self.path, broken[0])
 
     def _begin_with(self, path: Path, damage: DamagedError) -> None:
         """Begin a new file with what can be read of a damaged one."""

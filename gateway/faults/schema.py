@@ -95,5 +95,18 @@ CREATE TABLE intervention (
 );
 """
 
+# What was written, link by link (see gateway/faults/chain.py, which begins the chain with what there is).
+_SIXTH = """
+CREATE TABLE link (
+    number INTEGER PRIMARY KEY,
+    kind TEXT NOT NULL,
+    subject TEXT NOT NULL,
+    content BLOB NOT NULL,
+    digest BLOB NOT NULL
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH)
+#: First version that has a chain.
+CHAINED = 6
