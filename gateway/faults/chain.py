@@ -134,8 +134,8 @@ def head(db: sqlite3.Connection) -> Head:
     return NO_HEAD if row is None else Head(*row)
 
 
-def _append(db: sqlite3.Connection, links: Iterable[tuple[str, str, bytes]]) -> int:
-    """Append links of (kind, subject, content); returns the number of the last one."""
+def _append(db: sqlite3.Connection, links: Iterable[tuple[str, str, bytes]]) -> Head:
+    """Append links of (kind, subject, content); returns the last one."""
     number, digest = head(db)
     made = []
     for kind, subject, of in links:
@@ -143,7 +143,7 @@ def _append(db: sqlite3.Connection, links: Iterable[tuple[str, str, bytes]]) -> 
         digest = _link_digest(digest, number, kind, subject, of)
         made.append((number, kind, subject, of, digest))
     db.executemany(_ADD, made)
-    return number
+    return Head(number, digest)
 
 
 def begin(db: sqlite3.Connection) -> None:
@@ -157,8 +157,8 @@ def _subjects(db: sqlite3.Connection) -> Iterator[tuple[str, str]]:
             yield kind, str(subject)
 
 
-def write(db: sqlite3.Connection, changes: Changes) -> None:
-    """Write changes with their links, within a transaction.
+def write(db: sqlite3.Connection, changes: Changes) -> Head:
+    """Write changes with their links, within a transaction; returns the last link.
 
     Raises:
         sqlite3.Error: they could not be written.
@@ -183,8 +183,10 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
     links = [(CLEAR, f"{group:06X}", GONE) for group in changes.cleared]
     links += [(kind, subject, content(db, kind, subject)) for kind, subject in touched]
     last = _append(db, links or [(OTHER, "", GONE)])
-    if last > MOST and last % (MOST // 4) < len(links):
-        _prune(db, last)
+    if last.number > MOST and last.number % (MOST // 4) < len(links):
+        _prune(db, last.number)
+        return head(db)
+    return last
 
 
 def _prune(db: sqlite3.Connection, last: int) -> None:

@@ -1,5 +1,7 @@
 """Tables of the fault memory's file, and how a file comes from one version to the next."""
 
+#: First bytes of each SQLite file.
+MAGIC = b"SQLite format 3\0"
 #: "GWFM": marks the file as a fault memory.
 APPLICATION_ID = 0x4757464D
 

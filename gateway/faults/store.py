@@ -19,9 +19,8 @@ from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
-from gateway.faults.schema import APPLICATION_ID, CHAINED, MIGRATIONS
+from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
 
-_MAGIC = b"SQLite format 3\0"
 #: Another process that writes (a request to clear) is waited for this long [s].
 PATIENCE_S = 1.0
 #: Primary result codes of SQLite that mean damage; all others are the disk's, and may pass.
@@ -38,6 +37,10 @@ class OutdatedError(InputError):
 
 class DamagedError(InputError):
     """The file was a fault memory, and is damaged."""
+
+
+class ForeignError(InputError):
+    """The file is another program's database."""
 
 
 class UnusableError(InputError):
@@ -91,6 +94,7 @@ class Store:
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
+        self._head = chain.NO_HEAD  # the last link that this one wrote
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
@@ -142,13 +146,15 @@ class Store:
         if not tables and self._was_kept:
             raise damage(self.path, "it is empty")
         if tables and stamp != APPLICATION_ID:
-            raise InputError("this is another program's database", file=self.path)
+            raise ForeignError("this is another program's database", file=self.path)
         if version > len(MIGRATIONS):
             raise InputError(
                 f"written by a later gateway: version {version}, this one knows {len(MIGRATIONS)}",
                 file=self.path,
             )
         if not self._write:
+            # Only the writer may copy the log: by that he knows whether somebody else has changed the file.
+            self._db.execute("PRAGMA wal_autocheckpoint = 0")
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
             if version < len(MIGRATIONS):
@@ -335,7 +341,7 @@ class Store:
             if self.path is None:
                 rows.write(self._db, changes)
             else:
-                chain.write(self._db, changes)
+                self._head = chain.write(self._db, changes)
         self._logged += 3 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
 
     def buses(self) -> list[dict[str, Any]]:
@@ -397,10 +403,10 @@ def _refuse_foreign(path: Path) -> None:
     """Refuse a file that SQLite would take for an empty database and overwrite."""
     try:
         with path.open("rb") as file:
-            head = file.read(len(_MAGIC))
+            head = file.read(len(MAGIC))
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
-    if head and head != _MAGIC:
+    if head and head != MAGIC:
         if is_marked(path):  # nothing else was ever kept under this name
             raise damage(path, "it is no SQLite file any more")
         raise InputError("not usable as a fault memory: it is no SQLite file", file=path)

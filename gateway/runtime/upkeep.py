@@ -176,7 +176,7 @@ class Upkeep:
         done = self._written(t_ns, sink)
         if memory.unsaved and not self._paused and self._is_time(t_ns):
             down = bool(memory.outage.reason)
-            memory.begin(t_ns, writer, anew=not self._store.look())
+            memory.begin(t_ns, writer, anew=not self._store.look() or self._store.doubtful)
             self._under_way = NOTHING if down else noted - done  # in an outage it is told at once
             if not down and not memory.under_way(patience_s):
                 done += self._written(t_ns, sink)
@@ -203,6 +203,8 @@ class Upkeep:
         if self._memory.under_way():
             return
         self._memory.join()
+        if not self.beside:
+            self._store.examine()
         if not self._store.look() and not self._memory.outage.reason:
             self._memory.rewrite()
             if not self.beside:
