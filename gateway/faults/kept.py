@@ -158,7 +158,7 @@ class KeptStore(Store):
         Returns:
             False if all has to be written into another.
         """
-        if self._watched is not None and not self._suspect and self.look() and self.doubtful:
+        if self._watched is not None and not self._suspect and self.doubtful and self.look():
             self._overwritten = self._watched.what_changed(self._head)
             self._suspect = any(self._overwritten)
         return not self._suspect
@@ -224,11 +224,12 @@ class KeptStore(Store):
         if nested:
             return
         self._count_recordings(changes)
-        self.examine()
-        if whole is not None and not (self._is_in_place() and not any(self._overwritten)):
-            self._restore(self.path, whole())  # written, but into a file that nobody will find
-            return
-        self._refuse_overwritten(self.path)
+        if self._watched is None or not self._watched.is_same():
+            self.examine()
+            if whole is not None and (any(self._overwritten) or not self._is_in_place()):
+                self._restore(self.path, whole())  # written, but into a file that nobody will find
+                return
+            self._refuse_overwritten(self.path)
         if self._logged >= write_ahead.PAGES:
             self._copy_log()
 
