@@ -6,8 +6,8 @@ Everything that changes is written before it is told. Three things can happen on
   thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
 - **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
   is there until a later attempt has written everything.
-- **The file was damaged, deleted or replaced**: a new one is begun; the fault ``gateway.memory_damaged`` is there until
-  the next operation cycle.
+- **The file was damaged, deleted, replaced or overwritten**: a new one is begun; ``gateway.memory_damaged`` is there
+  until the next operation cycle.
 """
 
 from __future__ import annotations
