@@ -218,3 +218,41 @@ def test_a_storm_is_written_in_groups_and_every_change_is_told(make):
         "b.M1.length": 167,
         "b.M2.length": 166,
     }
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_file_that_is_emptied_in_place_is_told_with_a_dtc_and_written_again(make, tmp_path, beside):
+    """It was silent: events said that they were stored, and the next start found nothing."""
+    rig = make()
+    if beside:
+        rig.gateway.write_beside(patience_s=60.0)
+    rig.fail(0)
+    path = rig.gateway.store.path
+    with path.open("r+b") as file:
+        file.truncate(0)
+    rig.fail(1)
+    rig.wait(50)
+    rig.gateway.memory.under_way(60.0)
+    rig.wait(50)
+    (event,) = of(rig, "memory")
+    assert event["state"] == "overwritten"
+    assert event["reason"].startswith("it was cut off in place: 0 of ")
+    assert (tmp_path / event["aside"]).exists()
+    assert ("U3000-42", True) in told(rig)
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length", DAMAGED}
+    assert stored(rig)["b.M0.length"]["description"]
+
+
+def test_a_change_in_place_is_noticed_without_any_other_change(make):
+    rig = make()
+    rig.gateway.write_beside(patience_s=60.0)
+    rig.fail(0)
+    rig.wait(50)
+    path = rig.gateway.store.path
+    path.write_bytes(b"mine\n" * 1000)
+    for _ in range(3):
+        rig.gateway.serve_requests()
+        rig.gateway.memory.under_way(60.0)
+        rig.wait(50)
+    assert [e["state"] for e in of(rig, "memory")] == ["overwritten"]
+    assert set(stored(rig)) == {"b.M0.length", DAMAGED}

@@ -853,6 +853,18 @@ def faults_clear(
     raise typer.Exit(work(dtc, config, memory=memory, json=json))
 
 
+@faults_app.command("verify")
+def faults_verify(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
+    """Say whether a fault memory is whole.
+
+    Each entry, intervention, clear and number is checked against the chain of what was written. Exit code 1 if one is
+    not what was written; the first one is named.
+    """
+    from gateway.cli.faults import verify as work
+
+    raise typer.Exit(work(config, memory=memory, json=json))
+
+
 @faults_app.command("near-misses")
 def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List how often faults came close to failing, and how close."""

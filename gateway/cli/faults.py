@@ -108,6 +108,28 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
     return 0
 
 
+def verify(config: Path | None, *, memory: Path | None, json: bool) -> int:
+    """Say whether every row is as it was written; returns the exit code."""
+    path = _path(config, memory)
+    found = service.verify(path)
+    _say_if_behind(path)
+    if json:
+        print_json(found)
+        return 0 if found["whole"] else 1
+    rows = ", ".join(f"{count} {kind}" for kind, count in found["counted"].items()) or "nothing"
+    if found["whole"]:
+        print(f"whole: {rows}")
+    else:
+        first, *more = found["broken"]
+        print(f"NOT WHOLE, first: {first['text']}")
+        for broken in more:
+            print(f"  then: {broken['text']}")
+        print(f"whole are: {rows}")
+    if found["links"]:
+        print(f"last of {found['links']} links: {found['last_link']}, digest {found['digest']}")
+    return 0 if found["whole"] else 1
+
+
 def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List faults that came near a failure; returns the exit code."""
     found = service.near_misses(_path(config, memory))

@@ -72,6 +72,7 @@ class Clearing:
 
     def _clear(self, group: int) -> list[str]:
         self._before()
+        self._held.note_clear(group)
         cleared = []
         for record in list(self._held.records.values()):
             if self._is_in(record, group):

@@ -5,25 +5,36 @@
 - It is damaged: it is put aside with its date, what can be read of it is recovered, and a new one is begun.
 - It is deleted, or another one is put in its place, under the running gateway: likewise; what this process knows goes
   into the new one, which is everything but what the other file had.
+- It is cut off or overwritten in place, under the running gateway: likewise (see :mod:`gateway.faults.watched_file`).
+- It is another program's database: a daemon puts it aside and begins a new one; others refuse it.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from gateway.errors import InputError
-from gateway.faults import rows, write_ahead
+from gateway.errors import GatewayError, InputError
+from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
 from gateway.faults.schema import MIGRATIONS
-from gateway.faults.store import Connect, DamagedError, Store, StoreError, UnusableError
+from gateway.faults.store import (
+    Connect,
+    DamagedError,
+    ForeignError,
+    Store,
+    StoreError,
+    UnusableError,
+    damage,
+)
+from gateway.faults.watched_file import WatchedFile
 
 T = TypeVar("T")
 
@@ -36,7 +47,7 @@ class Mishap:
     """Something that happened to the file, and what was done about it.
 
     Attributes:
-        kind: "damaged", "deleted", "replaced" or "unread".
+        kind: "damaged", "deleted", "replaced", "overwritten", "foreign" or "unread".
         reason: in a few words.
         aside: where what was found is kept now; None: there was nothing, or it could not be put aside.
         recovered, lost: rows that were read of it, and that could not be.
@@ -54,13 +65,18 @@ class KeptStore(Store):
 
     Args:
         path, connect: see :class:`Store`; so is what it raises, but for a file that is damaged or cannot be written.
+        displacing: whether another program's database at this place is put aside, not refused.
 
     Attributes:
         detached: why there is no file at present, "" if there is one.
     """
 
-    def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect) -> None:
+    def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect, displacing: bool = False) -> None:
         self.detached = ""
+        self._displacing = displacing
+        self._watched: WatchedFile | None = None
+        self._overwritten: tuple[str, str] = ("", "")  # what was changed in place: the file, its log
+        self._recorded = self._recordings_lost = 0
         self._suspect = False  # whether the file must be looked at before it is written again
         self._mishaps: list[Mishap] = []
         self._inode = self._wal = NO_FILE
@@ -132,18 +148,51 @@ class KeptStore(Store):
         return not self._suspect
 
     @property
+    def doubtful(self) -> bool:
+        """Whether somebody else has touched the file or its log since the last write: :meth:`examine` says more."""
+        return self._watched is not None and not self._watched.is_same()
+
+    def examine(self) -> bool:
+        """Look thoroughly whether the file is as it was written, if in doubt; nobody else uses this store meanwhile.
+
+        Returns:
+            False if all has to be written into another.
+        """
+        if self._watched is not None and not self._suspect and self.doubtful and self.look():
+            self._overwritten = self._watched.what_changed(self._head)
+            self._suspect = any(self._overwritten)
+        return not self._suspect
+
+    @property
     def log_is_due(self) -> bool:
         """Whether :meth:`tend_log` has something to do."""
-        return self.path is not None and self._logged >= write_ahead.MANY and not (self.detached or self._suspect)
+        due = self._logged >= write_ahead.MANY or self.doubtful
+        return self.path is not None and due and not (self.detached or self._suspect)
 
     def tend_log(self) -> None:
         """Do for the log of the file what a commit should not have to do; nobody else uses this store meanwhile."""
         self._logged = 0
-        if self.path is not None and self.look():
+        if self.path is not None and self.look() and self.examine():
             with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
                 write_ahead.lengthen(self._db, self.path, self._wal)
-            with suppress(sqlite3.Error):
-                write_ahead.copy(self._db)
+            self._copy_log()
+
+    def _copy_log(self) -> None:
+        """Copy the log into the file, which nobody has touched."""
+        self._logged = 0
+        with suppress(sqlite3.Error):
+            write_ahead.copy(self._db)
+        if self._watched is not None:
+            self._watched.note_log()
+            with suppress(OSError):
+                self._watched.note_file()
+
+    def compact(self) -> None:
+        """Check the file whole, and give back what it does not use (see :meth:`Store.compact`)."""
+        if not self.examine():
+            raise GatewayError(f"{self.path}: fault memory not compacted: {self._what_changed()}")
+        super().compact()
+        self._copy_log()
 
     def note_unsaved(self, unsaved: bool) -> None:
         """Let other processes see whether this one has changes that the file does not have."""
@@ -158,16 +207,84 @@ class KeptStore(Store):
         if self.path is None:
             super().save(changes)
             return
+        nested = self._db.in_transaction
+        if nested and self._watched is not None and not self._watched.file_is_same():
+            raise StoreError(self.path, "its file may have been changed in place")  # the next commit looks
+        if not nested:
+            self.examine()
         if whole is not None and (self.detached or self._suspect):
             self._restore(self.path, whole())
             return
+        self._refuse_overwritten(self.path)
         try:
             super().save(changes)
         except StoreError as error:
             self._suspect = not error.full
             raise
-        if whole is not None and not self._is_in_place():  # written, but into a file that nobody will find
-            self._restore(self.path, whole())
+        if nested:
+            return
+        self._count_recordings(changes)
+        if self._watched is None or not self._watched.is_same():
+            self.examine()
+            if whole is not None and (any(self._overwritten) or not self._is_in_place()):
+                self._restore(self.path, whole())  # written, but into a file that nobody will find
+                return
+            self._refuse_overwritten(self.path)
+        if self._logged >= write_ahead.PAGES:
+            self._copy_log()
+
+    def _refuse_overwritten(self, path: Path) -> None:
+        """Refuse to write, or to say that it is written, into a file that somebody else has changed.
+
+        Raises:
+            StoreError: it is such a file.
+        """
+        if any(self._overwritten):
+            raise StoreError(path, self._what_changed())
+
+    def _what_changed(self) -> str:
+        return " and ".join(filter(None, self._overwritten)) or "the file is not there any more"
+
+    def _count_recordings(self, changes: Changes | None = None) -> None:
+        if changes is None or changes.recordings or not all(record.occurrence for record in changes.records):
+            with suppress(InputError):
+                self._recorded = sum(self.recorded().values())
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """One transaction, durable at its end (see :meth:`Store.transaction`); the log is noted as this one left it."""
+        watched = self._watched
+        if watched is None or self._db.in_transaction:
+            with super().transaction():
+                yield
+            return
+        head = self._head
+        # What somebody else has done to the log since is not made good by a commit.
+        ours = watched.log_is_same()
+        try:
+            with super().transaction():
+                yield
+        except BaseException:
+            self._head = head
+            raise
+        if ours:
+            watched.note_log()
+
+    def close(self) -> None:
+        """Close the file."""
+        if not self.examine():
+            self._keep_from_copying()
+        super().close()
+        self._end_watch()
+
+    def _keep_from_copying(self) -> None:
+        if self._watched is not None and any(self._overwritten):
+            self._watched.keep_from_copying()
+
+    def _end_watch(self) -> None:
+        if self._watched is not None:
+            self._watched.close()
+            self._watched = None
 
     def _restore(self, path: Path, everything: Changes) -> None:
         """Open the file again, or a new one, and write all there is."""
@@ -199,15 +316,31 @@ class KeptStore(Store):
             raise StoreError(path, reason) from error
         self._suspect = False
         self._recordings = []
+        self._count_recordings()
 
     def _leave(self, path: Path) -> None:
         """Give up a file that is damaged, gone, or no longer ours; its recordings are kept for the next one."""
         with suppress(InputError):
-            self._recordings = self.recordings()
+            self._recordings = self._own_recordings() if any(self._overwritten) else self.recordings()
+        self._recordings_lost = max(self._recorded - len(self._recordings), 0)
+        self._keep_from_copying()
         with suppress(sqlite3.Error):
             self._db.close()
+        self._end_watch()
         if not path.exists():
             self._mishaps.append(Mishap("deleted", "its file was deleted"))
+
+    def _own_recordings(self) -> list[Recording]:
+        """Return the recordings of a file that was changed in place, as far as they are what was written.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        verdict = self.verify()
+        if verdict.head != self._head:
+            return []
+        changed = {broken.subject for broken in verdict.broken}
+        return [recording for recording in self.recordings() if recording.fault not in changed]
 
     def _make_way(self, path: Path) -> bool:
         """Make way for our own file under the path; returns whether it will be a new one.
@@ -229,6 +362,10 @@ class KeptStore(Store):
                     Path(f"{path}{suffix}").unlink(missing_ok=True)
             aside = put_aside(path, "replaced")
             self._mishaps.append(Mishap("replaced", "another file was put in its place", aside))
+        elif any(self._overwritten):
+            aside = put_aside(path, "overwritten", apart=bool(self._overwritten[0]))
+            kept, lost = len(self._recordings), self._recordings_lost
+            self._mishaps.append(Mishap("overwritten", self._what_changed(), aside, kept, lost))
         else:
             return False
         self._unread = False
@@ -248,8 +385,17 @@ class KeptStore(Store):
 
     def _connect(self) -> None:
         lock, database = self._lock, self._db
+        self._end_watch()
+        self._overwritten = ("", "")
         try:
             super()._connect()
+            if self.path is not None:
+                self._db.execute("PRAGMA wal_autocheckpoint = 0")  # see :meth:`_copy_log`
+        except ForeignError as error:
+            if not self._displacing or self.path is None:
+                raise
+            self._displace(self.path, error)
+            self._connect()
         except InputError as error:
             self._db = database  # that of this process, if there is no file: it is read still
             if not isinstance(error, DamagedError | UnusableError):
@@ -262,6 +408,18 @@ class KeptStore(Store):
             raise
 
     # Beginning without, or with another file
+
+    def _displace(self, path: Path, error: ForeignError) -> None:
+        """Put another program's database aside.
+
+        Raises:
+            UnusableError: it cannot be.
+        """
+        try:
+            aside = put_aside(path, "foreign")
+        except OSError as problem:
+            raise UnusableError(f"{error.message}, and it is not put aside: {problem}", file=path) from problem
+        self._mishaps.append(Mishap("foreign", error.message, aside))
 
     def _put_aside(self, path: Path, error: DamagedError, found: Salvage) -> None:
         """Put a damaged file aside, of which something could be read.
@@ -277,7 +435,7 @@ class KeptStore(Store):
         self._mishaps.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
 
     def _read_all(self) -> None:
-        """Find what is damaged but not seen by SQLite.
+        """Find what is damaged but not seen by SQLite: rows that make no sense, or that the chain does not know.
 
         Raises:
             DamagedError: something is.
@@ -285,6 +443,9 @@ class KeptStore(Store):
         for read in (super().load, super().cycles, super().permanent, super().identifiers, super().interventions):
             read()
         super().facts()
+        broken = self.verify().broken
+        if broken:
+            raise damage(self.path, broken[0])
 
     def _begin_with(self, path: Path, damage: DamagedError) -> None:
         """Begin a new file with what can be read of a damaged one."""
@@ -304,6 +465,7 @@ class KeptStore(Store):
         """Keep everything in this process until the file can be written."""
         with suppress(sqlite3.Error):
             self._db.close()
+        self._end_watch()
         self._db = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         for script in MIGRATIONS:
             self._db.executescript(script)
@@ -318,6 +480,11 @@ class KeptStore(Store):
         if self.path is not None and not self.detached:
             self._inode, self._wal = _inode(self.path), _inode(Path(f"{self.path}-wal"))
             self._logged = write_ahead.MANY
+            with suppress(sqlite3.Error):
+                self._head = chain.head(self._db)
+            with suppress(OSError):
+                self._watched = WatchedFile(self.path)
+            self._count_recordings()
 
     def _is_in_place(self) -> bool:
         assert self.path is not None

@@ -42,6 +42,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
         described={**first.described, **then.described},
         interventions={**first.interventions, **then.interventions},
         kept_interventions=then.kept_interventions or first.kept_interventions,
+        cleared=[*first.cleared, *then.cleared],
     )
 
 
@@ -168,6 +169,11 @@ class Ledger:
         """Give up recordings of cleared faults that were not written yet."""
         gone = set(faults)
         self._pending.recordings = [r for r in self._pending.recordings if r.fault not in gone]
+
+    def note_clear(self, group: int) -> None:
+        """Note that a DTC or a group was cleared."""
+        self._pending.cleared = [*self._pending.cleared, group]
+        self._more = True
 
     def set_identifier(self, did: int, data: bytes) -> None:
         """Set what a tester wrote."""

@@ -15,6 +15,8 @@ from gateway.errors import InputError
 LOOK_S = 0.02
 #: struct flock (fcntl(2)): type, whence, start, length, process.
 _FLOCK = "@hhqqi0q"
+#: Bytes that SQLite locks for reading: the first, and how many (https://www.sqlite.org/lockingv3.html).
+_SHARED = (0x40000002, 510)
 
 
 class InUseError(InputError):
@@ -36,8 +38,20 @@ def is_kept(path: Path) -> bool:
     return False
 
 
-def _flock(kind: int) -> bytes:
-    return struct.pack(_FLOCK, kind, os.SEEK_SET, 0, 1, 0)
+def _flock(kind: int, start: int = 0, length: int = 1) -> bytes:
+    return struct.pack(_FLOCK, kind, os.SEEK_SET, start, length, 0)
+
+
+def keep_from_copying(database: int) -> None:
+    """Keep SQLite from copying its log into a database, and deleting the log, when the last connection is closed.
+
+    For that it wants the database for itself; a lock of another descriptor, also of this process, refuses it.
+
+    Args:
+        database: descriptor of the file; the lock ends when it is closed.
+    """
+    with suppress(OSError):
+        fcntl.fcntl(database, fcntl.F_OFD_SETLK, _flock(fcntl.F_RDLCK, *_SHARED))
 
 
 def mark_unsaved(lock: int, unsaved: bool) -> None:

@@ -130,6 +130,7 @@ class Changes:
         interventions: new or changed ones, by their numbers.
         kept_interventions: numbers of those that are kept, where others had to go; later ones are not meant.
         described: what faults are called, for readers without the configuration.
+        cleared: DTCs or groups that were cleared, in order.
     """
 
     records: Sequence[Record] = ()
@@ -144,3 +145,4 @@ class Changes:
     described: Mapping[str, Description] = field(default_factory=dict)
     interventions: Mapping[int, Intervention] = field(default_factory=dict)
     kept_interventions: Sequence[int] = ()
+    cleared: Sequence[int] = ()

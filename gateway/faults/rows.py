@@ -60,8 +60,8 @@ def read_records(db: sqlite3.Connection) -> list[Record]:
     return list(records.values())
 
 
-def write(db: sqlite3.Connection, changes: Changes) -> None:
-    """Write changes, within a transaction.
+def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
+    """Write changes, within a transaction; returns the numbers of interventions that had to go.
 
     Raises:
         sqlite3.Error: they could not be written.
@@ -78,10 +78,10 @@ def write(db: sqlite3.Connection, changes: Changes) -> None:
             "INSERT INTO permanent VALUES (?, ?, ?)",
             [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
         )
-    if changes.interventions or changes.kept_interventions:
-        _write_interventions(db, changes)
+    gone = _write_interventions(db, changes) if changes.interventions or changes.kept_interventions else []
     if changes.buses is not None:
         _write_buses(db, changes.buses)
+    return gone
 
 
 def _write_rare(db: sqlite3.Connection, changes: Changes) -> None:
@@ -113,17 +113,20 @@ def _write_rare(db: sqlite3.Connection, changes: Changes) -> None:
         db.execute("UPDATE request SET done = ? WHERE id = ?", (done, request))
 
 
-def _write_interventions(db: sqlite3.Connection, changes: Changes) -> None:
+def _write_interventions(db: sqlite3.Connection, changes: Changes) -> list[int]:
     marks = ", ".join("?" * len(INTERVENTION))
     db.executemany(
         f"INSERT OR REPLACE INTO intervention ({', '.join(INTERVENTION)}) VALUES ({marks})",  # noqa: S608 - our own names
         [[getattr(each, name) for name in INTERVENTION] for each in changes.interventions.values()],
     )
-    if changes.kept_interventions:
-        db.execute(
-            "DELETE FROM intervention WHERE number <= ? AND number NOT IN (SELECT value FROM json_each(?))",
-            (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
-        )
+    if not changes.kept_interventions:
+        return []
+    gone = db.execute(
+        "DELETE FROM intervention WHERE number <= ? AND number NOT IN (SELECT value FROM json_each(?))"
+        " RETURNING number",
+        (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
+    )
+    return [number for (number,) in gone.fetchall()]
 
 
 def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:

@@ -27,7 +27,7 @@ SUFFIXES = ("", "-wal", "-shm")
 #: Rows of a damaged table that are asked for one by one.
 MOST_ROWS = 20_000
 #: Kept in memory by the kernel, so that a full disk does not matter.
-_FAST = Path("/dev/shm")  # noqa: S108 - a folder of our own in it
+FAST = Path("/dev/shm")  # noqa: S108 - a folder of our own in it
 
 _COUNTERS = (
     "failed_cycles",
@@ -76,8 +76,15 @@ class Salvage:
         )
 
 
-def put_aside(path: Path, why: str, now: datetime | None = None) -> Path:
+def put_aside(path: Path, why: str, now: datetime | None = None, *, apart: bool = False) -> Path:
     """Rename a file, and what belongs to it, to a name with the reason and the date; returns the new name.
+
+    Args:
+        path: the file.
+        why: the reason.
+        now: the date.
+        apart: whether the log does not belong to the file any more: it is kept as ``NAME.log``, which SQLite does not
+            copy into whatever the file is now.
 
     Raises:
         OSError: it cannot be renamed.
@@ -85,9 +92,13 @@ def put_aside(path: Path, why: str, now: datetime | None = None) -> Path:
     stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
     aside = path.with_name(f"{path.name}.{why}-{stamp}")
     number = 1
-    while any(Path(f"{aside}{suffix}").exists() for suffix in SUFFIXES):
+    while any(Path(f"{aside}{suffix}").exists() for suffix in (*SUFFIXES, ".log")):
         number += 1
         aside = path.with_name(f"{path.name}.{why}-{stamp}-{number}")
+    if apart:
+        with suppress(FileNotFoundError):
+            Path(f"{path}-wal").rename(f"{aside}.log")
+        Path(f"{path}-shm").unlink(missing_ok=True)
     for suffix in SUFFIXES:
         with suppress(FileNotFoundError):
             Path(f"{path}{suffix}").rename(f"{aside}{suffix}")
@@ -97,7 +108,7 @@ def put_aside(path: Path, why: str, now: datetime | None = None) -> Path:
 def salvage(path: Path) -> Salvage:
     """Read what can be read of a fault memory; nothing is raised, and the file is left as it is."""
     try:
-        folder = Path(tempfile.mkdtemp(dir=_FAST if _FAST.is_dir() else None))
+        folder = Path(tempfile.mkdtemp(dir=FAST if FAST.is_dir() else None))
     except OSError:
         return Salvage(lost=1)
     try:

@@ -1,5 +1,7 @@
 """Tables of the fault memory's file, and how a file comes from one version to the next."""
 
+#: First bytes of each SQLite file.
+MAGIC = b"SQLite format 3\0"
 #: "GWFM": marks the file as a fault memory.
 APPLICATION_ID = 0x4757464D
 
@@ -95,5 +97,18 @@ CREATE TABLE intervention (
 );
 """
 
+# What was written, link by link (see gateway/faults/chain.py, which begins the chain with what there is).
+_SIXTH = """
+CREATE TABLE link (
+    number INTEGER PRIMARY KEY,
+    kind TEXT NOT NULL,
+    subject TEXT NOT NULL,
+    content BLOB NOT NULL,
+    digest BLOB NOT NULL
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH)
+#: First version that has a chain.
+CHAINED = 6

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.errors import GatewayError, InputError
+from gateway.faults import chain
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
@@ -160,6 +161,38 @@ def interventions(path: Path) -> list[dict[str, Any]]:
         return [intervention_as_dict(each) for each in store.interventions()]
     finally:
         store.close()
+
+
+def verify(path: Path) -> dict[str, Any]:
+    """Return what of a fault memory is whole: rows that are as they were written, by kind, and those that are not.
+
+    Raises:
+        InputError: there is no file, or one of an earlier version, which has no chain.
+    """
+    if not path.exists():
+        raise InputError("there is no fault memory here", file=path)
+    try:
+        store = Store(path, write=False)
+        try:
+            store.refuse_damaged()
+            verdict = store.verify()
+            store.load()
+        finally:
+            store.close()
+    except OutdatedError:
+        raise
+    except InputError as error:
+        verdict = chain.Verdict(broken=[chain.Broken("file", "", 0, error.message)])
+    return {
+        "memory": str(path),
+        "whole": not verdict.broken,
+        "stored": not is_unsaved(path),
+        "counted": verdict.counted,
+        "links": verdict.links,
+        "last_link": verdict.head.number,
+        "digest": verdict.head.digest.hex(),
+        "broken": [{**broken._asdict(), "text": str(broken)} for broken in verdict.broken],
+    }
 
 
 def near_misses(path: Path) -> list[dict[str, Any]]:

@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from gateway.errors import GatewayError, InputError
-from gateway.faults import rows, write_ahead
+from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
-from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
+from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
 
-_MAGIC = b"SQLite format 3\0"
 #: Another process that writes (a request to clear) is waited for this long [s].
 PATIENCE_S = 1.0
 #: Primary result codes of SQLite that mean damage; all others are the disk's, and may pass.
@@ -38,6 +37,10 @@ class OutdatedError(InputError):
 
 class DamagedError(InputError):
     """The file was a fault memory, and is damaged."""
+
+
+class ForeignError(InputError):
+    """The file is another program's database."""
 
 
 class UnusableError(InputError):
@@ -61,7 +64,8 @@ def _code(error: sqlite3.Error) -> int:
     return int(getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)) & 0xFF
 
 
-def _damage(path: Path | None, what: object) -> DamagedError:
+def damage(path: Path | None, what: object) -> DamagedError:
+    """Return what to raise for a damaged file."""
     return DamagedError(
         f"a damaged fault memory: {what}; the next gateway that keeps it (gateway run) puts it aside"
         " and recovers what can be read",
@@ -90,6 +94,7 @@ class Store:
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
+        self._head = chain.NO_HEAD  # the last link that this one wrote
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
@@ -128,7 +133,7 @@ class Store:
         except sqlite3.Error as error:
             self.close()
             if _code(error) in _DAMAGE:
-                raise _damage(path, error) from error
+                raise damage(path, error) from error
             raise UnusableError(f"not usable as a fault memory: {error}", file=path) from error
         except InputError:
             self.close()
@@ -139,15 +144,17 @@ class Store:
         stamp = int(self._db.execute("PRAGMA application_id").fetchone()[0])
         tables = int(self._db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0])
         if not tables and self._was_kept:
-            raise _damage(self.path, "it is empty")
+            raise damage(self.path, "it is empty")
         if tables and stamp != APPLICATION_ID:
-            raise InputError("this is another program's database", file=self.path)
+            raise ForeignError("this is another program's database", file=self.path)
         if version > len(MIGRATIONS):
             raise InputError(
                 f"written by a later gateway: version {version}, this one knows {len(MIGRATIONS)}",
                 file=self.path,
             )
         if not self._write:
+            # Only the writer may copy the log: by that he knows whether somebody else has changed the file.
+            self._db.execute("PRAGMA wal_autocheckpoint = 0")
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
             if version < len(MIGRATIONS):
@@ -156,7 +163,7 @@ class Store:
                     file=self.path,
                 )
             return
-        self._refuse_damaged()
+        self.refuse_damaged()
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute(f"PRAGMA wal_autocheckpoint = {write_ahead.PAGES}")
@@ -164,19 +171,27 @@ class Store:
         if version < len(MIGRATIONS):  # in one transaction: a new file is there at once
             self._db.executescript(
                 f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
-                f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)}; COMMIT;"
+                f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)};"
             )
+            if version < CHAINED:
+                chain.begin(self._db)
+            self._db.execute("COMMIT")
         # Whoever asked a writer that is gone has been told that nothing was done.
         self._db.execute("DELETE FROM request")
 
-    def _refuse_damaged(self) -> None:
-        """Refuse now what would otherwise fail, or be missed, later."""
-        found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
+    def refuse_damaged(self) -> None:
+        """Refuse now what would otherwise fail, or be missed, later.
+
+        Raises:
+            DamagedError: the file is damaged.
+        """
+        with self._reading():
+            found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            orphan = self._db.execute("PRAGMA foreign_key_check").fetchone()
         if found != "ok":
-            raise _damage(self.path, found)
-        orphan = self._db.execute("PRAGMA foreign_key_check").fetchone()
+            raise damage(self.path, found)
         if orphan is not None:
-            raise _damage(self.path, f"a {orphan[0]} of a {orphan[2]} that is not there")
+            raise damage(self.path, f"a {orphan[0]} of a {orphan[2]} that is not there")
 
     def compact(self) -> None:
         """Check the file whole, and give back what it does not use.
@@ -249,7 +264,7 @@ class Store:
             operational = isinstance(error, sqlite3.OperationalError) and not other
             if operational and _code(cast(sqlite3.Error, error)) not in _DAMAGE:
                 raise InputError(f"fault memory not readable: {error}", file=self.path) from error
-            raise _damage(self.path, error) from error
+            raise damage(self.path, error) from error
 
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
@@ -303,6 +318,15 @@ class Store:
         with self._reading():
             return dict(self._db.execute("SELECT name, value FROM fact"))
 
+    def verify(self) -> chain.Verdict:
+        """Return what of the file is as its chain says, as of one commit of the writer.
+
+        Raises:
+            DamagedError: it cannot be read.
+        """
+        with self._reading():
+            return chain.verify(self._db)
+
     def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
         """Write changes in one transaction; durable on return.
 
@@ -314,8 +338,11 @@ class Store:
             StoreError: they could not be written; nothing of them was.
         """
         with self.transaction():
-            rows.write(self._db, changes)
-        self._logged += 2 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
+            if self.path is None:
+                rows.write(self._db, changes)
+            else:
+                self._head = chain.write(self._db, changes)
+        self._logged += 3 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""
@@ -376,10 +403,10 @@ def _refuse_foreign(path: Path) -> None:
     """Refuse a file that SQLite would take for an empty database and overwrite."""
     try:
         with path.open("rb") as file:
-            head = file.read(len(_MAGIC))
+            head = file.read(len(MAGIC))
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
-    if head and head != _MAGIC:
+    if head and head != MAGIC:
         if is_marked(path):  # nothing else was ever kept under this name
-            raise _damage(path, "it is no SQLite file any more")
+            raise damage(path, "it is no SQLite file any more")
         raise InputError("not usable as a fault memory: it is no SQLite file", file=path)

@@ -73,7 +73,7 @@ class Daemon:
         parts = prepare(config, path)
         parts.engine.warm()
         on_built()
-        store = KeptStore(memory or config.memory.path, connect=self._machine.connect)
+        store = KeptStore(memory or config.memory.path, connect=self._machine.connect, displacing=True)
         gateway = Gateway(config, file=path, parts=parts, store=store)
         gateway.listen(self._tell)
         if self._machine.begin_writer is not None:

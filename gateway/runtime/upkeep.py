@@ -6,8 +6,8 @@ Everything that changes is written before it is told. Three things can happen on
   thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
 - **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
   is there until a later attempt has written everything.
-- **The file was damaged, deleted or replaced**: a new one is begun; the fault ``gateway.memory_damaged`` is there until
-  the next operation cycle.
+- **The file was damaged, deleted, replaced or overwritten**: a new one is begun; ``gateway.memory_damaged`` is there
+  until the next operation cycle.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class Upkeep:
         done = self._written(t_ns, sink)
         if memory.unsaved and not self._paused and self._is_time(t_ns):
             down = bool(memory.outage.reason)
-            memory.begin(t_ns, writer, anew=not self._store.look())
+            memory.begin(t_ns, writer, anew=not self._store.look() or self._store.doubtful)
             self._under_way = NOTHING if down else noted - done  # in an outage it is told at once
             if not down and not memory.under_way(patience_s):
                 done += self._written(t_ns, sink)
@@ -203,6 +203,8 @@ class Upkeep:
         if self._memory.under_way():
             return
         self._memory.join()
+        if not self.beside:
+            self._store.examine()
         if not self._store.look() and not self._memory.outage.reason:
             self._memory.rewrite()
             if not self.beside:

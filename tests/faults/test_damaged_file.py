@@ -131,7 +131,7 @@ def test_a_file_damaged_while_it_is_open_is_begun_anew_with_everything(tmp_path)
         t_ns += FIRST_NS
         assert t_ns < 10 * S
     assert listed(path) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
-    assert [m.kind for m in store.mishaps()] == ["damaged"]
+    assert [m.kind for m in store.mishaps()] == ["overwritten"]
     store.close()
 
 

@@ -24,7 +24,7 @@ NOT_WRITTEN = Fault(
 DAMAGED = Fault(
     "memory_damaged",
     "U3000-42",
-    "fault memory's file was damaged, deleted or replaced; a new one was begun",
+    "fault memory's file was damaged, deleted, replaced or overwritten; a new one was begun",
     ("rows recovered", "rows lost"),
     _AT_ONCE,
 )

@@ -1,0 +1,250 @@
+"""The chain of the fault memory: each change of the file is a link that holds the digest of the link before it.
+
+A link names what was written (a fault with its freeze frames, its recordings, an intervention, an operation cycle, a
+permanent DTC, an identifier, a number), and has the digest of these rows. Its own digest is over all that and over the
+digest of the link before. A clear is a link, too. So a row that is changed, added or taken away by somebody else shows,
+and so does a link that is missing. The chain has no secret: whoever may write the file can make all of it again. Then
+only the digest of the last link differs, which a running gateway knows, and which people can note.
+
+Links are bounded: the oldest ones go, and what they say of rows that are still there is said again at the end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from gateway.faults import rows
+from gateway.faults.records import Changes
+
+#: Links that are kept; more where there are more rows.
+MOST = 2000
+#: Kinds of links that stand for rows, in the order of a file that is linked for the first time.
+FAULT, RECORDINGS, CYCLE, PERMANENT = "fault", "recordings", "cycle", "permanent"
+IDENTIFIER, NUMBER, INTERVENTION = "identifier", "number", "intervention"
+#: Kinds that stand for no rows: the first link, a clear, all else that is written, and what is left of older links.
+BEGIN, CLEAR, OTHER, ANCHOR = "begin", "clear", "other", "anchor"
+
+#: What the rows of a subject are; and which subjects there are.
+_ROWS = {
+    FAULT: f"{rows.SELECT_RECORDS} WHERE id = ?",
+    RECORDINGS: f"{rows.SELECT_RECORDINGS} WHERE fault = ? ORDER BY id",
+    CYCLE: "SELECT name, number, open, t_ns FROM operation_cycle WHERE name = ?",
+    PERMANENT: "SELECT fault, dtc, t_ns FROM permanent WHERE fault = ?",
+    IDENTIFIER: "SELECT did, data FROM identifier WHERE did = CAST(? AS INTEGER)",
+    NUMBER: "SELECT name, value FROM fact WHERE name = ?",
+    INTERVENTION: f"{rows.SELECT_INTERVENTIONS} WHERE number = CAST(? AS INTEGER)",
+}
+_SUBJECTS = {
+    FAULT: "SELECT id FROM fault ORDER BY id",
+    RECORDINGS: "SELECT DISTINCT fault FROM recording ORDER BY fault",
+    CYCLE: "SELECT name FROM operation_cycle ORDER BY name",
+    PERMANENT: "SELECT fault FROM permanent ORDER BY rowid",
+    IDENTIFIER: "SELECT did FROM identifier ORDER BY did",
+    NUMBER: "SELECT name FROM fact ORDER BY name",
+    INTERVENTION: "SELECT number FROM intervention ORDER BY number",
+}
+_FRAMES = "SELECT number, t_ns, content FROM freeze_frame WHERE fault = ? ORDER BY number"
+_ADD = "INSERT INTO link (number, kind, subject, content, digest) VALUES (?, ?, ?, ?, ?)"
+_LINKS = "SELECT number, kind, subject, content, digest FROM link ORDER BY number"
+#: Digest of rows that are not there.
+GONE = b""
+
+
+class Head(NamedTuple):
+    """The last link: its number, and its digest."""
+
+    number: int
+    digest: bytes
+
+
+NO_HEAD = Head(0, b"")
+
+
+class Broken(NamedTuple):
+    """A row that is not what the chain says.
+
+    Attributes:
+        kind, subject: what it is of.
+        link: number of the link that says so; 0: there is none.
+        reason: in a few words.
+    """
+
+    kind: str
+    subject: str
+    link: int
+    reason: str
+
+    def __str__(self) -> str:
+        where = f"link {self.link}" if self.link else "no link"
+        return f"{f'{self.kind} {self.subject}'.strip()} ({where}): {self.reason}"
+
+
+@dataclass
+class Verdict:
+    """What is whole.
+
+    Attributes:
+        links: how many links were looked at.
+        counted: rows that are as the chain says, by kind; clears that it has.
+        broken: the others, the first one of the chain first.
+        head: the last link.
+    """
+
+    links: int = 0
+    counted: dict[str, int] = field(default_factory=dict)
+    broken: list[Broken] = field(default_factory=list)
+    head: Head = NO_HEAD
+
+
+#: Made once: to make it takes longer than to use it.
+_text_of = json.JSONEncoder(separators=(",", ":"), default=lambda value: {"hex": bytes(value).hex()}).encode
+
+
+def content(db: sqlite3.Connection, kind: str, subject: str) -> bytes:
+    """Return the digest of the rows of a subject; :data:`GONE` if there are none.
+
+    Raises:
+        sqlite3.Error: they cannot be read.
+    """
+    found: list[Any] = db.execute(_ROWS[kind], (subject,)).fetchall()
+    if not found:
+        return GONE
+    if kind == FAULT:
+        found += db.execute(_FRAMES, (subject,)).fetchall()
+    return hashlib.sha256(_text_of(found).encode()).digest()
+
+
+def _link_digest(before: bytes, number: int, kind: str, subject: str, content: bytes) -> bytes:
+    name = f"{number}\0{kind}\0{len(subject)}\0{subject}".encode()
+    return hashlib.sha256(before + name + content).digest()
+
+
+def head(db: sqlite3.Connection) -> Head:
+    """Return the last link.
+
+    Raises:
+        sqlite3.Error: it cannot be read.
+    """
+    row = db.execute("SELECT number, digest FROM link ORDER BY number DESC LIMIT 1").fetchone()
+    return NO_HEAD if row is None else Head(*row)
+
+
+def _append(db: sqlite3.Connection, links: Iterable[tuple[str, str, bytes]]) -> Head:
+    """Append links of (kind, subject, content); returns the last one."""
+    number, digest = head(db)
+    made = []
+    for kind, subject, of in links:
+        number += 1
+        digest = _link_digest(digest, number, kind, subject, of)
+        made.append((number, kind, subject, of, digest))
+    db.executemany(_ADD, made)
+    return Head(number, digest)
+
+
+def begin(db: sqlite3.Connection) -> None:
+    """Begin the chain of a file with all that it has, within a transaction."""
+    _append(db, [(BEGIN, "", GONE), *((kind, subject, content(db, kind, subject)) for kind, subject in _subjects(db))])
+
+
+def _subjects(db: sqlite3.Connection) -> Iterator[tuple[str, str]]:
+    for kind, select in _SUBJECTS.items():
+        for (subject,) in db.execute(select).fetchall():
+            yield kind, str(subject)
+
+
+def write(db: sqlite3.Connection, changes: Changes) -> Head:
+    """Write changes with their links, within a transaction; returns the last link.
+
+    Raises:
+        sqlite3.Error: they could not be written.
+    """
+    cleared = {record.id for record in changes.records if not record.occurrence}
+    recorded = {recording.fault for recording in changes.recordings}
+    if cleared:
+        recorded |= cleared.intersection(fault for (fault,) in db.execute(_SUBJECTS[RECORDINGS]))
+    permanent: set[str] = set()
+    if changes.permanent is not None:
+        permanent = {fault for (fault,) in db.execute(_SUBJECTS[PERMANENT])} | {p.fault for p in changes.permanent}
+    gone = rows.write(db, changes)
+    touched = [
+        *((FAULT, record.id) for record in changes.records),
+        *((RECORDINGS, fault) for fault in sorted(recorded)),
+        *((CYCLE, name) for name in changes.cycles),
+        *((PERMANENT, fault) for fault in sorted(permanent)),
+        *((IDENTIFIER, str(did)) for did in changes.identifiers),
+        *((NUMBER, name) for name in changes.facts),
+        *((INTERVENTION, str(number)) for number in [*changes.interventions, *gone]),
+    ]
+    links = [(CLEAR, f"{group:06X}", GONE) for group in changes.cleared]
+    links += [(kind, subject, content(db, kind, subject)) for kind, subject in touched]
+    last = _append(db, links or [(OTHER, "", GONE)])
+    if last.number > MOST and last.number % (MOST // 4) < len(links):
+        _prune(db, last.number)
+        return head(db)
+    return last
+
+
+def _prune(db: sqlite3.Connection, last: int) -> None:
+    """Let the oldest links go, after what they say of rows that are there has been said again."""
+    latest = db.execute("SELECT max(number), kind, subject, content FROM link GROUP BY kind, subject").fetchall()
+    alive = sorted(row for row in latest if row[1] in _ROWS and row[3] != GONE)
+    first = last - max(MOST, 2 * len(alive))
+    if first <= 1 or db.execute("SELECT 1 FROM link WHERE number = ?", (first,)).fetchone() is None:
+        return
+    # The content is that of the old link: what somebody has changed since is not made good by this.
+    _append(db, [(kind, subject, of) for number, kind, subject, of in alive if number <= first])
+    db.execute("DELETE FROM link WHERE number < ?", (first,))
+    db.execute("UPDATE link SET kind = ?, subject = '', content = ? WHERE number = ?", (ANCHOR, GONE, first))
+
+
+def verify(db: sqlite3.Connection) -> Verdict:
+    """Return what of a file is as its chain says.
+
+    Raises:
+        sqlite3.Error: it cannot be read.
+    """
+    verdict = Verdict()
+    latest: dict[tuple[str, str], tuple[int, bytes]] = {}
+    before = NO_HEAD
+    for number, kind, subject, of, digest in db.execute(_LINKS).fetchall():
+        wrong = _wrong_link(before, (number, kind, subject, of, digest))
+        if wrong:
+            verdict.broken.append(Broken(str(kind), str(subject), number, wrong))
+        before = Head(number, digest)
+        verdict.links += 1
+        if kind in _ROWS:
+            latest[kind, subject] = (number, of)
+        elif kind == CLEAR:
+            verdict.counted[CLEAR] = verdict.counted.get(CLEAR, 0) + 1
+    verdict.head = before
+    if not verdict.links:
+        verdict.broken.append(Broken("chain", "", 0, "its links are gone"))
+    for kind, subject in _subjects(db):
+        link, of = latest.pop((kind, subject), (0, GONE))
+        if content(db, kind, subject) == of:
+            verdict.counted[kind] = verdict.counted.get(kind, 0) + 1
+        else:
+            reason = "is not what was written" if link and of != GONE else "was not written by a gateway"
+            verdict.broken.append(Broken(kind, subject, link, reason))
+    for (kind, subject), (link, of) in latest.items():
+        if of != GONE:
+            verdict.broken.append(Broken(kind, subject, link, "is not there any more"))
+    verdict.broken.sort(key=lambda broken: broken.link or before.number + 1)
+    return verdict
+
+
+def _wrong_link(before: Head, link: tuple[int, str, str, bytes, bytes]) -> str:
+    """Return what is wrong with a link that comes after another one, "" if nothing is."""
+    number, kind, _, of, digest = link
+    if before == NO_HEAD and kind == ANCHOR:
+        return ""
+    if number != before.number + 1:
+        return f"links {before.number + 1} to {number - 1} are gone"
+    if not isinstance(of, bytes) or digest != _link_digest(before.digest, *link[:-1]):
+        return "the link is not what was written"
+    return ""
