@@ -307,6 +307,48 @@ def test_a_rule_is_remembered_after_kill_9(tmp_path):
     assert Car(tmp_path / "gateway.toml", memory=memory).feed(broken(e2e_p01(60))).failed() == ["crc"]
 
 
+def reloaded(car, folder, check, *, before="", messages=PLAIN):
+    """Let the gateway of a configuration with another check take over."""
+    path = write(folder, messages, f"{before}{check}")
+    old = car.gateway
+    old.finish(car.t_ns)
+    car.gateway = Gateway(load_config(path), file=path, store=old.store)
+    car.gateway.succeed(old)
+    return car
+
+
+def with_window(timeout_ms):
+    return P01.replace("0x1234", f"0x1234, {WINDOW}") + f"\ntimeout_ms = {timeout_ms}"
+
+
+def test_another_timeout_leaves_the_crc_the_counter_and_the_window_as_they_are(tmp_path):
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, PLAIN, with_window(100))).feed(frames[:20])
+    reloaded(car, tmp_path, with_window(500)).feed(frames[20:22])
+    assert car.gateway.engine.counters()["window_rejected"] == 3, "those of its start: it is valid still"
+    car.feed([frames[21], frames[21], frames[21]])
+    assert car.failed() == ["counter"]
+    # The message of finding A: a CRC that breaks at the reload is the sender's fault, at its second frame.
+    reloaded(car, tmp_path, with_window(400)).feed(broken(frames[22:24]))
+    assert car.failed() == ["counter", "crc"]
+
+
+def test_another_message_s_crc_before_it_changes_nothing(tmp_path):
+    """Tables of CRCs are put in order of the checks: their place is no part of a rule."""
+    other = PLAIN + PLAIN.replace("256 M", "257 N").replace("Speed : 16|16", "Sum : 0|16")
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, other, P01)).feed(frames[:20])
+    before = 'message = "N"\ninvalid = "U0402"\ncrc = { signal = "Sum", algorithm = "crc16_arc" }\n[[bus.check]]\n'
+    reloaded(car, tmp_path, P01, before=before, messages=other)
+    assert car.feed([frames[19]] * 3).failed() == ["counter"], "the last one before is known"
+
+
+def test_another_rule_is_not_proven_by_a_reload(tmp_path):
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, PLAIN, P01)).feed(frames[:20])
+    assert reloaded(car, tmp_path, P01.replace("0x1234", "0x1235")).feed(frames[20:45]).failed() == ["rule"]
+
+
 NIBBLE = 'BO_ 256 M: 8 A\n SG_ CHECKSUM : 59|4@0+ (1,0) [0|15] "" B\n'
 
 

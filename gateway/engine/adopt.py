@@ -1,7 +1,8 @@
 """An engine goes on where another one, of a changed configuration, stops.
 
 Each record of the engine says of its fields what is state, what the state is counted in (constants), and what is only a
-place or a setting that the state does not depend on. State goes over where the constants are equal.
+place or a setting that the state does not depend on. State goes over where the constants are equal. Each state of a
+message's check has constants of its own: a new timeout does not touch what is known of the CRC.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gateway.engine.checks.bus_health import HealthState, watch_clock
-from gateway.engine.checks.communication import CheckConst, CheckState
+from gateway.engine.checks.communication import COUNTED_IN
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
@@ -59,6 +60,21 @@ def _take(target: Any, source: Any, state: type[Record], const: type[Record] | N
     return True
 
 
+def _take_counted(check: Any, before: Any) -> None:
+    """Copy of a check's state what is counted in the same as before (see :data:`COUNTED_IN`)."""
+    for names, constants in COUNTED_IN.items():
+        if all(_of(check, constant) == _of(before, constant) for constant in constants):
+            for name in names:
+                check[name] = before[name]
+
+
+def _of(record: Any, path: str) -> Any:
+    """Return a constant of a record, or of a record within it."""
+    for name in path.split("."):
+        record = record[name]
+    return record
+
+
 def _signals(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
     slots = {ref: k for k, ref in enumerate(new.plan.slot_names)}
     for k, ref in enumerate(old.plan.slot_names):
@@ -90,7 +106,7 @@ def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
         if check["timeout_ns"] > 0 and old.tables.clock[0]["started"]:
             check["deadline_ns"] = now_ns + check["timeout_ns"]
         if other is not None and other["check"] >= 0:
-            _take(check, old.tables.checks[other["check"]], CheckState, CheckConst)
+            _take_counted(check, old.tables.checks[other["check"]])
 
 
 def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:

@@ -11,6 +11,7 @@ calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -171,6 +172,20 @@ class CheckState(Record):
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
     lengths: Annotated[i4s, SAMPLES]
+
+
+_COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus", "protection.first")
+
+#: Each state of a check, and what it is counted in: a reload keeps it where these constants are as they were.
+COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
+    ("deadline_ns", "silent_ns", "losses"): ("timeout_ns",),
+    ("last_counter", "unread", "seen"): _COUNTER,
+    ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
+    # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
+    ("window", "came_ns", "ok", "wrong"): (
+        "rule", *_COUNTER, "protection.max_step", "protection.strict", "protection.windowed",
+    ),
+}  # fmt: skip
 
 
 class CheckRun(Record):

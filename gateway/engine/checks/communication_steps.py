@@ -128,10 +128,11 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
 def weigh_rule(c: Any, words: Any, wrong: bool) -> None:
     """Count what a frame says of the checksum's rule, before it is proven.
 
-    A sequential probability ratio test: a rule that is not the sender's passes one frame in ``2**width`` by chance, one
-    that is passes half of them at least (of a single bit three quarters). The logarithm of that ratio is summed, a right
-    frame's rounded down, a wrong one's rounded up. By Ville's inequality a wrong rule never reaches the limit from zero
-    but once in ``2**(PROVEN / 2)`` times; from the lower end, where the sum stops, once in its square.
+    A sequential probability ratio test: a wrong rule passes one frame in ``2**width`` by chance, a right one passes
+    half of them at least (with a single bit: three quarters). The logarithm of the ratio is summed, rounded so that
+    less speaks for the rule. By Ville's inequality a wrong rule comes from zero to the limit once in
+    ``2**(PROVEN / 2)`` tries at most, however many frames come; from the lower end, where the sum stops, once in the
+    square of that.
 
     The payload of the right frame before, sent again, is right again: it says nothing new, and only takes back what
     wrong ones said.
