@@ -5,6 +5,7 @@ import random
 import e2e
 import pytest
 from amount import examples
+from car import MS
 from car import Car as AnyCar
 from car import write as write_tables
 from hypothesis import given, settings
@@ -268,11 +269,104 @@ def test_a_rule_that_no_frame_passes_is_doubted_not_the_sender(tmp_path):
     assert fine.feed(frames, can_id=message.address).failed() == []
 
 
-def test_after_one_right_frame_the_sender_is_judged(p01):
+def broken(frames):
+    return [bytes([data[0] ^ 1]) + data[1:] for data in frames]
+
+
+def test_after_as_many_right_frames_as_chance_does_not_give_the_sender_is_judged(tmp_path):
     frames = e2e_p01(60)
-    broken = [bytes([data[0] ^ 1]) + data[1:] for data in frames[1:]]
-    assert p01.feed([frames[0], *broken]).failed() == ["crc"]
-    assert p01.of("protection") == []
+    one, three = (Car(write(tmp_path, PLAIN, P01)) for _ in range(2))
+    assert one.feed([*frames[:2], *broken(frames[2:])]).failed() == ["rule"], "two of 8 bits: once in 65536"
+    assert three.feed([*frames[:3], *broken(frames[3:])]).failed() == ["crc"]
+    assert three.of("protection") == []
+
+
+def test_a_rule_that_has_fitted_is_remembered_in_the_next_ignition(tmp_path):
+    frames, memory = e2e_p01(60), tmp_path / "faults.sqlite"
+    for fed, failed in ((frames, []), (broken(frames), ["crc"]), (broken(frames), ["crc"])):
+        car = Car(write(tmp_path, PLAIN, P01), memory=memory).feed(fed)
+        car.gateway.stop(car.t_ns)
+        car.gateway.close()
+        assert car.failed() == failed
+    # Another rule has fitted nobody. Nor has the first one any more, once there was another.
+    for data_id in ("0x1235", "0x1234"):
+        car = Car(write(tmp_path, PLAIN, P01.replace("0x1234", data_id)), memory=memory).feed(broken(frames))
+        car.gateway.stop(car.t_ns)
+        car.gateway.close()
+        assert [fault for fault in car.failed() if fault != "crc"] == ["rule"]
+        assert len(car.of("protection")) == 1
+
+
+def test_a_rule_is_remembered_after_kill_9(tmp_path):
+    """At the next look for requests it goes to the file, not at the end."""
+    memory = tmp_path / "faults.sqlite"
+    first = Car(write(tmp_path, PLAIN, P01), memory=memory).feed(e2e_p01(20))
+    first.gateway.serve_requests()
+    first.gateway.advance(first.t_ns + MS)
+    first.gateway.store.close()
+    assert Car(tmp_path / "gateway.toml", memory=memory).feed(broken(e2e_p01(60))).failed() == ["crc"]
+
+
+def reloaded(car, folder, check, *, before="", messages=PLAIN):
+    """Let the gateway of a configuration with another check take over."""
+    path = write(folder, messages, f"{before}{check}")
+    old = car.gateway
+    old.finish(car.t_ns)
+    car.gateway = Gateway(load_config(path), file=path, store=old.store)
+    car.gateway.succeed(old)
+    return car
+
+
+def with_window(timeout_ms):
+    return P01.replace("0x1234", f"0x1234, {WINDOW}") + f"\ntimeout_ms = {timeout_ms}"
+
+
+def test_another_timeout_leaves_the_crc_the_counter_and_the_window_as_they_are(tmp_path):
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, PLAIN, with_window(100))).feed(frames[:20])
+    reloaded(car, tmp_path, with_window(500)).feed(frames[20:22])
+    assert car.gateway.engine.counters()["window_rejected"] == 3, "those of its start: it is valid still"
+    car.feed([frames[21], frames[21], frames[21]])
+    assert car.failed() == ["counter"]
+    # The message of finding A: a CRC that breaks at the reload is the sender's fault, at its second frame.
+    reloaded(car, tmp_path, with_window(400)).feed(broken(frames[22:24]))
+    assert car.failed() == ["counter", "crc"]
+
+
+def test_another_message_s_crc_before_it_changes_nothing(tmp_path):
+    """Tables of CRCs are put in order of the checks: their place is no part of a rule."""
+    other = PLAIN + PLAIN.replace("256 M", "257 N").replace("Speed : 16|16", "Sum : 0|16")
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, other, P01)).feed(frames[:20])
+    before = 'message = "N"\ninvalid = "U0402"\ncrc = { signal = "Sum", algorithm = "crc16_arc" }\n[[bus.check]]\n'
+    reloaded(car, tmp_path, P01, before=before, messages=other)
+    assert car.feed([frames[19]] * 3).failed() == ["counter"], "the last one before is known"
+
+
+def test_another_rule_is_not_proven_by_a_reload(tmp_path):
+    frames = e2e_p01(60)
+    car = Car(write(tmp_path, PLAIN, P01)).feed(frames[:20])
+    assert reloaded(car, tmp_path, P01.replace("0x1234", "0x1235")).feed(frames[20:45]).failed() == ["rule"]
+
+
+NIBBLE = 'BO_ 256 M: 8 A\n SG_ CHECKSUM : 59|4@0+ (1,0) [0|15] "" B\n'
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wrong_rule_of_4_bits_is_doubted_for_good_though_frames_pass_by_chance(tmp_path, seed):
+    rng = random.Random(seed)
+    wrong = Car(write(tmp_path, NIBBLE, 'message = "M"\nchecksum = "honda"'))
+    assert wrong.feed([rng.randbytes(8) for _ in range(600)]).failed() == ["rule"]
+    assert 15 < 600 - wrong.gateway.engine.counters()["crc_failed"] < 75, "by chance"
+    assert len(wrong.of("protection")) == 1
+
+
+def test_a_right_rule_of_4_bits_is_taken_after_7_frames_and_one_payload_again_and_again_is_one_frame(tmp_path):
+    frames = [bytes([k, 0, 0, 0, 0, 0, 0, -k & 0xF]) for k in range(1, 16)]  # a sum of nibbles
+    check = 'message = "M"\nchecksum = { rule = "sum", of = "nibbles", negative = true }'
+    wrong = [bytes([data[0], 0, 0, 0, 0, 0, 1, data[7]]) for data in frames]
+    for right, found in ((frames[:6], ["rule"]), (frames[:7], ["crc"]), (frames[:1] * 100, ["rule"])):
+        assert Car(write(tmp_path, NIBBLE, check)).feed([*right, *wrong, *wrong, *wrong]).failed() == found
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """An engine goes on where another one, of a changed configuration, stops.
 
 Each record of the engine says of its fields what is state, what the state is counted in (constants), and what is only a
-place or a setting that the state does not depend on. State goes over where the constants are equal.
+place or a setting that the state does not depend on. State goes over where the constants are equal. Each state of a
+message's check has constants of its own: a new timeout does not touch what is known of the CRC.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.engine.checks.bus_health import HealthState, watch_clock
-from gateway.engine.checks.communication import CheckConst, CheckState
+from gateway.engine.checks.communication import COUNTED_IN
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
@@ -39,11 +41,11 @@ def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[in
     _messages(new, old, buses)
     _monitors(new, old, buses)
     places = {slot.id: k for k, slot in enumerate(old.faults)}
-    for k, slot in enumerate(new.faults):
-        if slot.id in places:
-            before = old.tables.debounces[places[slot.id]]
-            _take(new.tables.debounces[k], before, DebounceState, DebounceConst)
-            new.tables.buckets[k] = old.tables.buckets[places[slot.id]]
+    pairs = [(k, places[slot.id]) for k, slot in enumerate(new.faults) if slot.id in places]
+    both = np.array(pairs, int).reshape(-1, 2)
+    states, constants = DebounceState.dtype.names or (), DebounceConst.dtype.names or ()
+    _take_all(new.tables.debounces, old.tables.debounces, both, {states: constants})
+    new.tables.buckets[both[:, 0]] = old.tables.buckets[both[:, 1]]
     _health(new, old, buses)
     _cycles(new, old, buses, cycles)
     note_all(new.tables)
@@ -57,6 +59,32 @@ def _take(target: Any, source: Any, state: type[Record], const: type[Record] | N
     for name in state.dtype.names or ():
         target[name] = source[name]
     return True
+
+
+def _take_all(
+    target: Any, source: Any, both: NDArray[np.int64], counted_in: Mapping[tuple[str, ...], tuple[str, ...]]
+) -> None:
+    """Copy states of many records of a table at once: there are thousands, and frames wait.
+
+    Args:
+        target: the table.
+        source: the table before.
+        both: rows that both have, shape (n, 2): in ``target``, in ``source``.
+        counted_in: names of states: the constants that have to be equal, those of records within by their path.
+    """
+    for names, constants in counted_in.items():
+        same = np.ones(len(both), np.bool_)
+        for path in constants:
+            same &= _of(target, path)[both[:, 0]] == _of(source, path)[both[:, 1]]
+        mine, theirs = both[same].T
+        for name in names:
+            target[name][mine] = source[name][theirs]
+
+
+def _of(table: Any, path: str) -> Any:
+    for name in path.split("."):
+        table = table[name]
+    return table
 
 
 def _signals(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
@@ -80,6 +108,7 @@ def _rows(new: Engine, old: Engine, buses: Mapping[int, int]) -> dict[int, int]:
 
 def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
     now_ns, before = int(new.tables.clock[0]["now_ns"]), _rows(new, old, buses)
+    pairs: list[tuple[int, int]] = []
     for row, vector in enumerate(new.tables.vectors):
         other = old.tables.vectors[before[row]] if row in before else None
         if other is not None:
@@ -90,7 +119,8 @@ def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
         if check["timeout_ns"] > 0 and old.tables.clock[0]["started"]:
             check["deadline_ns"] = now_ns + check["timeout_ns"]
         if other is not None and other["check"] >= 0:
-            _take(check, old.tables.checks[other["check"]], CheckState, CheckConst)
+            pairs.append((int(vector["check"]), int(other["check"])))
+    _take_all(new.tables.checks, old.tables.checks, np.array(pairs, int).reshape(-1, 2), COUNTED_IN)
 
 
 def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:

@@ -12,7 +12,7 @@ from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED
-from gateway.engine.checks.communication import RULE, SAMPLES
+from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
 from gateway.engine.events import Events
@@ -292,6 +292,22 @@ class Engine:
         row = checks[index]
         kept = min(int(row["misfits"]), SAMPLES)
         return index, [row["samples"][k].tobytes()[: int(row["lengths"][k])] for k in range(kept)]
+
+    def rules(self) -> dict[str, int]:
+        """Return the digests of the checksums' rules, by the ids of the faults that doubt them."""
+        checks = self.tables.checks
+        return {self.faults[fault].id: int(checks[k]["rule"]) for fault, k in self._rules.items()}
+
+    def proven(self) -> list[str]:
+        """Return those of :meth:`rules` that are proven to be the senders'."""
+        proofs = self.tables.checks["proof"]
+        return [self.faults[fault].id for fault, k in self._rules.items() if proofs[k] == PROVEN]
+
+    def take_as_proven(self, rule: str) -> None:
+        """Take one of :meth:`rules` to be proven: it was, by an engine before."""
+        for fault, k in self._rules.items():
+            if self.faults[fault].id == rule:
+                self.tables.checks[k]["proof"] = PROVEN
 
     def error_counters(self, bus: int) -> dict[str, int]:
         """Return the error frames of a bus by class, and the frames lost in its queues."""

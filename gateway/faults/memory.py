@@ -286,6 +286,14 @@ class FaultMemory(Readable):
         with suppress(StoreError):  # it is tried again, and counts in this process in any case
             self._held.write(self._now_ns)
 
+    def proven(self, rule: str) -> int:
+        """Return the digest of a checksum's rule that was proven last, by its name; 0: none."""
+        return self._held.fact(f"proven.{rule}")
+
+    def keep_proven(self, rule: str, digest: int) -> None:
+        """Keep the digest of a rule that has been proven, with the next commit; 0: none."""
+        self._held.set_fact(f"proven.{rule}", digest)
+
     def fold_statistics(self) -> None:
         """Take over what the debounce has counted since the last time."""
         if self._statistics is None:

@@ -94,15 +94,19 @@ class Door(Protocol):
         """Do what is due, without waiting; ``wanted``: whether the descriptor was readable."""
 
 
-def collect_and_freeze() -> None:
+def collect_and_freeze(again: bool) -> None:
     """Take what was built for the start out of the collector's sight.
 
-    It lives until the end, or the next configuration; looking through it again and again would cost milliseconds in the
-    middle of traffic.
+    Most of it lives until the end: modules, and what they keep. To look through all that takes longer than a tester
+    waits for an answer, so it is done once. After a reload only what was built since is looked through, which is the
+    new configuration and the one before it; of the first one stays what refers to itself.
+
+    Args:
+        again: after a reload.
     """
-    gc.unfreeze()
     gc.collect()
-    gc.freeze()
+    if not again:
+        gc.freeze()
 
 
 class Live:
@@ -116,7 +120,7 @@ class Live:
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
         monotonic: for what is done every so often [s].
-        settle: called when everything is built, and again when it is replaced.
+        settle: called when everything is built (False), and in the turn after it was replaced (True).
         door: of those who watch; None: nobody can.
     """
 
@@ -130,7 +134,7 @@ class Live:
         clock: Clock,
         tick_s: float = TICK_S,
         monotonic: Callable[[], float] = time.monotonic,
-        settle: Callable[[], None] = collect_and_freeze,
+        settle: Callable[[bool], None] = collect_and_freeze,
         door: Door | None = None,
     ) -> None:
         self._settle, self._door = settle, door
@@ -147,7 +151,8 @@ class Live:
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._choose()
-        self._settle()
+        self._unsettled = False
+        self._settle(False)
 
     @property
     def links(self) -> Sequence[Link]:
@@ -161,7 +166,7 @@ class Live:
         self._offset_ns = self._clock.told_offset_ns
         self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
         self._choose()
-        self._settle()
+        self._unsettled = True
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are."""
@@ -198,6 +203,9 @@ class Live:
             # its own time stamps move the clock.
             self._send(self._gateway.advance(self._clock.now() - GRACE_NS))
         self._send(self._gateway.poll(self._clock.now()))
+        if self._unsettled:  # what waited during a reload has been answered
+            self._unsettled = False
+            self._settle(True)
         now = self._monotonic()
         if self._door is not None:
             self._door.turn(now, wanted=self._knocked)

@@ -53,7 +53,8 @@ class Machine:
         patience_s: how long a single write of that thread is waited for [s].
         connect: opens the fault memory, as ``sqlite3.connect`` does.
         tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
-        settle: called when everything is built: it leaves the garbage collector nothing to look through.
+        settle: called when everything is built (False) or replaced (True): the garbage collector is to look through
+            little after it.
     """
 
     clock: Clock = field(default_factory=Clock)
@@ -64,4 +65,4 @@ class Machine:
     patience_s: float = PATIENCE_S
     connect: Connect = sqlite3.connect
     tick_s: float = TICK_S
-    settle: Callable[[], None] = collect_and_freeze
+    settle: Callable[[bool], None] = collect_and_freeze

@@ -40,6 +40,7 @@ from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
+from gateway.runtime.proofs import Proofs
 from gateway.runtime.told import (
     clear_event,
     clock_event,
@@ -140,6 +141,7 @@ class Gateway:
         self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._tell)
+        self._proofs = Proofs(self.engine, self.memory)
         self.event_count = 0
 
     def finish(self, t_ns: int) -> Frames:
@@ -151,6 +153,7 @@ class Gateway:
             t_ns: now.
         """
         self._upkeep.pause()
+        self._proofs.look()
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
@@ -185,6 +188,7 @@ class Gateway:
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
+        self._proofs.recall()
         self.controls.go_on()
         self.servers.succeed(old.servers, buses)
         self._listeners = old._listeners
@@ -203,6 +207,7 @@ class Gateway:
         """Start an operation cycle."""
         self.engine.warm()
         self.memory.note_descriptions()
+        self._proofs.recall()
         self.controls.start_cycle(t_ns)
 
     def stop(self, t_ns: int) -> None:
@@ -210,6 +215,7 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
+        self._proofs.look()
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._settle(t_ns, final=True)
         if self.memory.unsaved:
@@ -371,6 +377,7 @@ class Gateway:
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
+        self._proofs.look()
         cleared = self.memory.serve_requests(self._before_clear)
         if cleared:
             self.controls.note(Intervention(0, "local", "", 0, "clear"))

@@ -1,4 +1,4 @@
-"""Rules that no frame ever passed: what fits instead is looked for beside the loop, and told."""
+"""Rules that no frame, or too few, ever passed: what fits instead is looked for beside the loop, and told."""
 
 from __future__ import annotations
 
@@ -99,5 +99,6 @@ class Doubts:
             _log.warning(text, **of, differs=", ".join(event["differs"]))
         else:
             fits = ", ".join(event["fits"]) or "none that the gateway knows"
-            _log.warning("no frame ever passed its checksum: the rule is likely another one", **of, fits=fits)
+            text = "no frame, or too few, ever passed the checksum: the rule is likely another one"
+            _log.warning(text, **of, fits=fits)
         self._tell(event)

@@ -13,7 +13,7 @@ from gateway.bus import conditions as c
 from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
 from gateway.engine.checks.bus_health import BusInstance, Health, HealthPlace, HealthState
-from gateway.engine.checks.communication import Check, CheckConst, CheckPlace, CheckRun, CheckState
+from gateway.engine.checks.communication import COUNTED_IN, Check, CheckConst, CheckPlace, CheckRun, CheckState
 from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
 from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState
 from gateway.engine.events import QUALIFIED_FAILED
@@ -105,7 +105,7 @@ def failures(events, engine):
     return [(e[0] / 1e6, engine.faults[e[1]].id) for e in events if e[2] == QUALIFIED_FAILED]
 
 
-def test_a_changed_check_starts_anew_with_its_own_timeout(build, tools):
+def test_a_changed_timeout_starts_anew_and_nothing_else(build, tools):
     old, new = make(build), make(build, check={**CHECK, "timeout_ms": 20.0})
     frames = [tools.alpha(k, 0, count=k) for k in range(5)]
     # The old deadline would be at 54 ms; the new check waits its own 20 ms from the change on.
@@ -115,7 +115,7 @@ def test_a_changed_check_starts_anew_with_its_own_timeout(build, tools):
     events, last = run([old, new], [frames, [tools.alpha(5, 0, count=9)]], tools, 490)
     assert "comm.Alpha.timeout" not in {name for _, name in failures(events, last)}
     counter = [slot.id for slot in last.faults].index("comm.Alpha.counter")
-    assert last.fault_detection_counter(counter) <= 0, "its first counter is not judged"
+    assert last.fault_detection_counter(counter) > 0, "4, then 9: the last counter is known"
 
 
 def test_a_changed_monitor_starts_anew(build, tools):
@@ -205,9 +205,11 @@ def test_between_random_configurations_all_state_is_kept_whose_constants_are_equ
             other = theirs.get(name)
             if other is None or (table == "handlers" and name not in same):
                 continue
-            equal = const is None or all(row[f] == other[f] for f in const.dtype.names)
-            kept = all(np.array_equal(row[f], other[f], equal_nan=True) for f in state.dtype.names)
-            assert kept or not equal, (table, name)
+            groups = {state.dtype.names: () if const is None else const.dtype.names}
+            for names, constants in COUNTED_IN.items() if table == "checks" else groups.items():
+                equal = all(_constant(row, f) == _constant(other, f) for f in constants)
+                kept = all(np.array_equal(row[f], other[f], equal_nan=True) for f in names)
+                assert kept or not equal, (table, name, names)
     for k, instance in enumerate(new.monitors):
         if instance.name in same:
             place = [other.name for other in old.monitors].index(instance.name)
@@ -229,6 +231,21 @@ def test_what_begins_a_cycle_remembers_how_low_its_signal_was(build, tools):
     assert new.tables.watches["lowest"].tolist() == old.tables.watches["lowest"].tolist()
     new.process(tools.batch(tools.alpha(20.0, 6.0, count=2)), tools.Collector())
     assert new.tables.cycles[0] == 1, "it has risen by 9 V since the lowest"
+
+
+def _constant(row, path):
+    for name in path.split("."):
+        row = row[name]
+    return row
+
+
+def test_every_state_of_a_check_is_counted_in_something():
+    states = [name for names in COUNTED_IN for name in names]
+    assert sorted(states) == sorted(CheckState.dtype.names)
+    row = np.zeros(1, CheckConst.dtype)[0]
+    for constants in COUNTED_IN.values():
+        for path in constants:
+            _constant(row, path)
 
 
 def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():

@@ -1,6 +1,8 @@
 """The live loop: what the taps get, what the gateway gets, and in what order work is done."""
 
+import gc
 import os
+import weakref
 
 import pytest
 
@@ -9,7 +11,7 @@ from gateway.bus.conditions import STEPPED
 from gateway.bus.frames import ERROR, OWN, empty, put
 from gateway.live.clock import Clock
 from gateway.live.link import Link
-from gateway.live.loop import Live
+from gateway.live.loop import Live, collect_and_freeze
 from gateway.live.record import Nobody
 
 
@@ -277,3 +279,28 @@ def test_nobody_on_the_bus_sets_our_clock():
     assert gateway.got == [ERROR, 0x10], "the first is of the opening"
     assert link.statistics.rejected == 1
     live.close()
+
+
+class Knot:
+    """Refers to itself."""
+
+    def __init__(self):
+        self.itself = self
+
+
+def test_after_a_reload_only_what_came_since_is_looked_through():
+    """All that a process has takes longer to look through than a tester waits for an answer."""
+    gc.unfreeze()
+    collect_and_freeze(False)
+    frozen = gc.get_freeze_count()
+    try:
+        assert frozen > 1000
+        since = Knot()
+        gone = weakref.ref(since)
+        del since
+        collect_and_freeze(True)
+        assert gone() is None
+        assert gc.get_freeze_count() == pytest.approx(frozen, rel=0.01)
+    finally:
+        gc.unfreeze()
+        gc.freeze()  # as the suite has it

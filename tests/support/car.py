@@ -30,8 +30,8 @@ def write(folder, messages, tables, *, more="", name="car.dbc"):
 class Car:
     """A gateway that is fed frames at equal distances."""
 
-    def __init__(self, config, period_ms=10.0):
-        self.gateway = Gateway(load_config(config), file=config)
+    def __init__(self, config, period_ms=10.0, memory=None):
+        self.gateway = Gateway(load_config(config), memory, file=config)
         self.events, self.t_ns, self.period_ns = [], 0, round(period_ms * MS)
         self.gateway.listen(self.events.append)
         self.gateway.start(1)

@@ -85,7 +85,7 @@ class World:
                 open_bus=partial(Wire, self),
                 tick_s=0.0,
                 begin_writer=None,  # it would write in real time
-                settle=lambda: None,  # it would look through all that the tests have loaded
+                settle=lambda again: None,  # it would look through all that the tests have loaded
             ),
         )
         return self.running

@@ -11,6 +11,7 @@ calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -85,15 +86,18 @@ FAULTS = (
     Fault(
         "rule",
         "U0401-56",
-        "no frame ever passed its CRC or checksum: the configured rule is not the sender's",
+        "no frame, or too few, ever passed the CRC or checksum: the configured rule is not the sender's",
         ("frames", "received", "computed", "constant of the header"),
         Debounce(failed_after=1, passed_after=1, jump_down=True),
         remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
     ),
 )
 
-#: So many frames must fail from the start, and none pass, until the rule is doubted instead of the sender.
-MISFITS = 20
+#: What speaks for a checksum's rule is counted in half bits (see ``weigh_rule``). So much of it, and the rule is the
+#: sender's: by chance it happens once in 2**20 times, whatever the frames are.
+PROVEN = 40
+#: So much of a wrong frame speaks against it: after 20 of them, and no right one, the rule is doubted.
+AGAINST = 2
 #: Of these so many are kept, to try other rules on.
 SAMPLES = 4
 #: So often the time of a message that does not come starts anew since frames were lost on our side.
@@ -148,6 +152,7 @@ class CheckConst(Record):
     timeout_ns: i8 = means(unit="ns")
     length: i4
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
+    rule: i8 = means("digest of the checksum's rule; 0: there is none")
     protection: ProtectionConst
 
 
@@ -158,9 +163,11 @@ class CheckState(Record):
     silent_ns: i8 = means(unit="ns")
     losses: i4 = means("how often its time has started anew since frames were lost on our side")
     last_counter: i8
-    passed: i8 = means("frames whose checksum was right")
+    passed: i8 = means("frames whose checksum was right since the rule was proven")
+    weighed: u8 = means("hash of the last right payload before the rule was proven")
+    proof: i4 = means("what speaks for the rule of the checksum, -PROVEN to PROVEN", "half bit")
     unread: i4 = means("frames rejected since the counter was last read")
-    misfits: i4 = means("frames whose checksum was wrong before the first right one")
+    misfits: i4 = means("frames whose checksum was wrong before the rule was proven")
     seen: u1
     window: u1 = means("of E2E: NO_DATA, STARTING, VALID, INVALID")
     came_ns: i8 = means("when a frame was last taken into it; 0: never", "ns")
@@ -168,6 +175,20 @@ class CheckState(Record):
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
     lengths: Annotated[i4s, SAMPLES]
+
+
+_COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus", "protection.first")
+
+#: Each state of a check, and what it is counted in: a reload keeps it where these constants are as they were.
+COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
+    ("deadline_ns", "silent_ns", "losses"): ("timeout_ns",),
+    ("last_counter", "unread", "seen"): _COUNTER,
+    ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
+    # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
+    ("window", "came_ns", "ok", "wrong"): (
+        "rule", *_COUNTER, "protection.max_step", "protection.strict", "protection.windowed",
+    ),
+}  # fmt: skip
 
 
 class CheckRun(Record):
@@ -281,6 +302,7 @@ def fill(
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
+    row["rule"] = protection.digest(asked, message.frame_id)
     row["presence"] = -1
     for ref in signals_of(check, database):
         row["presence"] = plan.position(*ref)

@@ -9,11 +9,12 @@ import numpy as np
 from gateway.bus.conditions import RUNNING
 from gateway.engine.checks.communication import (
     ACCEPT,
+    AGAINST,
     COUNTER,
     CRC,
     LENGTH,
-    MISFITS,
     MOST_LOSSES,
+    PROVEN,
     REJECT,
     RULE,
     SAMPLES,
@@ -97,8 +98,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
 def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
     """Test a frame's checksum; returns whether its data may be used.
 
-    While no frame has ever been right, frames are rejected, but the sender is not accused: it is the rule that is
-    doubted after :data:`MISFITS` of them.
+    Until the rule is proven, wrong frames are rejected, but the sender is not accused: it is the rule that is doubted.
     """
     received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
     wrong = verdict != FRAME_OK
@@ -106,10 +106,14 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
         T.clock[0].crc_failed += 1
         c.unread += 1
         advance_window(T, c, WRONG)
-    if wrong and c.passed == 0:
-        keep_misfit(T, t_ns, c, words, length, float(received), float(computed), verdict - FRAME_CHECKSUM)
-        return False
-    if not wrong:
+    if c.proof < PROVEN:
+        weigh_rule(c, words, wrong)
+        if wrong:
+            keep_misfit(T, t_ns, c, words, length, float(received), float(computed), verdict - FRAME_CHECKSUM)
+            return False
+        if c.proof < 0:  # right by chance, more likely: it tells nothing of the sender
+            return True
+    if not wrong and c.proof == PROVEN:
         if c.passed & 0xFF == 0:  # now and then is enough: it cannot change any more
             report_result(T, t_ns, c.fault[RULE], False, float(received), float(computed))
         c.passed += 1
@@ -121,16 +125,40 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
 
 
 @kernel
+def weigh_rule(c: Any, words: Any, wrong: bool) -> None:
+    """Count what a frame says of the checksum's rule, before it is proven.
+
+    A sequential probability ratio test: a wrong rule passes one frame in ``2**width`` by chance, a right one passes
+    half of them at least (with a single bit: three quarters). The logarithm of the ratio is summed, rounded so that
+    less speaks for the rule. By Ville's inequality a wrong rule comes from zero to the limit once in
+    ``2**(PROVEN / 2)`` tries at most, however many frames come; from the lower end, where the sum stops, once in the
+    square of that.
+
+    The payload of the right frame before, sent again, is right again: it says nothing new, and only takes back what
+    wrong ones said.
+    """
+    if wrong:
+        c.proof = max(c.proof - AGAINST, -PROVEN)
+        return
+    more = c.proof + max(2 * (int(c.protection.checksum.width) - 1), 1)
+    payload = np.uint64(1)
+    for k in range(8):
+        payload = (payload << np.uint64(7) | payload >> np.uint64(57)) ^ words[k]
+    c.proof = max(c.proof, min(more, 0)) if payload == c.weighed else min(more, PROVEN)
+    c.weighed = payload
+
+
+@kernel
 def keep_misfit(
     T: Any, t_ns: int, c: Any, words: Any, length: int, received: float, computed: float, constant: int
 ) -> None:
-    """Keep a frame that does not fit the rule; with the last of :data:`MISFITS` the rule is reported."""
+    """Keep a frame that does not fit the rule; where all speaks against the rule, it is reported."""
     at = c.misfits % SAMPLES
     for k in range(8):
         c.samples[at, k] = words[k]
     c.lengths[at] = length
     c.misfits = min(c.misfits + 1, 1 << 20)
-    if c.misfits >= MISFITS:
+    if c.proof == -PROVEN:
         place = report_result(T, t_ns, c.fault[RULE], True, received, computed)
         store_evidence(T, c.fault[RULE], place, 0, float(c.misfits))
         store_evidence(T, c.fault[RULE], place, 1, received)

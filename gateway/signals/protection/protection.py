@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -71,6 +72,24 @@ class Protection:
     strict: bool = False
     window: Window | None = None
     name: str = ""
+
+
+def digest(asked: Protection, can_id: int) -> int:
+    """Return a number of 63 bits that stands for what the checksum of a message must be; 0: it has none.
+
+    A header's constants belong to it, and where the counter lies, if it chooses a data id. How far the counter may
+    step does not, nor what else is asked of the message.
+
+    Args:
+        asked: the protection.
+        can_id: of the message.
+    """
+    if asked.checksum is None:
+        return 0
+    counter = asked.counter.field.item() if asked.counter is not None and asked.checksum.by_counter else None
+    constants = [(field.item(), value) for field, value, _ in asked.constants]
+    rule = repr((can_id, asked.checksum, asked.field.item(), constants, counter))
+    return int.from_bytes(hashlib.sha256(rule.encode()).digest()[:8], "little") >> 1 or 1
 
 
 class ProtectionConst(Record):

@@ -83,9 +83,9 @@ def test_good_frames_pass_every_check():
 
 
 def test_corrupt_frames_fail_the_crc_and_never_reach_the_mailbox():
-    rows = [frame(0, 0, 50)] + [frame(10 * k, k, 60 + k, corrupt=True) for k in range(1, 4)]
-    engine, seen, value = run(rows)
-    assert ("crc", 20) in seen
+    right = [frame(10 * k, k, 50) for k in range(3)]  # as many as it takes until the rule is taken for the sender's
+    engine, seen, value = run(right + [frame(10 * k, k, 60 + k, corrupt=True) for k in range(3, 6)])
+    assert ("crc", 40) in seen
     assert value == 50
     assert engine.counters()["crc_failed"] == 3
     assert not any(name == "counter" for name, _ in seen)
