@@ -154,7 +154,7 @@ class Commands:
         if watch:
             self._watched_s = now_s
         for session in self._sessions.values():
-            if session.holder.lasting and now_s >= session.until_s:
+            if session.holder.actions and now_s >= session.until_s:
                 session.holder.end()
             elif watch:
                 session.holder.end_unmet()

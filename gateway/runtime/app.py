@@ -193,6 +193,9 @@ class Gateway:
         self.servers.succeed(old.servers, buses)
         self._listeners = old._listeners
         self.event_count = old.event_count
+        self._standing.succeed(old._standing)
+        for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
+            self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:

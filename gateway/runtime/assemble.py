@@ -166,8 +166,8 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
 
 def _own_faults(config: Config) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    watched = memory_health.FAULTS if config.memory.watched else ()
-    watched += monitoring_health.FAULTS if config.access.watched else ()
+    of_memory = memory_health.FAULTS if config.memory.watched else ()
+    watched = (*of_memory, *(monitoring_health.FAULTS if config.access.watched else ()))
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
 
 

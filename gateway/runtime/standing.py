@@ -30,6 +30,11 @@ class Standing:
         self._place = places.get(self._id)
         self._told: bool | None = False if told else None
 
+    def succeed(self, old: Standing) -> None:
+        """Go on where that of an earlier configuration stops: what it reported may be so no longer."""
+        if old._told:
+            self._told = None
+
     def after_clear(self, cleared: Iterable[str]) -> None:
         """Report it once more, if it was cleared and is there still."""
         if self._told and self._id in cleared:

@@ -133,6 +133,10 @@ class Authority:
         holder.end()
         self._holders.remove(holder)
 
+    def lasting(self) -> list[tuple[str, str]]:
+        """Return all that is switched off: whose it is, and its action."""
+        return [(holder.name, action) for holder in self._holders for action in holder.actions]
+
     def end_yielding(self, actions: tuple[str, ...]) -> None:
         """End what those have switched off who give way to whoever undoes it."""
         for holder in self._holders:
@@ -187,9 +191,9 @@ class Holder:
         self._lasting: dict[str, bool] = {}  # action -> whether it was forced
 
     @property
-    def lasting(self) -> bool:
-        """Whether anything of his is switched off."""
-        return bool(self._lasting)
+    def actions(self) -> list[str]:
+        """What of his is switched off."""
+        return sorted(self._lasting)
 
     def set_dtcs(self, on: bool, *, forced: bool = False) -> None:
         """Let test results count, or not (ISO 14229-1, 0x85).

@@ -69,7 +69,8 @@ class Doors:
         text = EXTRA.format(uds=uds) + "[output.obd]\n[output.j1939]\n" + STANDS + more
         self.memory = folder / "m.sqlite"
         self.memory.unlink(missing_ok=True)
-        self.rig = Rig(write_config(folder, extra=text), self.memory, watched=watched)
+        self.config = write_config(folder, extra=text)
+        self.rig = Rig(self.config, self.memory, watched=watched)
         self.path = folder / "s"
         self.status = StatusSocket(self.path, self.rig.gateway)
         self.now_s = 1.0

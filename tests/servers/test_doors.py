@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 from command import command
 from doors import Doors
+from rig import Rig, write_config
 from test_access import LEVEL
 
 from gateway.faults import service
+from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
 from gateway.serve.mqtt import BrokerSettings, Publisher
@@ -288,6 +290,44 @@ def test_the_code_is_told_whoever_switches_off_and_stays_over_a_clear(doors):
     assert doors.tester("8501") == "c501"
     doors.turn()
     assert not standing(doors)
+
+
+def test_the_code_stays_over_an_operation_cycle(doors):
+    reader = doors.reader()
+    assert reader.ask("settings", dtcs=False)["ok"]
+    doors.turn()
+    assert reader.ask("cycle")["number"] == 2
+    doors.turn()
+    assert standing(doors)
+    assert blind(doors)
+
+
+def test_the_code_goes_with_the_next_start_where_the_gateway_was_killed(doors):
+    assert doors.reader().ask("settings", dtcs=False)["ok"]
+    doors.turn()
+    assert standing(doors)
+    doors.gateway.store.close()  # as kill -9: nothing is ended
+    rig = Rig(doors.config, doors.memory, watched=True)
+    assert int(rig.gateway.memory.status(STANDING)) & 1
+    rig.wait(100)
+    assert not int(rig.gateway.memory.status(STANDING)) & 1
+    rig.close()
+
+
+@pytest.mark.parametrize("file", ["m.sqlite", None])
+def test_a_reload_switches_it_on_and_notes_that_it_did(tmp_path, file):
+    rig = Rig(write_config(tmp_path, extra="[output.uds]\n"), file and tmp_path / file, watched=True)
+    rig.gateway.authority.holder("reader 1", lambda action: None, yields=True).set_dtcs(False)
+    rig.wait(10)
+    old = rig.gateway
+    assert int(old.memory.status(STANDING)) & 1
+    old.finish(rig.now)
+    rig.gateway = Gateway(old.config, store=old.store)
+    rig.gateway.succeed(old)
+    rig.wait(10)
+    assert not int(rig.gateway.memory.status(STANDING)) & 1
+    assert [(i.action, i.role) for i in rig.gateway.memory.interventions()] == [("dtc_setting_ended", "reader 1")]
+    rig.close()
 
 
 def test_sending_that_is_off_blinds_nobody(doors):
