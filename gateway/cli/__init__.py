@@ -846,11 +846,16 @@ def faults_clear(
     memory: MemoryOption = None,
     config: ConfigArgument = None,
     json: Json = False,
+    force: Annotated[bool, typer.Option("--force", help="Override the rules of access; it is noted.")] = False,
+    why: Annotated[str, typer.Option(help="The reason; it is noted.")] = "",
 ) -> None:
-    """Clear the DTCs of a fault memory."""
+    """Clear the DTCs of a fault memory.
+
+    A running gateway clears by its rules of access, as for a tester; --force overrides them.
+    """
     from gateway.cli.faults import clear_faults as work
 
-    raise typer.Exit(work(dtc, config, memory=memory, json=json))
+    raise typer.Exit(work(dtc, config, memory=memory, json=json, force=force, why=why))
 
 
 @faults_app.command("verify")

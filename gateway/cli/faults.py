@@ -153,6 +153,7 @@ def interventions(config: Path | None, *, memory: Path | None, json: bool) -> in
     table = table_of("latest", "count", "by", "session, level", "what", "request", "outcome")
     for each in found:
         by = each["protocol"] + (f" {each['address']:X} on {each['bus']}" if each["bus"] else "")
+        by += f", {each['role']}" if each["role"] else ""
         refused = "done" if each["outcome"] == "done" else f"refused 0x{each['nrc']:02X}"
         table.add_row(
             _time(each["t_ns"]), str(each["count"]), by, f"{each['session']}, {each['security']}", each["action"],
@@ -191,9 +192,11 @@ def recordings(dtc: str, config: Path | None, *, memory: Path | None, folder: Pa
     return 0
 
 
-def clear_faults(dtc: str | None, config: Path | None, *, memory: Path | None, json: bool) -> int:
+def clear_faults(
+    dtc: str | None, config: Path | None, *, memory: Path | None, json: bool, force: bool = False, why: str = ""
+) -> int:
     """Clear one entry or all; returns the exit code."""
-    count = service.clear(_path(config, memory), dtc)
+    count = service.clear(_path(config, memory), dtc, force=force, why=why)
     if json:
         print_json({"cleared": count})
     else:

@@ -87,6 +87,7 @@ def told(hub: Hub) -> dict[str, Any]:
         "name": hub.hello["name"],
         "connected": hub.connected,
         "ended": hub.hello.get("ended", ""),
+        "monitoring": hub.monitoring,
         "dtcs": hub.memory["entries"],
         "nearest": [
             {"fault": faults[row["fault"]]["id"], **{k: row.get(k) for k in ("value", "threshold", "ratio", "fdc")}}
@@ -123,6 +124,8 @@ def _head(hub: Hub) -> Text:
         line.append(f"   {hub.hello['ended']}", style="bold yellow")
     cycles = ", ".join(f"{name} {cycle['number']}" for name, cycle in hub.memory["cycles"].items())
     line.append(f"   cycle {cycles or '-'}", style="dim")
+    if not hub.monitoring["on"]:
+        line.append(f"\nmonitoring is switched off by {', '.join(hub.monitoring['by'])}", style="bold red")
     if hub.memory["error"]:
         line.append(f"\n{hub.memory['error']}", style="yellow")
     return line

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 
 from gateway.errors import InputError
 from gateway.faults.catalogue import Catalogue, FaultDefinition
@@ -13,6 +15,45 @@ from gateway.faults.records import Record
 from gateway.faults.status import CLEARED
 from gateway.faults.store import StoreError
 from gateway.faults.usage import Usage
+
+
+@dataclass(frozen=True)
+class AskedClear:
+    """A clear that another process asks for.
+
+    Attributes:
+        group: a DTC's 24 bits, or a group.
+        by: who asks, for people.
+        force: whether rules of access are to be overridden.
+        why: the reason that he gives.
+    """
+
+    group: int
+    by: str = ""
+    force: bool = False
+    why: str = ""
+
+    def __str__(self) -> str:
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def parse(cls, argument: str) -> AskedClear | None:
+        """Read what :meth:`__str__` wrote, or the bare number of earlier versions; None: it is neither."""
+        try:
+            told = json.loads(argument)
+            asked = cls(**told) if isinstance(told, dict) else cls(told)
+        except (ValueError, TypeError, RecursionError):
+            return None
+        fits = [
+            type(asked.group) is int and 0 <= asked.group <= ALL_DTCS,
+            type(asked.force) is bool,
+            *(type(t) is str for t in (asked.by, asked.why)),
+        ]
+        return asked if all(fits) else None
+
+
+#: Says why a clear is refused, as a negative response code; 0: it is allowed.
+Judge = Callable[[AskedClear], int]
 
 
 class Clearing:
@@ -88,12 +129,13 @@ class Clearing:
             self._held.set_fact(OVERFLOW, 0)
         return cleared
 
-    def serve_requests(self, t_ns: int, before: Callable[[], None]) -> list[str]:
+    def serve_requests(self, t_ns: int, before: Callable[[], None], judge: Judge) -> list[str]:
         """Do what other processes asked for; returns ids of the faults cleared.
 
         Args:
             t_ns: now, of the engine's clock.
             before: called first, if somebody did.
+            judge: says whether they may; who may not is answered with the code, negative.
         """
         if self._held.under_way():  # they are served the next time
             return []
@@ -109,11 +151,11 @@ class Clearing:
             with self._held.undoing(), self._held.store.transaction():
                 # Within it nobody can withdraw a request that is being done.
                 for request, kind, argument in self._held.store.requests():
-                    done = 0
-                    if kind == "clear":
-                        group = int(argument)
-                        done = sum(1 for record in self._entries.stored() if self._is_in(record, group))
-                        cleared += self._clear(group)
+                    asked = AskedClear.parse(argument) if kind == "clear" else None
+                    done = 0 if asked is None else -judge(asked)
+                    if asked is not None and not done:
+                        done = sum(1 for record in self._entries.stored() if self._is_in(record, asked.group))
+                        cleared += self._clear(asked.group)
                     self._held.answer(request, done)
                 self._held.write(t_ns, alone=False)
         except (StoreError, InputError):  # whoever asked is told that nothing was done

@@ -34,7 +34,7 @@ class Intervention:
         address: identifier of the request, or source address of J1939; 0 if by no bus.
         session: number of the diagnostic session, 0 where there are none.
         security: security level that was unlocked, 0: none.
-        role: as which role the tester was authenticated, "": none.
+        role: as which role the tester was authenticated, "": none; of "local": who it is, and why he overrode a rule.
         action: name of the rule of access that it goes by, or what became of it ("lockout", "dtc_setting_ended").
         request: its first bytes.
         outcome: 0: done; else the negative response code (of UDS also where others refused).

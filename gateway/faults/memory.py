@@ -17,7 +17,7 @@ from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSE
 from gateway.faults import status as transition
 from gateway.faults.beside import Writer
 from gateway.faults.catalogue import Catalogue, FaultDefinition
-from gateway.faults.clearing import Clearing
+from gateway.faults.clearing import Clearing, Judge
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.event_memory import EventMemory
@@ -328,13 +328,14 @@ class FaultMemory(Readable):
         """Tell whether a clear of this DTC or group would mean any fault."""
         return self._clearing.knows(group)
 
-    def serve_requests(self, before: Callable[[], None] = lambda: None) -> list[str]:
+    def serve_requests(self, before: Callable[[], None] = lambda: None, judge: Judge = lambda asked: 0) -> list[str]:
         """Do what other processes asked for (clearing); returns ids of the faults cleared.
 
         Args:
             before: called first, if somebody did.
+            judge: says why one of them may not, as a negative response code; 0: it may.
         """
-        return self._clearing.serve_requests(self._now_ns, before)
+        return self._clearing.serve_requests(self._now_ns, before, judge)
 
     def is_mil_on_now(self) -> bool:
         """Tell whether a DTC asks for the MIL, written or not: not for others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from gateway.errors import GatewayError, InputError
 from gateway.faults import chain
 from gateway.faults.catalogue import Catalogue
+from gateway.faults.clearing import AskedClear
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
 from gateway.faults.interventions import DONE, Intervention
@@ -246,12 +248,14 @@ def show(path: Path, dtc: str) -> dict[str, Any]:
     raise InputError(f"no entry of this DTC; the memory has {known}", file=path, value=wanted)
 
 
-def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int:
-    """Clear one DTC, or all; a daemon that keeps the memory does it, else this process.
+def clear(path: Path, dtc: str | None = None, *, force: bool = False, why: str = "", patience_s: float = 5.0) -> int:
+    """Clear one DTC, or all; a daemon that keeps the memory does it by its rules of access, else this process.
 
     Args:
         path: of the fault memory.
         dtc: which one; None for all.
+        force: whether to override the daemon's rules of access; it is noted.
+        why: the reason, which is noted, too.
         patience_s: how long to wait for the daemon [s].
 
     Returns:
@@ -259,7 +263,7 @@ def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int
 
     Raises:
         InputError: there is no fault memory, or ``dtc`` is not one DTC.
-        GatewayError: the daemon did not answer; nothing was cleared.
+        GatewayError: the daemon did not answer, or refused; nothing was cleared.
     """
     group = ALL_DTCS if dtc is None else _one(dtc)
     if not path.exists():
@@ -267,13 +271,14 @@ def clear(path: Path, dtc: str | None = None, *, patience_s: float = 5.0) -> int
     try:
         store = Store(path)
     except InUseError:
-        return _ask_writer(path, group, patience_s)
+        return _ask_writer(path, AskedClear(group, f"uid {os.getuid()}, command line", force, why), patience_s)
     try:
         memory = FaultMemory(Catalogue(()), store)
         count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
         memory.clear(group)
-        request = group.to_bytes(3, "big")
-        memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request))
+        request = b"\x14" + group.to_bytes(3, "big")
+        by = f"uid {os.getuid()}, command line{f': {why}' if why else ''}"
+        memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request, role=by))
         memory.commit(final=True)
         return count
     finally:
@@ -288,10 +293,10 @@ def _one(text: str) -> int:
     return value
 
 
-def _ask_writer(path: Path, group: int, patience_s: float) -> int:
+def _ask_writer(path: Path, asked: AskedClear, patience_s: float) -> int:
     store = Store(path, write=False)
     try:
-        request = store.request("clear", str(group))
+        request = store.request("clear", str(asked))
         limit = time.monotonic() + patience_s
         try:
             while store.answer(request) is None and time.monotonic() < limit:
@@ -302,4 +307,9 @@ def _ask_writer(path: Path, group: int, patience_s: float) -> int:
         store.close()
     if answer is None:
         raise GatewayError(f"{path}: the gateway that keeps this memory does not answer")
+    if answer < 0:
+        raise GatewayError(
+            f"{path}: the gateway that keeps this memory refuses to clear now (0x{-answer:02X}): conditions or security"
+            " of [access]; --force overrides them, which is noted"
+        )
     return answer

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import selectors
 import socket
+import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,7 +30,7 @@ from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
-from gateway.live.status_commands import Commands
+from gateway.live.status_commands import NOBODY, Commands, monitoring_of
 from gateway.live.unix_socket import listen_at
 from gateway.runtime.app import Gateway
 
@@ -54,11 +55,16 @@ MOST_MESSAGES = 512
 log = get_logger(__name__)
 
 
+#: Process, user and group at the other end (unix(7), SO_PEERCRED).
+_CREDENTIALS = struct.Struct("3i")
+
+
 class _Reader:
     """One connection."""
 
     def __init__(self, connection: socket.socket, number: int) -> None:
         self.socket, self.number = connection, number
+        self.uid = _uid_of(connection)
         self.heard = bytearray()
         self.lines: deque[bytes] = deque()
         self.waiting: deque[bytes] = deque()
@@ -119,6 +125,8 @@ class StatusSocket:
         """Show another gateway from now on; the readers are told what there is now."""
         self._gateway = gateway
         self._commands = Commands(gateway)
+        for reader in self._readers:
+            self._commands.enter(reader.number, reader.uid)
         self._traffic = Traffic(len(gateway.config.bus))
         self._greet()
 
@@ -159,6 +167,7 @@ class StatusSocket:
             self._attend(now_s)
         if not self._readers:
             return
+        self._commands.pass_time(now_s)
         for k, (every_s, show) in enumerate(
             ((TICK_S, self._tick), (BUSES_S, self._show_buses), (MESSAGES_S, self._show_messages))
         ):
@@ -223,6 +232,7 @@ class StatusSocket:
             self._due = [0.0, 0.0, 0.0]
         self._tell_all_counters()
         self._readers.append(reader)
+        self._commands.enter(reader.number, reader.uid)
         self._selector.register(connection, selectors.EVENT_READ, reader)
         reader.put(self._greeting())
 
@@ -299,15 +309,15 @@ class StatusSocket:
 
     def _greet(self) -> None:
         """Tell all readers what there is to see now."""
-        self._hello = b""
+        self._hello: dict[str, Any] = {}
         self._tell_all_counters()
         for reader in self._readers:
             reader.put(self._greeting())
 
     def _greeting(self) -> bytes:
         if not self._hello:
-            self._hello = _message("hello", **_described(self._gateway), ended=self._ended)
-        return self._hello
+            self._hello = {**_described(self._gateway), "ended": self._ended}
+        return _message("hello", **self._hello, monitoring=monitoring_of(self._gateway))
 
     def _tell_all_counters(self) -> None:
         """Have the next tick tell the detection counters of all faults, not of those only that have changed."""
@@ -336,8 +346,12 @@ class StatusSocket:
             errors = {name: count for name, count in engine.error_counters(k).items() if count}
             told.append({"bus": bus.name, **states.get(bus.name, {}), "traffic": counted, "errors": errors})
         t_ns, counters = engine.wall_ns(engine.now_ns), engine.counters()
-        receive = self._gateway.controls.receive
-        self._send(_message("buses", t_ns=t_ns, buses=told, counters=counters, receive=receive))
+        monitoring = monitoring_of(self._gateway)
+        self._send(
+            _message(
+                "buses", t_ns=t_ns, buses=told, counters=counters, receive=monitoring["receive"], monitoring=monitoring
+            )
+        )
         for reader in self._readers:
             if reader.missed and reader.bytes <= ENOUGH_BYTES:
                 reader.put(_message("missed", count=reader.missed))
@@ -352,6 +366,14 @@ class StatusSocket:
         told = min(len(rows), MOST_MESSAGES)
         left_out = len(rows) - told
         self._send(_message("messages", data, t_ns=t_ns, offset_ns=engine.offset_ns, rows=told, left_out=left_out))
+
+
+def _uid_of(connection: socket.socket) -> int:
+    """Return as which user the process at the other end runs."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return NOBODY  # another system than Linux
+    told = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return int(_CREDENTIALS.unpack(told)[1])
 
 
 def _message(kind: str, data: bytes = b"", **fields: Any) -> bytes:

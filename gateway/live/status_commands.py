@@ -4,31 +4,87 @@
 |---|---|---|
 | ``clear`` | ``dtc``: "P0336-39", or none for all | clears, durable when it is answered |
 | ``cycle`` | | ends the operation cycle and begins the next one |
-| ``settings`` | ``dtcs``, ``receive``, ``send``: true or false | as services 0x85 and 0x28, until it is set back or the reader leaves |
+| ``settings`` | ``dtcs``, ``receive``, ``send``: true or false | as services 0x85 and 0x28 |
+| ``present`` | | keeps what this reader has switched off, as tester present (0x3E) |
 | ``values`` | ``signals``: full names | latest values |
 
-Each is answered by ``{"kind": "answer", "id": ..., "ok": true, ...}``, or ``"ok": false`` with ``error``. What changes
-something is noted as an intervention of the protocol ``local``.
-"""  # noqa: E501 - a row of a table is a line
+Each is answered by ``{"kind": "answer", "id": ..., "ok": true, "monitoring": {...}, ...}``, or ``"ok": false`` with
+``error``. What changes something goes by the rules of access that hold for testers (:mod:`gateway.servers.authority`)
+and is noted as an intervention of the protocol ``local``. It takes three more keys: ``by`` (who, for people), ``force``
+(true: override the rules; of the socket's owner and root) and ``why`` (the reason).
+
+What a reader has switched off ends when it leaves, when it says nothing for as long as a tester's session lasts (S3),
+when a condition is met no longer (unless it was forced), and when a tester or another reader switches it on.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from gateway.errors import GatewayError, InputError, nearest
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
 from gateway.runtime.app import Gateway
+from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
+from gateway.servers.uds.params import S3_MS
 
+_FORCE = {"by", "force", "why"}
 _KEYS = {
-    "clear": {"dtc"},
-    "cycle": set(),
-    "settings": {"dtcs", "receive", "send"},
+    "clear": {"dtc", *_FORCE},
+    "cycle": _FORCE,
+    "settings": {"dtcs", "receive", "send", *_FORCE},
+    "present": set(),
     "values": {"signals"},
 }
 #: Signals that one command may ask for.
 MOST_SIGNALS = 256
+#: Longest ``by`` and ``why`` [characters].
+MOST_LETTERS = 80
+#: What nobody can tell who asks.
+NOBODY = -1
+
+
+@dataclass
+class _Session:
+    """One reader: who it is, what it has switched off, and until when."""
+
+    uid: int
+    by: str
+    holder: Holder
+    until_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """An intervention that is asked for, and its verdict."""
+
+    session: _Session
+    action: str
+    request: bytes
+    refusal: Refusal
+    force: bool
+    why: str
+
+    def record(self) -> Intervention:
+        by = f"uid {self.session.uid}" if self.session.uid != NOBODY else "unknown"
+        by += f", {self.session.by}" if self.session.by else ""
+        return local_intervention(self.action, self.request, by, self.refusal, force=self.force, why=self.why)
+
+
+def monitoring_of(gateway: Gateway) -> dict[str, Any]:
+    """Return what is on, and ``by`` whom the rest was switched off; ``on``: whether test results count."""
+    controls = gateway.controls
+    return {
+        "on": controls.monitoring,
+        "dtcs": controls.results,
+        "receive": controls.receive,
+        "send": controls.send,
+        "by": controls.off_by,
+    }
 
 
 class Commands:
@@ -40,69 +96,149 @@ class Commands:
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self._off: set[int] = set()  # readers that have switched something off
+        uds = gateway.config.output.uds
+        self._s3_s = (S3_MS if uds is None else uds.s3_ms) / 1e3
+        self._sessions: dict[int, _Session] = {}
+        self._now_s = self._watched_s = 0.0
+
+    def enter(self, reader: int, uid: int = NOBODY) -> None:
+        """Take a reader.
+
+        Args:
+            reader: its number.
+            uid: as which user it runs.
+        """
+        session: _Session
+
+        def ended(action: str) -> None:
+            self._gateway.controls.note(Intervention(0, "gateway", "", 0, action, role=session.holder.name))
+
+        name = f"reader {reader}" + (f", uid {uid}" if uid != NOBODY else "")
+        session = _Session(uid, "", self._gateway.authority.holder(name, ended, yields=True))
+        self._sessions[reader] = session
 
     def answer(self, text: bytes, reader: int) -> dict[str, Any]:
         """Do one command; returns what is answered.
 
         Args:
             text: the line.
-            reader: a number for who asks.
+            reader: its number.
         """
         ticket: Any = None
         try:
             asked = _parsed(text)
             ticket = asked.get("id")
-            result = getattr(self, f"_{asked['do']}")(asked, reader)
+            session = self._sessions[reader]
+            if asked["do"] != "values":  # who only looks keeps nothing
+                session.until_s = self._now_s + self._s3_s
+            result = getattr(self, f"_{asked['do']}")(asked, session)
         except GatewayError as error:
-            return {"id": ticket, "ok": False, "error": str(error)}
-        return {"id": ticket, "ok": True, **result}
+            refused = {"refused": int(error.refusal)} if isinstance(error, RefusedError) else {}
+            return {
+                "id": ticket,
+                "ok": False,
+                "error": str(error),
+                **refused,
+                "monitoring": monitoring_of(self._gateway),
+            }
+        return {"id": ticket, "ok": True, **result, "monitoring": monitoring_of(self._gateway)}
+
+    def pass_time(self, now_s: float) -> None:
+        """End what readers have switched off, if their session or its conditions are over.
+
+        Args:
+            now_s: of a clock that is never set [s].
+        """
+        self._now_s = now_s
+        watch = now_s >= self._watched_s + WATCH_NS / 1e9
+        if watch:
+            self._watched_s = now_s
+        for session in self._sessions.values():
+            if session.holder.actions and now_s >= session.until_s:
+                session.holder.end()
+            elif watch:
+                session.holder.end_unmet()
 
     def leave(self, reader: int) -> None:
-        """Switch on again what a reader has switched off."""
-        if reader in self._off:
-            self._off.discard(reader)
-            controls = self._gateway.controls
-            controls.set_dtcs(True, _name(reader))
-            controls.set_communication(receive=True, send=True, by=_name(reader))
+        """Switch on again what a reader has switched off, who is gone."""
+        self._gateway.authority.leave(self._sessions.pop(reader).holder)
 
-    def _note(self, action: str, request: bytes = b"") -> None:
-        self._gateway.controls.note(Intervention(0, "local", "", 0, action, request))
+    def _judge(self, asked: dict[str, Any], session: _Session, action: str, request: bytes) -> _Asked:
+        """Return an intervention that is allowed, or forced.
 
-    def _clear(self, asked: dict[str, Any], _reader: int) -> dict[str, Any]:
+        Raises:
+            RefusedError: it is not.
+        """
+        force, why = asked.get("force", False), asked.get("why", "")
+        if not isinstance(force, bool):
+            raise InputError("true or false", key="force", value=force)
+        for key in ("why", "by"):
+            text = asked.get(key, "")
+            if not isinstance(text, str) or len(text) > MOST_LETTERS:
+                raise InputError(f"at most {MOST_LETTERS} letters", key=key, value=text)
+        if force and session.uid not in (0, os.geteuid()):
+            raise InputError("only the owner of the status socket may override the rules", key="force", value=force)
+        session.by = asked.get("by", "")
+        found = _Asked(session, action, request, self._gateway.authority.local_refusal(action), force, why)
+        if found.refusal and not force:
+            self._gateway.controls.note(found.record())
+            raise RefusedError(action, found.refusal)
+        return found
+
+    def _note(self, done: _Asked) -> None:
+        self._gateway.controls.note(done.record())
+
+    def _clear(self, asked: dict[str, Any], session: _Session) -> dict[str, Any]:
         dtc = asked.get("dtc")
         group = ALL_DTCS if dtc is None else Dtc.parse(str(dtc)).value
         if dtc is not None and group == ALL_DTCS:
             raise InputError("this is the group of all DTCs; name none to clear all", value=dtc)
+        if not self._gateway.controls.knows(group):
+            raise InputError("there is no such DTC here", value=dtc)
+        allowed = self._judge(asked, session, "clear", b"\x14" + group.to_bytes(3, "big"))
         entries = self._gateway.memory.entries()
         count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in entries)
-        if not self._gateway.controls.clear(group):
-            raise InputError("there is no such DTC here", value=dtc)
-        self._note("clear", group.to_bytes(3, "big"))
+        self._gateway.controls.clear(group)
+        self._note(allowed)
         return {"cleared": count}
 
-    def _cycle(self, _asked: dict[str, Any], _reader: int) -> dict[str, Any]:
+    def _cycle(self, asked: dict[str, Any], session: _Session) -> dict[str, Any]:
+        allowed = self._judge(asked, session, "reset", b"\x11\x01")
         self._gateway.controls.restart_cycle()
-        self._note("cycle")
+        self._note(allowed)
         return {"number": self._gateway.memory.cycle_number()}
 
-    def _settings(self, asked: dict[str, Any], reader: int) -> dict[str, Any]:
+    def _settings(self, asked: dict[str, Any], session: _Session) -> dict[str, Any]:
         told = {name: asked[name] for name in ("dtcs", "receive", "send") if name in asked}
         for name, value in told.items():
             if not isinstance(value, bool):
                 raise InputError("true or false", key=name, value=value)
-        controls = self._gateway.controls
+        controls, holder = self._gateway.controls, session.holder
+        changes: list[tuple[str, bytes, bool]] = []
         if "dtcs" in told:
-            controls.set_dtcs(told["dtcs"], _name(reader))
+            changes.append(("dtc_setting", bytes([0x85, 0x01 if told["dtcs"] else 0x02]), told["dtcs"]))
+        receive, send = told.get("receive", holder.receive), told.get("send", holder.send)
         if "receive" in told or "send" in told:
-            controls.set_communication(
-                receive=told.get("receive", controls.receive), send=told.get("send", controls.send), by=_name(reader)
-            )
-        self._off.add(reader)
-        self._note("settings", json.dumps(told, sort_keys=True).encode())
+            number = (0x00 if send else 0x01) if receive else (0x02 if send else 0x03)
+            changes.append(("communication", bytes([0x28, number, 0x01]), receive and send))
+        allowed = [
+            _Asked(session, action, request, Refusal.NONE, False, "")
+            if undoes
+            else self._judge(asked, session, action, request)
+            for action, request, undoes in changes
+        ]
+        for each in allowed:
+            if each.action == "dtc_setting":
+                holder.set_dtcs(told["dtcs"], forced=each.force)
+            else:
+                holder.set_communication(receive=receive, send=send, forced=each.force)
+            self._note(each)
         return {"receive": controls.receive, "send": controls.send}
 
-    def _values(self, asked: dict[str, Any], _reader: int) -> dict[str, Any]:
+    def _present(self, _asked: dict[str, Any], _session: _Session) -> dict[str, Any]:
+        return {}
+
+    def _values(self, asked: dict[str, Any], _session: _Session) -> dict[str, Any]:
         names = asked.get("signals")
         if not isinstance(names, list) or len(names) > MOST_SIGNALS or not all(isinstance(n, str) for n in names):
             raise InputError(f"a list of at most {MOST_SIGNALS} names", key="signals")
@@ -113,8 +249,12 @@ class Commands:
         return {"values": {name: self._gateway.engine.value(known[name]) for name in names}}
 
 
-def _name(reader: int) -> str:
-    return f"status-{reader}"
+class RefusedError(GatewayError):
+    """The rules of access do not allow it, or not now."""
+
+    def __init__(self, action: str, refusal: Refusal) -> None:
+        self.refusal = refusal
+        super().__init__(f"refused (0x{refusal:02X}), {action}: {refusal.words}; force overrides it, which is noted")
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
@@ -124,7 +264,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
         raise InputError("a command is one line of JSON") from error
     if not isinstance(asked, dict) or asked.get("do") not in _KEYS:
         raise InputError(f'a command is {{"do": ...}}, one of {", ".join(_KEYS)}')
-    unknown = set(asked) - _KEYS[asked["do"]] - {"id", "do"}
+    unknown: Sequence[str] = sorted(set(asked) - _KEYS[asked["do"]] - {"id", "do"})
     if unknown:
-        raise InputError(f"{asked['do']} has no such key", key=sorted(unknown)[0])
+        raise InputError(f"{asked['do']} has no such key", key=unknown[0])
     return asked

@@ -30,6 +30,7 @@ from gateway.engine.events import (
 from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
 from gateway.faults.catalogue import FaultDefinition, as_dict
+from gateway.faults.clearing import AskedClear
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
 from gateway.faults.interventions import Intervention
@@ -41,6 +42,7 @@ from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.proofs import Proofs
+from gateway.runtime.standing import Standing
 from gateway.runtime.told import (
     clear_event,
     clock_event,
@@ -53,6 +55,7 @@ from gateway.runtime.told import (
 from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
 from gateway.runtime.usage_meter import UsageMeter
 from gateway.servers.access import signals_of
+from gateway.servers.authority import Authority, Refusal, local_intervention
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.servers.uds.extended_data import EXTENDED_DATA
@@ -125,10 +128,13 @@ class Gateway:
             self._note_intervention,
             live=self._parts.live,
         )
+        local = config.access.local_unlocked
+        self.authority = Authority(config.needs, self.controls, local_unlocked=local)
+        self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
         self.servers = BusServers(
-            servers_of(config, self._parts, self.memory, self.controls, self.identifiers),
+            servers_of(config, self._parts, self.memory, self.authority, self.identifiers),
             len(config.bus),
             lambda: self.controls.send,
         )
@@ -193,6 +199,9 @@ class Gateway:
         self.servers.succeed(old.servers, buses)
         self._listeners = old._listeners
         self.event_count = old.event_count
+        self._standing.succeed(old._standing)
+        for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
+            self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
@@ -378,9 +387,22 @@ class Gateway:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
-        cleared = self.memory.serve_requests(self._before_clear)
+        judged: list[tuple[AskedClear, Refusal]] = []
+
+        def judge(asked: AskedClear) -> int:
+            refusal = self.authority.local_refusal("clear")
+            judged.append((asked, refusal))
+            return Refusal.NONE if asked.force else refusal
+
+        cleared = self.memory.serve_requests(self._before_clear, judge)
+        for asked, refusal in judged:
+            if not (cleared or (refusal and not asked.force)):
+                continue  # it could not be written, or there was nothing
+            request = b"\x14" + asked.group.to_bytes(3, "big")
+            self.controls.note(
+                local_intervention("clear", request, asked.by, refusal, force=asked.force, why=asked.why)
+            )
         if cleared:
-            self.controls.note(Intervention(0, "local", "", 0, "clear"))
             self.controls.forget(cleared)
         self._upkeep.tend()
 
@@ -447,6 +469,7 @@ class Gateway:
         if not (self._changes or self._untold or self._early) and self._idle and now < self.servers.next_ns:
             return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
         self._doubts.poll()
+        self._standing.settle(self._on_events)
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
@@ -458,7 +481,12 @@ class Gateway:
 
     @property
     def _idle(self) -> bool:
-        """Whether nothing waits: no recording, no entry for which there is room now, no write, no search for rules."""
+        """Whether nothing waits: no recording, no entry for which there is room now, no write, no search for rules.
+
+        Nor that monitoring was switched, and is not told.
+        """
+        if not self._standing.settled:
+            return False
         recording = self._recorder is not None and self._recorder.busy
         return not (recording or self.memory.room or self._doubts.busy) and self._upkeep.idle
 
@@ -470,6 +498,8 @@ class Gateway:
 
     def _after_clear(self, cleared: Iterable[str]) -> None:
         """Tell which entries went."""
+        cleared = list(cleared)
+        self._standing.after_clear(cleared)
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self.engine.wall_ns(self.engine.now_ns)
         self._tell(clear_event(t_ns, gone))

@@ -10,7 +10,7 @@ from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import memory_health
+from gateway.engine.checks import memory_health, monitoring_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
@@ -20,6 +20,7 @@ from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
@@ -165,14 +166,15 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
 
 def _own_faults(config: Config) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    watched = memory_health.FAULTS if config.memory.watched else ()
+    of_memory = memory_health.FAULTS if config.memory.watched else ()
+    watched = (*of_memory, *(monitoring_health.FAULTS if config.access.watched else ()))
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
 
 
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
     """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
     settings = config.fault.get(slot.id)
-    if slot.fault not in memory_health.FAULTS:
+    if slot.fault not in (*memory_health.FAULTS, *monitoring_health.FAULTS):
         return settings
     asked = {} if settings is None else settings.model_dump(exclude_unset=True)
     own = {"emission_related": False, "priority": memory_health.PRIORITY}
@@ -198,7 +200,7 @@ def _bus_name(config: Config, name: str | None) -> str:
 
 
 def _uds_servers(
-    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+    config: Config, parts: Parts, memory: FaultMemory, authority: Authority, identifiers: Identifiers
 ) -> list[tuple[UdsParams, UdsServer]]:
     """Build a UDS server for each of its addresses: a tester each, with a session of his own."""
     if config.output.uds is None:
@@ -210,18 +212,19 @@ def _uds_servers(
         bus = _bus_name(config, params.bus)
         security = parts.security.beside() if testers else parts.security
         who = parts.authentication.beside()
-        testers.append(Context(params, memory, identifiers, control, security, who, config.needs, bus, trace, testers))
+        control = authority.control
+        testers.append(Context(params, memory, identifiers, control, security, who, authority, bus, trace, testers))
     return [(context.params, UdsServer(context)) for context in testers]
 
 
 def _diagnostic_servers(
-    config: Config, parts: Parts, memory: FaultMemory, control: TesterControl, identifiers: Identifiers
+    config: Config, parts: Parts, memory: FaultMemory, authority: Authority, identifiers: Identifiers
 ) -> list[BusServer]:
     """Build what is on ISO-TP: UDS with OBD on its first address if they share it, each further address, OBD alone."""
     asked = config.output.obd
     obd = None
     if asked is not None:
-        obd = ObdServer(asked, memory, control, config.needs["obd_clear"], _bus_name(config, asked.bus))
+        obd = ObdServer(asked, memory, authority.control, authority, _bus_name(config, asked.bus))
         identifiers.fall_back(obd.identifier)
     made: list[BusServer] = []
 
@@ -229,7 +232,7 @@ def _diagnostic_servers(
         made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, obd))
 
     shared = config.diagnostic_address_is_shared()
-    for k, (params, uds) in enumerate(_uds_servers(config, parts, memory, control, identifiers)):
+    for k, (params, uds) in enumerate(_uds_servers(config, parts, memory, authority, identifiers)):
         server(params, uds, obd if shared and not k else None)
     if asked is not None and not shared:
         server(asked, None, obd)
@@ -240,12 +243,12 @@ def servers_of(
     config: Config,
     parts: Parts,
     memory: FaultMemory,
-    control: TesterControl,
+    authority: Authority,
     identifiers: Identifiers,
 ) -> list[BusServer]:
     """Build what is on the buses on the gateway's behalf."""
     made: list[BusServer] = []
-    asked, needs = config.output, config.needs
+    asked, control = config.output, authority.control
     if asked.dtc_frame is not None:
         made.append(
             DtcFrameSender(
@@ -256,11 +259,11 @@ def servers_of(
                 control.fault_detection_counter,
             )
         )
-    made += _diagnostic_servers(config, parts, memory, control, identifiers)
+    made += _diagnostic_servers(config, parts, memory, authority, identifiers)
     if asked.j1939 is not None:
         index = config.bus_index(asked.j1939.bus)
         endpoint = J1939Endpoint(
             asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
         )
-        made.append(J1939Server(asked.j1939, endpoint, memory, control, needs["j1939_clear"], config.bus[index].name))
+        made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
     return made

@@ -132,6 +132,21 @@ class Controls:
         self._after_clear(names)
 
     @property
+    def results(self) -> bool:
+        """Whether nobody has switched off that test results count (0x85)."""
+        return not self._dtcs_off
+
+    @property
+    def monitoring(self) -> bool:
+        """Whether test results count: nobody has switched them, or reception, off."""
+        return not (self._dtcs_off or self._deaf)
+
+    @property
+    def off_by(self) -> list[str]:
+        """Who has switched something off, reception and sending included; in order."""
+        return sorted(self._dtcs_off | self._deaf | self._mute)
+
+    @property
     def receive(self) -> bool:
         """Whether normal messages are received."""
         return not self._deaf
@@ -156,7 +171,7 @@ class Controls:
         self._hold()
 
     def _hold(self) -> None:
-        self._engine.hold_results(bool(self._dtcs_off or self._deaf))
+        self._engine.hold_results(not self.monitoring)
 
     def start_cycle(self, t_ns: int) -> None:
         """Start the operation cycle of the gateway itself, at a time of the engine."""

@@ -31,6 +31,8 @@ BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
 MOST_VIEWERS = 32
 #: So often a stream says that it is alive [s].
 ALIVE_S = 5.0
+#: Keys by which whoever has the control token overrides a rule of access.
+_FORCE = {"force", "why"}
 #: Faults whose history one request may ask for.
 MOST_FAULTS = 64
 
@@ -61,6 +63,7 @@ class Page:
                 Route("/api/clear", self._clear, methods=["POST"]),
                 Route("/api/cycle", self._cycle, methods=["POST"]),
                 Route("/api/settings", self._settings, methods=["POST"]),
+                Route("/api/present", self._present, methods=["POST"]),
                 Route("/metrics", self._show_metrics),
             ],
             lifespan=self._lifespan,
@@ -134,13 +137,16 @@ class Page:
     # What is asked
 
     async def _clear(self, request: Request) -> Response:
-        return await self._ask(request, "clear", {"dtc"})
+        return await self._ask(request, "clear", {"dtc", *_FORCE})
 
     async def _cycle(self, request: Request) -> Response:
-        return await self._ask(request, "cycle", set())
+        return await self._ask(request, "cycle", _FORCE)
 
     async def _settings(self, request: Request) -> Response:
-        return await self._ask(request, "settings", {"dtcs", "receive", "send"})
+        return await self._ask(request, "settings", {"dtcs", "receive", "send", *_FORCE})
+
+    async def _present(self, request: Request) -> Response:
+        return await self._ask(request, "present", set())
 
     async def _ask(self, request: Request, do: str, known: set[str]) -> Response:
         try:
@@ -149,6 +155,8 @@ class Page:
             asked = None
         if not isinstance(asked, dict) or set(asked) - known:
             return PlainTextResponse(f"an object with the keys {', '.join(sorted(known)) or '(none)'}\n", 400)
+        if known:  # an intervention: whoever could ask has the control token (guard.py)
+            asked["by"] = f"page {request.client.host if request.client else ''}".strip()
         try:
             answer = await self.hub.link.ask(do, **asked)
         except Refused as error:

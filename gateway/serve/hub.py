@@ -30,11 +30,14 @@ MOST_WAITING, MOST_PASSING = 2000, 40
 MANY_EVENTS = 100
 PASSING = {"tick", "buses", "messages"}
 #: Messages of which the latest says all.
-STATES = {"memory", "link"}
+STATES = {"memory", "link", "monitoring"}
 #: Least time between two looks into the fault memory's file, and longest [s].
 READ_S, LOOK_S = 0.1, 2.0
 #: Kinds of events that the page lists.
 LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected"}
+
+#: What is on and off where nobody has switched anything.
+ALL_ON: dict[str, Any] = {"on": True, "dtcs": True, "receive": True, "send": True, "by": []}
 
 log = get_logger(__name__)
 T = TypeVar("T")
@@ -111,6 +114,7 @@ class Hub:
         self.memory: dict[str, Any] = self.memory_file.read(())
         self.buses: list[dict[str, Any]] = []
         self.counters: dict[str, int] = {}
+        self.monitoring: dict[str, Any] = dict(ALL_ON)
         self.messages: list[dict[str, Any]] = []
         self.history = History(0)
         self.latest: dict[int, dict[str, Any]] = {}
@@ -181,6 +185,7 @@ class Hub:
                 "bits": BITS,
                 "memory": self.memory,
                 "buses": self.buses,
+                "monitoring": self.monitoring,
                 "messages": self.messages,
                 "latest": list(self.latest.values()),
                 "events": list(self.events),
@@ -219,6 +224,7 @@ class Hub:
         self.memory_file = MemoryFile(None if path is None else Path(path))
         self._names, self._loads = MessageNames(message["buses"]), BusLoads(message["buses"])
         self.memory = self.memory_file.read(message["faults"])
+        self.monitoring = self.hello.pop("monitoring", ALL_ON)
         state = self._state()
         for viewer in self._viewers:
             viewer.begin(state, self.history.past())
@@ -255,6 +261,13 @@ class Hub:
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
         self.buses, self.counters = self._loads.shown(message), message["counters"]
         self._tell("buses", self.buses)
+        self._take_monitoring(message)
+
+    def _take_monitoring(self, message: dict[str, Any]) -> None:
+        found = message.get("monitoring", ALL_ON)
+        if found != self.monitoring:
+            self.monitoring = found
+            self._tell("monitoring", found)
 
     def _on_messages(self, message: dict[str, Any], block: bytes) -> None:
         self.messages = self._names.shown(block, message["t_ns"] - message["offset_ns"])

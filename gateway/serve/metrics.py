@@ -43,6 +43,10 @@ class Metrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics."""
         yield GaugeMetricFamily("gateway_up", "Whether the gateway runs.", value=float(self._hub.connected))
+        yield GaugeMetricFamily(
+            "gateway_monitoring_on", "Whether the gateway runs and nobody has switched monitoring off.",
+            value=float(self._hub.connected and self._hub.monitoring["on"]),
+        )  # fmt: skip
         yield from self._faults()
         yield from self._buses()
         decoded = self._hub.counters

@@ -3,8 +3,11 @@
 | topic | retained | what |
 |---|---|---|
 | ``BASE/status`` | yes | ``online`` or ``offline``, which the broker says when this process dies (last will) |
+| ``BASE/monitoring`` | yes | ``on``, or ``off`` while somebody has switched it off |
 | ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
 | ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
+
+It only tells: there is no topic by which a broker could ask for anything.
 
 Nothing is queued while the broker is away: what is told is the state, all of it anew when the broker is back. So memory
 stays flat however many events there are.
@@ -123,6 +126,7 @@ class Publisher:
     def states(self) -> dict[str, str]:
         """Return what the broker is to have: topic -> payload."""
         made = {f"{self.base}/status": ONLINE if self._hub.connected else OFFLINE}
+        made[f"{self.base}/monitoring"] = "on" if self._hub.monitoring["on"] else "off"
         for entry in self._hub.memory["entries"]:
             told = {name: entry.get(name) for name in _TOLD}
             status = Status(entry["status"])

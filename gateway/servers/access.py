@@ -83,6 +83,12 @@ class AccessParams(StrictModel):
     stale_ms: float = Field(
         1000.0, gt=0, le=60_000, allow_inf_nan=False, description="a signal is unknown when it is older [ms]"
     )
+    local_unlocked: bool = Field(
+        False,
+        description="true: what needs a security level or a role is open to the status socket, the page's control token"
+        " and gateway faults clear",
+    )
+    watched: bool = Field(True, description="false: monitoring that is switched off is told, but is no fault")
     trace_did: int | None = Field(
         0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads what testers did; none: it is not read"
     )

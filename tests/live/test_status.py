@@ -157,10 +157,11 @@ def test_what_a_reader_switched_off_is_on_again_when_it_leaves(bench):
         yield from bench.levels([5.0] * 10)
         reader.ask(id=1, do="settings", dtcs=False)
         yield from bench.levels([50.0] * 200)
-        assert not bench.world.dtcs(), "no result counts"
+        assert bench.world.dtcs() == [("U3000-53", 1)], "no result counts but that it is so"
         reader.socket.close()
         yield from bench.levels([50.0] * 200)
-        assert bench.world.dtcs()
+        assert bench.world.dtcs()[1] == ("U3000-53", 0)
+        assert len(bench.world.dtcs()) > 2
 
     bench.play(script())
 

@@ -60,9 +60,10 @@ class Rig:
 
     def __init__(self, config: Path, memory: Path | None = None, *, start=True, watched=False):
         loaded = load_config(config)
-        if not watched:  # the faults of the memory itself
+        if not watched:  # the faults of the memory itself, and of switched-off monitoring
             kept = loaded.memory.model_copy(update={"watched": False})
-            loaded = loaded.model_copy(update={"memory": kept})
+            access = loaded.access.model_copy(update={"watched": False})
+            loaded = loaded.model_copy(update={"memory": kept, "access": access})
         self.gateway = Gateway(loaded, memory, file=config)
         self.now = 0
         self.sent = []

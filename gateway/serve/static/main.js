@@ -9,7 +9,7 @@ import { showBuses, showCycle, showInjected, showLog, showMessages, textOf } fro
 const DRAW_MS = 200;
 const state = {
   connected: false, reason: "", memory: { entries: [], cycles: {}, readiness: [], stored: true, error: "" }, bits: [],
-  events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
+  on: true, events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
 };
 const residuals = new Residuals();
 const dtcs = new Dtcs((dtc) => askClear(dtc));
@@ -28,11 +28,13 @@ const takes = {
     residuals.now(told.latest);
     for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
     showBuses(told.buses);
+    showOff(told.monitoring);
     showMessages(state.messages, byId("find").value);
     showMemory();
     showEvents();
     showLink();
   },
+  monitoring: (told) => showOff(told),
   link(told) {
     Object.assign(state, told);
     showLink();
@@ -82,9 +84,21 @@ function showMemory() {
   showVerdict();
 }
 
+function showOff(told) {
+  state.on = told.on;
+  const off = [["dtcs", "test results do not count (0x85)"], ["receive", "nothing is received (0x28)"], ["send", "nothing is sent (0x28)"]]
+    .filter(([name]) => !told[name]).map(([, text]) => text);
+  byId("off").hidden = !off.length;
+  const title = told.on ? "Communication is switched off" : "Monitoring is switched off";
+  say(byId("off"), off.length ? `${title}: ${off.join(", ")}. By ${told.by.join("; ")}.` : "");
+  showLink();
+}
+
 function showLink() {
   const pill = byId("link");
-  const [text, kind] = !state.connected ? ["gateway not reached", "bad"] : ended() ? ["ended", "warning"] : ["monitoring", "good"];
+  const [text, kind] = !state.connected ? ["gateway not reached", "bad"]
+    : ended() ? ["ended", "warning"]
+    : state.on ? ["monitoring", "good"] : ["monitoring off", "bad"];
   say(pill, text);
   pill.className = `pill ${kind}`;
   pill.title = state.reason || ended();
@@ -156,16 +170,21 @@ function ask(title, text, yes, work) {
   say(byId("dialog-yes"), yes);
   byId("dialog-error").hidden = true;
   byId("dialog-token-row").hidden = mayChange();
+  let more = {};
   byId("dialog-yes").onclick = async () => {
     const token = byId("dialog-token").value;
     if (token) keepToken("control", token);
     byId("dialog-token").value = "";
     try {
-      await work();
+      await work(more);
       dialog.close();
     } catch (error) {
       byId("dialog-error").hidden = false;
       say(byId("dialog-error"), error.status === 401 ? "This needs the control token, which the gateway said at its start." : error.message);
+      if (error.status === 409 && error.message.includes("force overrides")) {
+        more = { force: true, why: "asked twice" };
+        say(byId("dialog-yes"), `${yes} all the same`);
+      }
       if (error.status === 401) {
         keepToken("control", "");
         byId("dialog-token-row").hidden = false;
@@ -179,13 +198,13 @@ function ask(title, text, yes, work) {
 function askClear(dtc) {
   const what = dtc ?? "all trouble codes";
   ask(`Clear ${what}?`, `${dtc ? "Its" : "Their"} freeze frames, evidence and recordings are gone then, for testers too.`, "Clear",
-    () => post("/api/clear", dtc ? { dtc } : {}));
+    (more) => post("/api/clear", dtc ? { dtc, ...more } : more));
 }
 
 byId("clear").addEventListener("click", () => askClear(null));
 byId("cycle").addEventListener("click", () => ask("Begin a new operation cycle?",
   "The running one ends, as at key off and on: counters of confirming, healing and aging go on.", "New cycle",
-  () => post("/api/cycle", {})));
+  (more) => post("/api/cycle", more)));
 byId("pause").addEventListener("click", () => pause(!state.paused));
 byId("find").addEventListener("input", () => showMessages(state.messages, byId("find").value));
 document.addEventListener("keydown", (event) => {

@@ -13,7 +13,7 @@ from gateway.faults.entries import DtcChange
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import StoreError
-from gateway.servers.access import Need
+from gateway.servers.authority import SESSIONLESS_ASKER, Authority, Refusal
 from gateway.servers.bus_server import BusServer
 from gateway.servers.j1939 import messages as dm
 from gateway.servers.j1939.answers import Answers
@@ -24,9 +24,6 @@ from gateway.servers.j1939.frame import GLOBAL
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
 
-#: Outcomes of what is refused, as UDS calls them.
-SECURITY_ACCESS_DENIED, CONDITIONS_NOT_CORRECT = 0x33, 0x22
-
 
 class J1939Server(BusServer):
     """Sends DM1 and answers requests at an address of its own.
@@ -36,7 +33,7 @@ class J1939Server(BusServer):
         endpoint: the address, with the sessions of its transport protocol.
         memory: the fault memory.
         control: the gateway.
-        clearing: what DM3 and DM11 need.
+        authority: says whether DM3 and DM11 may clear.
         bus: name of its bus.
     """
 
@@ -48,11 +45,11 @@ class J1939Server(BusServer):
         endpoint: J1939Endpoint,
         memory: FaultMemory,
         control: TesterControl,
-        clearing: Need | None = None,
+        authority: Authority,
         bus: str = "",
     ) -> None:
         self._bus = bus
-        self._clearing = clearing or Need()
+        self._authority = authority
         self.endpoint = endpoint
         self._control = control
         self._dtcs = CodedDtcs(memory)
@@ -95,17 +92,16 @@ class J1939Server(BusServer):
             self.endpoint.answer(request, data)
 
     def _note(self, request: PgnRequest, kind: int) -> None:
-        refused = {POSITIVE: DONE, DENIED: SECURITY_ACCESS_DENIED, NEGATIVE: CONDITIONS_NOT_CORRECT}
+        refused = {POSITIVE: DONE, DENIED: Refusal.SECURITY, NEGATIVE: Refusal.CONDITIONS}
         pgn = request.pgn.to_bytes(3, "big")
         by = Intervention(0, "j1939", self._bus, request.source, "j1939_clear", pgn, refused[kind])
         self._control.note(by)
 
     def _clear(self, pgn: int) -> int:
         """Clear all DTCs (DM11), or those that were active (DM3); returns how to acknowledge it."""
-        if not self._clearing.allowed:
-            return DENIED
-        if not self._control.meets(self._clearing.when):
-            return NEGATIVE
+        refusal = self._authority.refusal("j1939_clear", SESSIONLESS_ASKER)
+        if refusal:
+            return NEGATIVE if refusal == Refusal.CONDITIONS else DENIED
         try:
             if pgn == dm.DM11:
                 self._control.clear(ALL_DTCS)

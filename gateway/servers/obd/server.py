@@ -16,8 +16,8 @@ from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
 from gateway.faults.store import StoreError
-from gateway.servers.access import Need
 from gateway.servers.application import Application
+from gateway.servers.authority import SESSIONLESS_ASKER, Authority
 from gateway.servers.obd.in_use import TRACKED, driven_pids, tracking
 from gateway.servers.obd.params import ObdParams
 from gateway.servers.obd.test_results import MonitorTests
@@ -53,7 +53,7 @@ class ObdServer(Application):
         params: settings.
         memory: the fault memory.
         control: the gateway.
-        clearing: what mode 04 needs.
+        authority: says whether mode 04 may clear.
         bus: name of its bus.
     """
 
@@ -62,13 +62,13 @@ class ObdServer(Application):
         params: ObdParams,
         memory: FaultMemory,
         control: TesterControl,
-        clearing: Need | None = None,
+        authority: Authority,
         bus: str = "",
     ) -> None:
         self._params = params
         self._memory = memory
         self._control = control
-        self._clearing = clearing or Need()
+        self._authority = authority
         self._bus = bus
         self._tests = MonitorTests(memory.catalogue, control)
         self._pids = {pid.id: pid for pid in params.pid}
@@ -172,7 +172,7 @@ class ObdServer(Application):
 
     def _x04_clear(self, rest: bytes) -> bytes:
         if not rest:
-            if not (self._clearing.allowed and self._control.meets(self._clearing.when)):
+            if self._authority.refusal("obd_clear", SESSIONLESS_ASKER):
                 raise _RefusedError
             self._control.clear(EMISSION_DTCS)
         return b""

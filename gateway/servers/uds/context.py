@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
-from gateway.servers.access import SESSIONS, Need, Needs
+from gateway.servers.access import SESSIONS, Need
+from gateway.servers.authority import Asker, Authority, Holder, Refusal
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.authentication import Authentication
-from gateway.servers.uds.nrc import Nrc, refuse_unless
+from gateway.servers.uds.nrc import NegativeError, Nrc
 from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 
@@ -41,7 +42,7 @@ class Context:
     control: TesterControl
     security: Security
     authentication: Authentication
-    needs: Needs
+    authority: Authority
     bus: str = ""
     trace_did: int | None = None  # data identifier of what testers did
     testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
@@ -52,12 +53,20 @@ class Context:
     asked_by: int = 0  # identifier of the latest request
     asked_in: tuple[int, int, str] = (DEFAULT, 0, "")  # session, unlocked security level and role when it came
     need: Need = field(default_factory=Need)  # of the request that is served now
-    _lasting: set[str] = field(default_factory=set)
+    holder: Holder = field(init=False)  # what the tester at this address has switched off
+
+    def __post_init__(self) -> None:
+        self.holder = self.authority.holder(self.name, lambda action: self.note(action, protocol="gateway"))
 
     @property
     def name(self) -> str:
         """What the tester at this address is called inside."""
         return f"{self.bus}:{self.params.request:X}"
+
+    @property
+    def asker(self) -> Asker:
+        """The tester, as rules of access look at it."""
+        return Asker(self.session, self.security.unlocked, self.authentication.role)
 
     def check_security(self) -> None:
         """Refuse the request that is served now, if it needs a role or a security level that the tester has not.
@@ -65,8 +74,7 @@ class Context:
         Raises:
             NegativeError: it does.
         """
-        refuse_unless(not self.need.roles or self.authentication.role in self.need.roles, Nrc.AUTHENTICATION_REQUIRED)
-        refuse_unless(self.need.security in (0, self.security.unlocked), Nrc.SECURITY_ACCESS_DENIED)
+        _refuse(self.authority.security_refusal(self.need, self.asker))
 
     def check_conditions(self) -> None:
         """Refuse the request that is served now, if its conditions are not met; the last check of all.
@@ -74,7 +82,7 @@ class Context:
         Raises:
             NegativeError: they are not.
         """
-        refuse_unless(self.control.meets(self.need.when), Nrc.CONDITIONS_NOT_CORRECT)
+        _refuse(self.authority.conditions_refusal(self.need))
 
     def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
         """Keep and tell what the tester did, or was refused."""
@@ -82,40 +90,20 @@ class Context:
         by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level, role)
         self.control.note(by)
 
-    def set_lasting(self, name: str, on: bool) -> None:
-        """Note that an intervention lasts from now on, or no longer: its conditions are watched."""
-        (self._lasting.add if on else self._lasting.discard)(name)
-
-    @property
-    def watches(self) -> bool:
-        """Whether an intervention lasts that has conditions."""
-        return any(self.needs[name].when for name in self._lasting)
-
-    def end_unmet(self) -> None:
-        """End what lasts though its conditions are met no longer."""
-        for name in sorted(self._lasting):
-            if not self.control.meets(self.needs[name].when):
-                self._undo(name)
-
-    def _undo(self, name: str) -> None:
-        if name in self._lasting:
-            self._lasting.discard(name)
-            self.note(f"{name}_ended", protocol="gateway")
-        if name == "dtc_setting":
-            self.control.set_dtcs(True, self.name)
-        else:
-            self.control.set_communication(receive=True, send=True, by=self.name)
-
     def enter(self, session: int) -> None:
         """Change the session: security locks, and the default session undoes what others had set."""
         self.security.lock()
         self.authentication.end()
         self.session = session
         if session == DEFAULT:
-            for name in ("dtc_setting", "communication"):
-                self._undo(name)
+            self.holder.end()
             self.events.started = False
             self.routines_done.clear()
+
+
+def _refuse(refusal: Refusal) -> None:
+    if refusal:
+        raise NegativeError(Nrc(refusal))
 
 
 class Later:

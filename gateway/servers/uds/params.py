@@ -13,6 +13,8 @@ from gateway.servers.uds.authentication import AuthenticationParams
 
 #: Shorter seeds come again while somebody listens.
 LEAST_SEED = 8
+#: A session without requests ends after this (ISO 14229-2, S3) [ms].
+S3_MS = 5000
 
 
 class SecurityLevel(StrictModel):
@@ -54,7 +56,7 @@ class UdsParams(IsoTpParams):
 
     p2_ms: int = Field(50, ge=1, le=65535, description="longest time to an answer [ms]")
     p2_star_ms: int = Field(5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]")
-    s3_ms: int = Field(5000, ge=10, le=600000, description="a session without requests ends after this [ms]")
+    s3_ms: int = Field(S3_MS, ge=10, le=600000, description="a session without requests ends after this [ms]")
     status_mask: int = Field(0xFF, ge=1, le=255, description="status bits that it shows")
     clear: Access | None = Field(None, description="what clearing (0x14) needs; the same as access.clear")
     write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")

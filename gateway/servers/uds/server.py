@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.faults.interventions import DONE
-from gateway.servers.access import Need
 from gateway.servers.application import Application
+from gateway.servers.authority import WATCH_NS
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, refuse_unless
 from gateway.servers.uds.services import SERVICES
@@ -16,8 +16,6 @@ from gateway.servers.uds.services.x86_response_on_event import responses_to
 
 #: The longest response that ISO-TP carries in its usual form.
 LONGEST = 4095
-#: How often the conditions of what lasts are looked at [ns].
-WATCH_NS = 100_000_000
 #: Refusals that say that a tester may not, or not now; others are of requests that make no sense.
 TRACED = frozenset(
     {
@@ -92,9 +90,8 @@ class UdsServer(Application):
     def _serve(self, service: Service, request: bytes) -> bytes | Later:
         """Check a request in the standard's order, and let its service handle it."""
         c = self._context
-        need = c.needs[service.action] if service.action else Need()
-        c.need = Need() if service.undoes(request) else need
-        in_session = c.session in service.sessions and c.session in c.need.sessions
+        c.need = c.authority.need(service.action, undoing=service.undoes(request))
+        in_session = c.session in service.sessions and not c.authority.session_refusal(c.need, c.asker)
         refuse_unless(in_session, Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION)
         if service.sub_functions is not None:
             refuse_unless(len(request) >= 2, Nrc.INCORRECT_LENGTH)
@@ -137,9 +134,9 @@ class UdsServer(Application):
                 self._note(service, request, error.nrc)
             self._last_request_ns = c.now_ns  # S3 starts with the final answer
         self._end_session()
-        if c.watches and c.now_ns >= self._watched_ns + WATCH_NS:
+        if c.holder.watches and c.now_ns >= self._watched_ns + WATCH_NS:
             self._watched_ns = c.now_ns
-            c.end_unmet()
+            c.holder.end_unmet()
         return made
 
     def _end_session(self) -> None:
@@ -170,7 +167,7 @@ class UdsServer(Application):
         if self._context.session == DEFAULT:
             return NEVER
         ends = NEVER if self._busy else self._session_ends_ns
-        return min(ends, self._watched_ns + WATCH_NS) if self._context.watches else ends
+        return min(ends, self._watched_ns + WATCH_NS) if self._context.holder.watches else ends
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
         """Take changes of status bytes; returns the responses that were asked for on them (0x86)."""

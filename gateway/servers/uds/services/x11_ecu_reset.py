@@ -6,6 +6,7 @@ server the default session. Hard reset, key off and on, and soft reset are the s
 
 from __future__ import annotations
 
+from gateway.servers.authority import LASTING
 from gateway.servers.uds.context import ANY_SESSION, DEFAULT, Context, Service
 
 HARD, KEY_OFF_ON, SOFT = 0x01, 0x02, 0x03
@@ -15,6 +16,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     c.check_conditions()
     for tester in c.testers:  # a reset is one for all
         tester.enter(DEFAULT)
+    c.authority.end_yielding(LASTING)
     c.control.restart_cycle()
     return bytes([request[1] & 0x7F])
 

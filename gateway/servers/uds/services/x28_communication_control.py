@@ -22,8 +22,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     c.check_conditions()
     if kind & _NORMAL:
         receive, send = _SETTINGS[number]
-        c.set_lasting("communication", not (receive and send))
-        c.control.set_communication(receive=receive, send=send, by=c.name)
+        c.holder.set_communication(receive=receive, send=send)
     return bytes([number])
 
 

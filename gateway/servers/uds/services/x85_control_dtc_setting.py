@@ -14,8 +14,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     refuse_unless(len(option) in (0, 3), Nrc.INCORRECT_LENGTH)
     refuse_unless(option in (b"", ALL_DTCS.to_bytes(3, "big")), Nrc.REQUEST_OUT_OF_RANGE)
     c.check_conditions()
-    c.set_lasting("dtc_setting", number == OFF)
-    c.control.set_dtcs(number == ON, c.name)
+    c.holder.set_dtcs(number == ON)
     return bytes([number])
 
 
