@@ -247,3 +247,52 @@ def test_our_log_is_not_copied_into_what_somebody_else_put_there(tmp_path):
     store.close()
     assert path.read_bytes() == content
     assert Path(f"{path}-wal").stat().st_size > 0
+
+
+@pytest.mark.parametrize("way", ["emptied", "header", "frame", "deleted"])
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_log_that_is_changed_in_place_is_noticed(tmp_path, way, asked):
+    """Also if another process has asked for something meanwhile, which changes the log, too."""
+    path = tmp_path / "f.sqlite"
+    fill(path)
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    log = Path(f"{path}-wal")
+    if asked:
+        reader = Store(path, write=False)
+        reader.request("clear", "0")
+        assert memory.serve_requests() == []
+        reader.request("clear", "0")
+    if way == "deleted":
+        log.unlink()
+    else:
+        at = {"emptied": 0, "header": 8, "frame": 32 + 24 + 4000}[way]
+        with log.open("r+b") as file:
+            file.seek(at)
+            file.write(b"\xa5" * 8)
+            if way == "emptied":
+                file.truncate(0)
+    if asked:
+        memory.serve_requests()
+        reader.close()
+    memory.apply(event(1, True, 7), nothing)
+    memory.rewrite()
+    assert memory.commit(LONGEST_NS) is True
+    (mishap,) = store.mishaps()
+    assert mishap.kind in ("overwritten", "damaged")
+    verdict, found = as_found(path, tmp_path / "found")
+    assert verdict["whole"]
+    assert found == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
+    store.close()
+
+
+def test_the_next_write_leaves_another_time_however_soon_it_comes(tmp_path):
+    """Where the times of files go on in steps of some milliseconds."""
+    path = tmp_path / "f.sqlite"
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    store.tend_log()
+    for file in (path, Path(f"{path}-wal")):
+        found = file.stat()
+        assert 9.0 < found.st_ctime - found.st_mtime < 11.0
+    store.close()
