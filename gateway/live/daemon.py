@@ -24,6 +24,10 @@ from gateway.runtime.assemble import prepare
 log = get_logger(__name__)
 
 
+#: A reload that has taken so long may take longer than a tester waits (P2, 50 ms): he is told to wait (0x78) [s].
+SOON_S = 0.0125
+
+
 class Daemon:
     """Everything that ``gateway run`` runs.
 
@@ -253,7 +257,10 @@ class Daemon:
                 links.append(link)
             self._live.drain()
             self._live.finish()
+            began_s = self._machine.monotonic()
             gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
+            if self._machine.monotonic() - began_s >= SOON_S:
+                self._live.hold()
         except GatewayError:
             old.go_on()
             for link in opened:

@@ -74,6 +74,9 @@ class Fed(Protocol):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Store each bus's state."""
 
+    def promise(self, frames: Frames, t_ns: int) -> Frames:
+        """Return what has testers wait, whose requests are among frames that are fed later."""
+
     def finish(self, t_ns: int) -> Frames:
         """Put down what a successor is to find; returns the frames to send."""
 
@@ -150,6 +153,7 @@ class Live:
         self._merger = Merger()
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
+        self._held: dict[int, list[Frames]] = {}  # taken from links, and not fed
         self._choose()
         self._unsettled = False
         self._settle(False)
@@ -165,6 +169,7 @@ class Live:
         self._links, self._taps = list(links), list(taps)
         self._offset_ns = self._clock.told_offset_ns
         self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
+        self._held = {id(link): self._held[id(link)] for link in links if id(link) in self._held}
         self._choose()
         self._unsettled = True
 
@@ -235,6 +240,8 @@ class Live:
         waits = [self._patience_s(now), soon, *(link.due_s for link in self._links)]
         if self._merger.holding:
             waits.append(0.0005)
+        if self._held:
+            waits.append(0.0)
         ready = self._selector.select(max(min(waits), 0.0))
         if self._door is None:
             return bool(ready)
@@ -258,7 +265,7 @@ class Live:
         """Feed what one bus has, without holding anything back; returns whether there was any."""
         any_fed = False
         for _ in range(TURN):
-            frames, more = link.receive()
+            frames, more = self._receive(link)
             frames = self._with_steps(frames)
             if len(frames):
                 self._feed(frames)
@@ -289,6 +296,26 @@ class Live:
             frames = np.concatenate([frames[:at], told, frames[at:]])
         return frames
 
+    def _receive(self, link: Link) -> tuple[Frames, bool]:
+        """Return the next frames of a link, first those that are held."""
+        held = self._held.pop(id(link), None)
+        if held is None:
+            return link.receive()
+        frames = np.concatenate(held)
+        frames["bus"] = link.index  # it may have changed since
+        return frames, True
+
+    def hold(self) -> None:
+        """Take what has come, to be fed after a reload; testers who ask for something are told to wait (0x78)."""
+        for link in self._links:
+            for _ in range(LAST_TURN):
+                frames, more = link.receive()
+                if len(frames):
+                    self._held.setdefault(id(link), []).append(frames.copy())
+                    self._send(self._gateway.promise(frames, self._clock.now()))
+                if not more:
+                    break
+
     def drain(self) -> None:
         """Feed all that has come until now; nothing is held back."""
         self._read_all(final=True)
@@ -305,7 +332,7 @@ class Live:
             pieces: list[Frames] = []
             more = True
             while more and len(pieces) < (LAST_TURN if final else TURN):
-                frames, more = link.receive()
+                frames, more = self._receive(link)
                 pieces.append(frames.copy())
             parts.append((np.concatenate(pieces), more))
         if self._clock.untold:

@@ -44,6 +44,10 @@ class Nobody:
         """Let time pass."""
         return empty(0)
 
+    def promise(self, frames: Frames, t_ns: int) -> Frames:
+        """Have nobody wait."""
+        return empty(0)
+
     def finish(self, t_ns: int) -> Frames:
         """Put nothing down."""
         return empty(0)

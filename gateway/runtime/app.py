@@ -356,6 +356,15 @@ class Gateway:
         """
         return joined(self.servers.on_time(t_ns, prompt=True))
 
+    def promise(self, frames: Frames, t_ns: int) -> Frames:
+        """Return what has testers wait (0x78), whose requests are among frames that a successor is fed.
+
+        Args:
+            frames: not to be fed to this one.
+            t_ns: now, of the clock that stamps frames.
+        """
+        return joined([empty(0), *self.servers.promise(frames, t_ns)])
+
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""

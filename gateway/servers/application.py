@@ -22,6 +22,10 @@ class Application(ABC):
             t_ns: now.
         """
 
+    def pending(self, request: bytes) -> list[bytes]:
+        """Return what tells a tester to wait for the answer to a request; none where this cannot be told."""
+        return []
+
     def hold(self, busy: bool, t_ns: int) -> None:
         """Take whether a request or a response is under way: a session does not end meanwhile (ISO 14229-2, S3)."""
         return

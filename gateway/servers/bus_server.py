@@ -37,6 +37,10 @@ class BusServer:
         """Take a frame that it wanted; returns frames to send."""
         return empty(0)
 
+    def promise(self, frame: np.void, t_ns: int) -> Frames:
+        """Return frames that have a tester wait, whose request in a wanted frame is taken later."""
+        return empty(0)
+
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Take changes that are durable; returns frames to send."""
         return empty(0)

@@ -98,6 +98,15 @@ class BusServers:
         self._set_due(k)
         return self._allowed(self.all[k], made)
 
+    def promise(self, frames: Frames, t_ns: int) -> list[Frames]:
+        """Return frames that have testers wait, whose requests are among frames that are fed later."""
+        made = []
+        for server in self.all:
+            mask = server.wanted(frames)
+            for k in () if mask is None else np.flatnonzero(mask):
+                made.append(self._allowed(server, server.promise(frames[k], t_ns)))
+        return made
+
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[Frames]:
         """Tell all of changes that are durable; returns frames to send."""
         frames = []

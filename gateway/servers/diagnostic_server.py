@@ -54,6 +54,15 @@ class DiagnosticServer(BusServer):
         self._hold(t_ns)
         return self._transport.take_frames()
 
+    def promise(self, frame: np.void, t_ns: int) -> Frames:
+        """Return 0x78 for a request that is taken later."""
+        request = self._transport.peek(frame)
+        application = None if not request else self._application_for(request)
+        if request and application is not None:
+            self._transport.advance(t_ns)
+            self._transport.send(application.pending(request))
+        return self._transport.take_frames()
+
     def _hold(self, t_ns: int) -> None:
         busy = self._transport.busy
         for each in self._applications:

@@ -149,6 +149,39 @@ def test_a_request_between_two_steps_is_answered_once(place, when, bench):
     assert answers == ["027e00cccccccccc"]
 
 
+def answered_in_a_slow_reload(bench, *requests, then=lambda _: None):
+    """Return what a tester gets who asks while the new gateway is made, which takes 30 ms."""
+
+    def act(world, counts):
+        for data in requests:
+            world.put(0x7E0, bytes.fromhex(data))
+        for _ in range(3):
+            counts["virtual:a"] += 7
+            world.put(0x300, beat(counts["virtual:a"]))
+        world.now_ns += 30_000_000
+
+    world = bench("the new gateway reads the memory", "after", act, then)
+    assert world.dtcs() == [("U0401-82", 1), ("U0401-82", 0)], "what came meanwhile is fed in its order"
+    return [data.hex() for _, _, can_id, data in world.sent if can_id == 0x7E8]
+
+
+def test_who_asks_in_a_reload_that_takes_its_time_is_told_to_wait(bench):
+    told = answered_in_a_slow_reload(bench, "023e000000000000")
+    assert told == ["037f3e78cccccccc", "027e00cccccccccc"]
+
+
+def test_who_wants_no_answer_is_told_nothing(bench):
+    """After 0x78 the answer must not be suppressed (ISO 14229-1, 8.7)."""
+    assert answered_in_a_slow_reload(bench, "023e800000000000") == []
+
+
+def test_a_request_of_several_frames_goes_on_over_a_slow_reload(bench):
+    told = answered_in_a_slow_reload(
+        bench, "100922f186f186f1", "2186f186cccccccc", then=lambda world: world.put(0x7E0, bytes.fromhex("300000"))
+    )
+    assert told == ["300000cccccccccc", "100d62f18601f186", "2101f18601f18601"]
+
+
 @every_gap
 def test_requests_and_answers_under_way_are_carried_over(place, when, bench):
     """The first frame of a request comes between two steps, the rest after the reload; its answer has two frames."""

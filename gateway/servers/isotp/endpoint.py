@@ -95,6 +95,13 @@ class IsoTpEndpoint:
             return None
         return Request(data, functional, now)
 
+    def peek(self, frame: np.void) -> bytes | None:
+        """Return the physical request of a single frame, without taking it; None: it has none, or one is under way."""
+        data, can_id = payload(frame), int(frame["can_id"])
+        if can_id != self._physical or not data or data[0] >> 4 or self._layer.busy:
+            return None
+        return self._layer.single(isotp.CanMessage(can_id & ID_MASK, data=data, extended_id=bool(can_id & EXTENDED)))
+
     def send(self, responses: list[bytes]) -> None:
         """Send responses one after the other."""
         self._layer.send(responses)

@@ -61,6 +61,13 @@ class UdsServer(Application):
         # What is still to come of the last request comes before the answer to this one.
         return self.pass_time(t_ns) + self._answer(request, functional, t_ns)
 
+    def pending(self, request: bytes) -> list[bytes]:
+        """Return 0x78, but where the answer may be suppressed: after 0x78 it must not be."""
+        service = SERVICES.get(request[0])
+        if service is not None and service.sub_functions is not None and len(request) > 1 and request[1] & 0x80:
+            return []
+        return [_negative(request[0], Nrc.RESPONSE_PENDING)]
+
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         c = self._context
         c.now_ns = self._last_request_ns = t_ns
