@@ -96,8 +96,12 @@ FAULTS = (
 #: What speaks for a checksum's rule is counted in half bits (see ``weigh_rule``). So much of it, and the rule is the
 #: sender's: by chance it happens once in 2**20 times, whatever the frames are.
 PROVEN = 40
-#: So much of a wrong frame speaks against it: after 20 of them, and no right one, the rule is doubted.
-AGAINST = 2
+#: So much of a wrong frame speaks against it: a rule of 4 bits does not gain if every other frame is wrong.
+AGAINST = 7
+#: A checksum of so many bits says something with every right frame, one with fewer only if its payload is another one.
+WIDE = 8
+#: So many frames must be wrong before the rule is proven, until it is doubted.
+MISFITS = 20
 #: Of these so many are kept, to try other rules on.
 SAMPLES = 4
 #: So often the time of a message that does not come starts anew since frames were lost on our side.

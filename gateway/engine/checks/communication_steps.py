@@ -13,6 +13,7 @@ from gateway.engine.checks.communication import (
     COUNTER,
     CRC,
     LENGTH,
+    MISFITS,
     MOST_LOSSES,
     PROVEN,
     REJECT,
@@ -20,6 +21,7 @@ from gateway.engine.checks.communication import (
     SAMPLES,
     TIMEOUT,
     VALUE,
+    WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
 from gateway.engine.results import report_result, store_evidence
@@ -132,19 +134,20 @@ def weigh_rule(c: Any, words: Any, wrong: bool) -> None:
     half of them at least (with a single bit: three quarters). The logarithm of the ratio is summed, rounded so that
     less speaks for the rule. By Ville's inequality a wrong rule comes from zero to the limit once in
     ``2**(PROVEN / 2)`` tries at most, however many frames come; from the lower end, where the sum stops, once in the
-    square of that.
+    square of that. This holds for payloads that differ.
 
-    The payload of the right frame before, sent again, is right again: it says nothing new, and only takes back what
-    wrong ones said.
+    The payload of the right frame before, sent again, is right again. With few bits it says nothing new, and only takes
+    back what wrong ones said. With more it counts: many messages have no counter, and stand still while they are right.
     """
     if wrong:
         c.proof = max(c.proof - AGAINST, -PROVEN)
         return
-    more = c.proof + max(2 * (int(c.protection.checksum.width) - 1), 1)
+    width = int(c.protection.checksum.width)
+    more = c.proof + max(2 * (width - 1), 1)
     payload = np.uint64(1)
     for k in range(8):
         payload = (payload << np.uint64(7) | payload >> np.uint64(57)) ^ words[k]
-    c.proof = max(c.proof, min(more, 0)) if payload == c.weighed else min(more, PROVEN)
+    c.proof = max(c.proof, min(more, 0)) if payload == c.weighed and width < WIDE else min(more, PROVEN)
     c.weighed = payload
 
 
@@ -158,7 +161,7 @@ def keep_misfit(
         c.samples[at, k] = words[k]
     c.lengths[at] = length
     c.misfits = min(c.misfits + 1, 1 << 20)
-    if c.proof == -PROVEN:
+    if c.proof == -PROVEN and c.misfits >= MISFITS:
         place = report_result(T, t_ns, c.fault[RULE], True, received, computed)
         store_evidence(T, c.fault[RULE], place, 0, float(c.misfits))
         store_evidence(T, c.fault[RULE], place, 1, received)
