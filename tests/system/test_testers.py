@@ -34,7 +34,7 @@ pytestmark = pytest.mark.system
 
 COUNT = 60
 #: Of the gateway's own memory: not written, damaged.
-OWN = [Dtc.parse("U3000-42").value, Dtc.parse("U3000-44").value]
+OWN = [Dtc.parse(code).value for code in ("U3000-42", "U3000-44", "U3000-53")]
 SERVERS = """
 [output.dtc_frame]
 cycle_ms = 300.0
