@@ -121,10 +121,15 @@ class WatchedFile:
         try:
             if seen[0] != self._file_state and self._checksum() != self._sum:
                 return self._what_it_is(), ""
-            if seen[1] != self._log_state and self._head_of_copy() != head:
-                return "", "its log (-wal) was changed in place"
         except OSError as error:
             return f"it cannot be read: {error.strerror or error}", ""
+        if seen[1] != self._log_state:
+            try:
+                found = self._head_of_copy()
+            except OSError:  # no room for the copy: it is looked at again
+                return "", ""
+            if found != head:
+                return "", "its log (-wal) was changed in place"
         if (_state(self._path), _state(self._wal)) == seen:  # else it is looked at again
             self._file_state, self._log_state = _set_back(self._path), _set_back(self._wal)
         return "", ""
@@ -147,8 +152,18 @@ class WatchedFile:
         return "it was changed in place"
 
     def _head_of_copy(self) -> chain.Head:
-        """Return the last link that somebody would find who opens file and log for the first time."""
-        with tempfile.TemporaryDirectory(dir=FAST if FAST.is_dir() else None) as folder:
+        """Return the last link that somebody would find who opens file and log for the first time.
+
+        Raises:
+            OSError: there is no room for a copy.
+        """
+        try:
+            return self._head_of_copy_in(FAST)
+        except OSError:
+            return self._head_of_copy_in(None)
+
+    def _head_of_copy_in(self, place: Path | None) -> chain.Head:
+        with tempfile.TemporaryDirectory(dir=place) as folder:
             copy = Path(folder) / "copy.sqlite"
             with copy.open("wb") as file:
                 at = 0

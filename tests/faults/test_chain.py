@@ -113,7 +113,7 @@ def test_random_changes_are_whole_at_each_commit_and_one_changed_row_is_found(tm
         verdict = store.verify()
         assert verdict.broken == []
         assert verdict.links <= 200
-    assert chain.head(store._db).number > 200, "links were let go"
+    assert verdict.links < verdict.head.number, "links were let go"
     kind = rng.choice(["fault", "intervention", "fact"])
     column, key = {"fault": ("peak_fdc", "id"), "intervention": ("t_ns", "number"), "fact": ("value", "name")}[kind]
     subject = rng.choice([row[0] for row in store._db.execute(f"SELECT {key} FROM {kind}")])

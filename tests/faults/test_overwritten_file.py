@@ -296,3 +296,22 @@ def test_the_next_write_leaves_another_time_however_soon_it_comes(tmp_path):
         found = file.stat()
         assert 9.0 < found.st_ctime - found.st_mtime < 11.0
     store.close()
+
+
+def test_a_log_that_cannot_be_copied_is_looked_at_again(tmp_path, monkeypatch):
+    path = tmp_path / "f.sqlite"
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    os.utime(f"{path}-wal")
+
+    def full(*_, **__):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr("gateway.faults.watched_file.shutil.copyfile", full)
+    assert store.examine()
+    assert store.doubtful
+    monkeypatch.undo()
+    assert store.examine()
+    assert not store.doubtful
+    store.close()
+    assert store.mishaps() == []
