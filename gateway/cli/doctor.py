@@ -12,7 +12,7 @@ from typing import Any
 
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
-from gateway.common.extras import EXTRAS, PURPOSES, installed
+from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
 from gateway.common.plugins import foreign
 from gateway.config.load import load_config
 from gateway.errors import InputError
@@ -181,7 +181,7 @@ def doctor(
             print(f"{kind} type {name} of another package: {wrong or 'usable'}")
     for extra, package in extras.items():
         if package is None:
-            print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
+            print(f"no {missing(extra)}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
     if bench:
         from gateway.cli.measure import tell  # noqa: PLC0415
 
