@@ -31,9 +31,7 @@ def warmup(*, json: bool) -> int:
                 _ = monitor.entry
         except InputError as error:  # of another package: the others are made ready
             say(f"monitor type {type_}: {error}")
-    config = load_config(shipped("gateway.toml"))
-    memory = config.memory.model_copy(update={"path": None})
-    gateway = Gateway(config.model_copy(update={"memory": memory}))
+    gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # what those who watch look at
     gateway.close()
