@@ -17,7 +17,7 @@ from gateway.common.plugins import foreign
 from gateway.config.load import load_config
 from gateway.errors import InputError
 from gateway.faults.service import daemon_state
-from gateway.jit import COMPILED, cache, cache_directory, shipped
+from gateway.jit import COMPILED, cache, shipped
 
 #: Kind of plug-in, its group of entry points, which is a package of ours too, and the name of its registry there.
 _REGISTRIES = (("monitor", "gateway.monitors", "MONITORS"), ("ecu", "gateway.vecu", "VIRTUAL_ECUS"))
@@ -94,7 +94,7 @@ def _kernels() -> dict[str, Any]:
         "compiled": COMPILED,
         "shipped": there,
         "changed": changed,
-        "cache": str(cache_directory()),
+        "cache": str(cache.folder()),
         "cached": kept,
         "cached_bytes": size,
     }
