@@ -67,9 +67,9 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         line = int(found[1]) if found else text.count("\n") + 1
         raise InputError(_PLACE.sub("", str(error)).strip(), file=path, line=line) from error
     except ValueError as error:  # a number of thousands of digits
-        found = re.search(r"\d[\d_]{4000}", text)
-        line = text.count("\n", 0, found.start()) + 1 if found else None
-        raise InputError(f"not a good value: {error}", file=path, line=line) from error
+        digits = re.search(r"\d[\d_]{4000}", text)
+        place = text.count("\n", 0, digits.start()) + 1 if digits else None
+        raise InputError(f"not a good value: {error}", file=path, line=place) from error
     for key, value in data.items():
         if _is_too_deep(value):
             raise _too_deep(path, key, None)

@@ -45,7 +45,7 @@ def read_own(path: Path) -> bytes:
     """
     if why := foreign(path.parent):
         raise PermissionError(errno.EPERM, why, str(path.parent))
-    with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         status = os.fstat(file.fileno())
         why = _wrong(status) if stat.S_ISREG(status.st_mode) else "it is no file"
         if why:

@@ -28,9 +28,9 @@ KEPT = 64
 def _generator() -> str:
     """Return a digest of the sources that write plans."""
     total = hashlib.blake2b(digest_size=16)
-    folders = (*gateway.fdi.structure.__path__, str(Path(__file__).parent))
-    for folder in folders:
-        for path in sorted(Path(folder).rglob("*.py")):
+    sources = (*gateway.fdi.structure.__path__, str(Path(__file__).parent))
+    for source in sources:
+        for path in sorted(Path(source).rglob("*.py")):
             total.update(path.name.encode() + b"\0" + path.read_bytes())
     return total.hexdigest()
 
