@@ -15,7 +15,7 @@ import gateway
 from gateway.bus.logs import open_writer, read_log
 from gateway.cli.doctor import doctor
 from gateway.cli.structure import structure
-from gateway.common import log
+from gateway.common import extras, log
 from gateway.common.extras import EXTRAS, PURPOSES
 from gateway.errors import InputError
 from gateway.faults.catalogue import Catalogue
@@ -310,6 +310,12 @@ def test_the_package_offers_the_extras_that_are_named_to_people():
     for extra, package in EXTRAS.items():
         assert any(line.startswith(f"{package}>=") for line in offered[extra])
         assert not any(line.startswith(package) for line in project["dependencies"])
+
+
+def test_a_cluster_without_what_its_certificate_needs_is_one_line(monkeypatch):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "cryptography" else object())
+    with pytest.raises(InputError, match=r"need cryptography: pip install 'ecu-gateway\[fleet\]'"):
+        extras.need("fleet", "several logs at once")
 
 
 def test_variables_that_are_no_keys_of_the_configuration_load_nothing():

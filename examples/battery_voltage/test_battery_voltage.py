@@ -19,7 +19,6 @@ def play(**fault):
     faults = tuple(f.model_copy(update=fault) for f in scenario.fault)
     scenario = scenario.model_copy(update={"fault": faults})
     config = load_config(scenario.config)
-    config = config.model_copy(update={"memory": config.memory.model_copy(update={"path": None})})
     gateway, told = Gateway(config), []
     gateway.listen(told.append)
     drive(gateway, Player(scenario, {bus.name: k for k, bus in enumerate(config.bus)}))

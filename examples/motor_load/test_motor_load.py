@@ -22,7 +22,6 @@ def play(seed=1, faults=None, **ecu):
         changes["fault"] = faults
     scenario = scenario.model_copy(update=changes)
     config = load_config(scenario.config)
-    config = config.model_copy(update={"memory": config.memory.model_copy(update={"path": None})})
     gateway, told = Gateway(config), []
     gateway.listen(told.append)
     drive(gateway, Player(scenario, {bus.name: k for k, bus in enumerate(config.bus)}, seed=seed))

@@ -1,4 +1,7 @@
-"""What stands below the reader of a log: compressed files, and what ends a log before its end."""
+"""What stands below the reader of a log: compressed files, what ends a log before its end, and how much it may hold.
+
+A few kB unpack to gigabytes. So what is read is bounded: a line, an object of BLF, and what must be held whole.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import importlib
 import lzma
 import zipfile
 from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +23,12 @@ COMPRESSIONS = {".gz": "gzip", ".bz2": "bzip2", ".xz": "xz", ".zst": "Zstandard"
 #: Suffix of what may hold several logs.
 ARCHIVE = ".zip"
 
+#: Bytes of a line at most; lines of all formats are a few hundred bytes long at most.
+LINE = 1 << 16
+#: Bytes of an object of BLF, and of what a container unpacks to, at most; recorders write containers of 128 KiB.
+OBJECT = 1 << 24
+#: Bytes of a compressed log, unpacked, whose format is held whole (MF4, Parquet).
+WHOLE = 1 << 29
 #: Bytes that are asked of a decompressor at once.
 _PIECE = 1 << 18
 
@@ -109,6 +119,22 @@ def pull(stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
         parts.append(part)
         size -= len(part)
     return b"".join(parts), None
+
+
+def whole(stream: BinaryIO, path: Path) -> BytesIO:
+    """Return all bytes of a compressed log whose format needs all of them.
+
+    Raises:
+        InputError: there are more than :data:`WHOLE`.
+    """
+    held = BytesIO()
+    while part := stream.read(_PIECE):
+        held.write(part)
+        if held.tell() > WHOLE:
+            text = f"unpacks to more than {WHOLE} bytes, which this format would need in memory: unpack it first"
+            raise InputError(text, file=path)
+    held.seek(0)
+    return held
 
 
 def damage(error: Exception, path: Path, frames: int) -> InputError:

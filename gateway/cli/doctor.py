@@ -12,12 +12,12 @@ from typing import Any
 
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
-from gateway.common.extras import EXTRAS, PURPOSES, installed
+from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
 from gateway.common.plugins import foreign
 from gateway.config.load import load_config
 from gateway.errors import InputError
 from gateway.faults.service import daemon_state
-from gateway.jit import COMPILED, cache, cache_directory, shipped
+from gateway.jit import COMPILED, cache, shipped
 
 #: Kind of plug-in, its group of entry points, which is a package of ours too, and the name of its registry there.
 _REGISTRIES = (("monitor", "gateway.monitors", "MONITORS"), ("ecu", "gateway.vecu", "VIRTUAL_ECUS"))
@@ -94,7 +94,7 @@ def _kernels() -> dict[str, Any]:
         "compiled": COMPILED,
         "shipped": there,
         "changed": changed,
-        "cache": str(cache_directory()),
+        "cache": str(cache.folder()),
         "cached": kept,
         "cached_bytes": size,
     }
@@ -181,7 +181,7 @@ def doctor(
             print(f"{kind} type {name} of another package: {wrong or 'usable'}")
     for extra, package in extras.items():
         if package is None:
-            print(f"no {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
+            print(f"no {missing(extra)}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
     if bench:
         from gateway.cli.measure import tell  # noqa: PLC0415
 

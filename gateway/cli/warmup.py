@@ -14,7 +14,7 @@ from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.buckets import nearness
 from gateway.errors import InputError
-from gateway.jit import cache_directory
+from gateway.jit.cache import folder
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
@@ -31,9 +31,7 @@ def warmup(*, json: bool) -> int:
                 _ = monitor.entry
         except InputError as error:  # of another package: the others are made ready
             say(f"monitor type {type_}: {error}")
-    config = load_config(shipped("gateway.toml"))
-    memory = config.memory.model_copy(update={"path": None})
-    gateway = Gateway(config.model_copy(update={"memory": memory}))
+    gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # what those who watch look at
     gateway.close()
@@ -44,7 +42,7 @@ def warmup(*, json: bool) -> int:
         RawReceiver(ours, Statistics())
     seconds = time.monotonic() - begun
     if json:
-        print_json({"seconds": seconds, "cache": str(cache_directory())})
+        print_json({"seconds": seconds, "cache": str(folder())})
     else:
         print(f"kernels ready in {seconds:.1f} s")
     return 0

@@ -20,6 +20,8 @@ EXTRAS = {
     "structure": "sympy",
     "zst": "backports.zstd",
 }
+#: Extra -> what its features import besides.
+_BESIDES = {"fleet": ("cryptography",)}
 #: Extra -> what people get with it.
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
@@ -36,9 +38,18 @@ PURPOSES = {
 
 
 def installed(extra: str) -> bool:
-    """Tell whether the package of an extra is there; does not import it."""
+    """Return whether the packages of an extra are there; does not import them."""
+    return not missing(extra)
+
+
+def missing(extra: str) -> str:
+    """Return the first package of an extra that is not there, "" if all are."""
+    return next((package for package in (EXTRAS[extra], *_BESIDES.get(extra, ())) if not _found(package)), "")
+
+
+def _found(package: str) -> bool:
     try:
-        return find_spec(EXTRAS[extra]) is not None
+        return find_spec(package) is not None
     except ModuleNotFoundError:  # nor the package that it is in
         return False
 
@@ -55,9 +66,9 @@ def need(extra: str, feature: str, *, file: str | Path | None = None, key: str |
     Raises:
         InputError: it is not installed; says how to install it.
     """
-    if not installed(extra):
+    if package := missing(extra):
         raise InputError(
-            f"{feature} need {EXTRAS[extra]}: pip install 'ecu-gateway[{extra}]'",
+            f"{feature} need {package}: pip install 'ecu-gateway[{extra}]'",
             file=file,
             key=key,
         )

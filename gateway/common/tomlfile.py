@@ -27,6 +27,11 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+#: Tables and arrays within each other, at most: ours have six.
+DEEPEST = 64
+#: A key with more parts than that, which would take the parser time with the square of them; no backtracking.
+_PART = r"""(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_LONG_KEY = re.compile(rf"^[ \t]*+\[{{0,2}}+[ \t]*+({_PART})(?:\.[ \t]*+{_PART}){{{DEEPEST}}}", re.MULTILINE)
 _PLACE = re.compile(r"\(at line (\d+), column \d+\)")
 
 
@@ -34,7 +39,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises:
-        InputError: not readable, not UTF-8, or not TOML; names the line where there is one.
+        InputError: not readable, not UTF-8, or not TOML (see :func:`parse_toml`).
     """
     try:
         text = path.read_bytes().decode("utf-8")
@@ -42,12 +47,65 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(error.strerror or str(error), file=path) from error
     except UnicodeDecodeError as error:
         raise InputError(f"not UTF-8 text (byte {error.start})", file=path) from error
+    return parse_toml(text, path)
+
+
+def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
+    """Read TOML.
+
+    Raises:
+        InputError: it is not, or nested deeper than :data:`DEEPEST`; names the line where there is one.
+    """
+    if long := _LONG_KEY.search(text):
+        raise _too_deep(path, long[1].strip(), text.count("\n", 0, long.start()) + 1)
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
+    except RecursionError:
+        raise _too_deep(path, *_deep_place(text)) from None
     except tomllib.TOMLDecodeError as error:
         found = _PLACE.search(str(error))
         line = int(found[1]) if found else text.count("\n") + 1
         raise InputError(_PLACE.sub("", str(error)).strip(), file=path, line=line) from error
+    except ValueError as error:  # a number of thousands of digits
+        digits = re.search(r"\d[\d_]{4000}", text)
+        place = text.count("\n", 0, digits.start()) + 1 if digits else None
+        raise InputError(f"not a good value: {error}", file=path, line=place) from error
+    for key, value in data.items():
+        if _is_too_deep(value):
+            raise _too_deep(path, key, None)
+    return data
+
+
+def _too_deep(path: Path | None, key: str | None, line: int | None) -> InputError:
+    return InputError(f"nested deeper than {DEEPEST} tables and arrays", file=path, line=line, key=key)
+
+
+def _deep_place(text: str) -> tuple[str | None, int | None]:
+    """Return the key and the line where a text is nested too deeply; brackets in strings are counted, too."""
+    depth, key = 0, None
+    for number, line in enumerate(text.splitlines(), 1):
+        if found := re.match(r"\s*([\w.-]+)\s*=", line):
+            key = found[1] if depth <= 0 else key
+        for character in line:
+            depth += (character in "[{") - (character in "]}")
+            if depth > DEEPEST:
+                return key, number
+    return key, None
+
+
+def _is_too_deep(value: Any) -> bool:
+    """Return whether a value of a file is nested too deeply: what looks at it afterwards may call itself."""
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, dict | list)
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+        if not level:
+            return False
+    return True
 
 
 def key_path(location: tuple[int | str, ...]) -> str:

@@ -15,10 +15,13 @@ from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
 
+from gateway.common.extras import need
 from gateway.errors import GatewayError, InputError
 
 #: How often a task that was under way when a worker died is tried alone.
 TRIES = 2
+#: What Dask's servers of HTTP answer without a dashboard: that they are there.
+_HEALTH = ["distributed.http.health"]
 #: How long a scheduler may take to have a worker [s].
 PATIENCE_S = 120.0
 
@@ -156,13 +159,22 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
         InputError: there is no scheduler at the address, or it has no worker.
     """
     import dask  # noqa: PLC0415 - an extra, slow to load
-    from distributed import Client, LocalCluster  # noqa: PLC0415
+    from distributed import Client, LocalCluster, Security  # noqa: PLC0415
 
     address: Any = workers.scheduler
     if address is None:
         # Who dies takes one suspect along; all else is ours (see the module).
         # Its profiler keeps what each worker did in each second: 50 kB a second that a log takes.
-        settings = {"distributed.scheduler.allowed-failures": 0, "distributed.worker.profile.enabled": False}
+        settings: dict[str, Any] = {
+            "distributed.scheduler.allowed-failures": 0,
+            "distributed.worker.profile.enabled": False,
+        }
+        if workers.dashboard is None:
+            # Servers of HTTP are there all the same, and anybody on this machine can ask them.
+            settings |= {"distributed.scheduler.http.routes": _HEALTH, "distributed.worker.http.routes": _HEALTH}
+        # A port on 127.0.0.1 is open to every user of this machine, and workers run what they are sent. So both sides
+        # show a certificate that lives in our memory only.
+        need("fleet", "workers on this machine")
         stack.enter_context(dask.config.set(settings))
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         address = stack.enter_context(
@@ -171,6 +183,7 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
+                security=Security.temporary(),
                 # Without a dashboard there is still a server, whose usual port another program may have.
                 dashboard_address=f"127.0.0.1:{workers.dashboard or 0}",
                 scheduler_kwargs={"dashboard": workers.dashboard is not None},

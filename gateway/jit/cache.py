@@ -2,7 +2,7 @@
 
 A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
 at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
-reason is said once.
+reason is said once. What another user wrote, or could have written, is not used (:mod:`gateway.jit.owned`).
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from gateway.common import progress
+from gateway.jit.owned import foreign, read_own, write_own
 from gateway.jit.settings import cache_directory
 
 _MAGIC = b"gateway kernel 2\n"
@@ -31,6 +34,40 @@ def _say_once(text: str) -> None:
     if text not in _said:
         _said.add(text)
         progress.say(text)
+
+
+def folder() -> Path:
+    """Return where compiled kernels are kept: the cache's folder, or a private one where that may be another's."""
+    asked = cache_directory()
+    why = foreign(asked)
+    if not why:
+        return asked
+    private = _private()
+    _say_once(f"{asked}: not used, as {why}; compiled kernels are kept in {private.path}, {private.until}")
+    return private.path
+
+
+@dataclass(frozen=True)
+class _Private:
+    path: Path
+    until: str
+    held: tempfile.TemporaryDirectory[str] | None = None  # deletes it at the end
+
+
+@cache
+def _private() -> _Private:
+    """Return a folder that is ours: the user's own cache, else one of this process."""
+    import platformdirs  # noqa: PLC0415 - few starts need it
+
+    own = Path(platformdirs.user_cache_dir("ecu-gateway")) / "kernels"
+    try:
+        own.mkdir(mode=0o755, parents=True, exist_ok=True)
+        if not foreign(own) and os.access(own, os.W_OK):
+            return _Private(own, "the user's own cache")
+    except OSError:
+        pass  # there is no home
+    held = tempfile.TemporaryDirectory(prefix="gateway-kernels-")  # with mode 0700
+    return _Private(Path(held.name), "until this process ends", held)
 
 
 @dataclass(frozen=True)
@@ -78,9 +115,9 @@ def unpack(data: bytes) -> Code | None:
 
 def read(name: str, key: str) -> Code | None:
     """Return the code of a kernel, None if it is not there, or not to be used."""
-    path = cache_directory() / f"{name}-{key}.kernel"
+    path = folder() / f"{name}-{key}.kernel"
     try:
-        data = path.read_bytes()
+        data = read_own(path)
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -101,15 +138,15 @@ def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
         code: the code.
         bitcode: kept beside it, if there is any.
     """
-    folder = cache_directory()
-    draft = folder / f".{name}-{key}.{os.getpid()}"
+    kept = folder()
+    draft = kept / f".{name}-{key}.{os.getpid()}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        draft.write_bytes(_pack(code))
+        kept.mkdir(mode=0o755, parents=True, exist_ok=True)
+        write_own(draft, _pack(code))
         if bitcode:
-            (folder / f"{name}-{key}.bc").write_bytes(bitcode)
-        draft.replace(folder / f"{name}-{key}.kernel")
-        _prune(folder, name)
+            (kept / f"{name}-{key}.bc").write_bytes(bitcode)
+        draft.replace(kept / f"{name}-{key}.kernel")
+        _prune(kept, name)
     except OSError as error:
         _say_once(f"compiled kernels cannot be kept ({error}): the next start compiles them again")
         try:
@@ -126,14 +163,14 @@ def _changed(path: Path) -> float:
         return 0.0
 
 
-def _prune(folder: Path, name: str) -> None:
+def _prune(kept: Path, name: str) -> None:
     """Delete all but the newest files of a kernel."""
-    files = sorted(folder.glob(f"{name}-*.kernel"), key=_changed, reverse=True)
+    files = sorted(kept.glob(f"{name}-*.kernel"), key=_changed, reverse=True)
     for path in files[KEPT:]:
         path.unlink(missing_ok=True)
 
 
 def size() -> tuple[int, int]:
     """Return how many compiled kernels are kept, and their bytes."""
-    sizes = [path.stat().st_size for path in cache_directory().glob("*.kernel")]
+    sizes = [path.stat().st_size for path in folder().glob("*.kernel")]
     return len(sizes), sum(sizes)

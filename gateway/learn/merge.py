@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.common.tomlfile import parse_toml
 from gateway.learn.document import BusAsked, causes, monitor_text
 from gateway.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line
 
@@ -54,7 +55,7 @@ class File:
 def read(text: str) -> File:
     """Find the entries of checks, signals and relations in a configuration."""
     file = File(text.splitlines(), {}, {})
-    buses = [str(bus.get("name", "")) for bus in tomllib.loads(text).get("bus", [])]
+    buses = [str(bus.get("name", "")) for bus in parse_toml(text).get("bus", [])]
     bus, table = "", ""
     for number, line in enumerate(file.lines):
         header = _HEADER.match(line)

@@ -25,6 +25,8 @@ def read_file(out: Path) -> File:
         return read(out.read_text())
     except OSError as error:
         raise InputError(error.strerror or str(error), file=out) from error
+    except InputError as error:
+        raise error.within(out) from error
     except ValueError as error:
         raise InputError(f"not TOML: {error}", file=out) from error
 

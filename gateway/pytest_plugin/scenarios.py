@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gateway.common.tomlfile import read_toml
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
@@ -47,8 +47,8 @@ class ScenarioError(Exception):
 def is_scenario(path: Path) -> bool:
     """Tell a scenario from other TOML files; one that cannot be read counts as one, so that it is told."""
     try:
-        data = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+        data = read_toml(path)
+    except InputError:
         return True
     return bool(_KEYS & data.keys())
 

@@ -48,7 +48,7 @@ class _Ring:
 
     def parts(self) -> tuple[NDArray[np.void], ...]:
         """Return what is kept, the older part first."""
-        if self._added < len(self._rows):
+        if self._added < len(self._rows) or not len(self._rows):
             return (self._rows[: self._added],)
         at = self._added % len(self._rows)
         return (self._rows[at:], self._rows[:at])

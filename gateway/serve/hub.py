@@ -73,14 +73,18 @@ class Viewer:
         if kind in PASSING and self.ticks > MOST_PASSING:
             return  # the next one says more
         if len(self.waiting) >= MOST_WAITING:
-            self.ended = True  # it comes again, and gets all there is
-            self.news.set()
+            self.end()  # it comes again, and gets all there is
             return
         self.ticks += kind in PASSING
         self.waiting.append((kind, text))
         # Events come with the next tick: many of them are one piece of work then.
         if kind != "event" or len(self.waiting) >= MANY_EVENTS:
             self.news.set()
+
+    def end(self) -> None:
+        """End its stream."""
+        self.ended = True
+        self.news.set()
 
     def take(self) -> list[tuple[str, str]]:
         """Take what waits, and a piece of the past."""
@@ -131,6 +135,7 @@ class Hub:
             "missed": self._on_missed,
         }
         self._viewers: set[Viewer] = set()
+        self._ending = False
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
         # One thread, and no more: each has a heap of its own, in which what SQLite has freed stays.
@@ -149,12 +154,20 @@ class Hub:
         """Begin to tell a page; the first message is all there is."""
         viewer = Viewer()
         viewer.begin(self._state(), self.history.past())
+        if self._ending:
+            viewer.end()
         self._viewers.add(viewer)
         return viewer
 
     def close(self, viewer: Viewer) -> None:
         """End telling a page."""
         self._viewers.discard(viewer)
+
+    def end(self) -> None:
+        """End telling all pages: their streams end, and so do those of pages that come now."""
+        self._ending = True
+        for viewer in self._viewers:
+            viewer.end()
 
     @property
     def viewers(self) -> int:

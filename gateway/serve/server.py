@@ -27,6 +27,8 @@ HEAD_S = 10.0
 MOST_CONNECTIONS = 128
 #: What the kernel keeps of an answer that is not read; left alone it would be megabytes of each connection.
 SEND_BYTES = 128 << 10
+#: What reads nothing when the server ends is cut after so long [s]; before uvicorn cancels its task, with a traceback.
+CUT_S = 0.5
 #: How often a server looks for who started it [s].
 PARENT_S = 1.0
 
@@ -178,11 +180,17 @@ def url_of(settings: ServeSettings, rights: Rights, port: int) -> str:
 
 
 class _Server(uvicorn.Server):
-    """Ends, too, when who started it is gone."""
+    """Ends, too, when who started it is gone; streams, which never end by themselves, end with it.
 
-    def __init__(self, config: uvicorn.Config, parent: int | None) -> None:
+    Args:
+        config: uvicorn's.
+        hub: has the streams.
+        parent: process that has started it; None: do not look.
+    """
+
+    def __init__(self, config: uvicorn.Config, hub: Hub, parent: int | None) -> None:
         super().__init__(config)
-        self._parent = parent
+        self._hub, self._parent = hub, parent
         self._looked = 0.0
 
     @contextlib.contextmanager
@@ -194,6 +202,15 @@ class _Server(uvicorn.Server):
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._hub.end()
+        asyncio.get_running_loop().call_later(CUT_S, self._cut)
+        await super().shutdown(sockets)
+
+    def _cut(self) -> None:
+        for connection in list(self.server_state.connections):
+            connection.transport.abort()
 
     async def on_tick(self, counter: int) -> bool:
         if self._parent is not None and counter % 10 == 0 and os.getppid() != self._parent:
@@ -224,11 +241,11 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         proxy_headers=False,
         limit_concurrency=MOST_CONNECTIONS + 1,  # then none is silent
         timeout_keep_alive=5,
-        timeout_graceful_shutdown=1,  # streams never end by themselves
+        timeout_graceful_shutdown=1,
         h11_max_incomplete_event_size=16 << 10,
         **more,
     )
     try:
-        _Server(config, settings.parent).run(sockets=[listener])
+        _Server(config, hub, settings.parent).run(sockets=[listener])
     except OSError as error:
         raise GatewayError(f"the page cannot be served: {error}") from error

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from gateway.common.log import get_logger
 from gateway.errors import InputError, nearest
+from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.dialect import mended
 
 if TYPE_CHECKING:
@@ -99,11 +100,13 @@ def load_database(paths: Sequence[Path]) -> Database:
 
     Raises:
         InputError: a file that cannot be read or parsed (with the line where it is known), that
-            holds no CAN messages.
+            holds no CAN messages, or what no network has (see :mod:`gateway.signals.bounds`).
     """
     messages: list[tuple[Message, Path]] = []
     for path in paths:
-        messages += [(message, path) for message in _load(path)]
+        found = _load(path)
+        refuse_scalings(found, path)
+        messages += [(message, path) for message in found]
     return Database(messages)
 
 
@@ -114,9 +117,12 @@ def _load(path: Path) -> list[Message]:
     import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
 
     try:
+        refuse_lengths(path.read_bytes().decode("utf-8", "replace"), suffix, path)
         loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
+    except InputError:
+        raise
     except Exception as error:  # the parsers let any exception of theirs through
         again = _mended(path, suffix)
         if again is not None:

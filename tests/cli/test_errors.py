@@ -54,6 +54,67 @@ def test_check_refuses_with_a_line_that_helps(gateway, tmp_path, text, said):
         assert said in ended.err
 
 
+DEEP = [
+    ("a = " + "[" * 100_000 + "]" * 100_000, ":6: a: nested deeper than 64"),
+    ("b = [\n" + "{a=[" * 3000 + "1" + "]}" * 3000 + "\n]", ":7: b: nested deeper than 64"),
+    (".".join("k" * 100_000) + " = 1", ":6: k: nested deeper than 64"),
+    ("[ t ." + ".".join("k" * 100_000) + "]", ":6: t: nested deeper than 64"),
+    ("c = " + "[" * 80 + "]" * 80, "car.toml: bus: nested deeper than 64"),
+    ("c = 'a[[[[{{{'\nd = " + "9" * 5000, ":7: not a good value"),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), DEEP, ids=["arrays", "tables", "key", "header", "just", "digits"])
+def test_toml_that_means_harm_is_one_line(gateway, tmp_path, text, said):
+    path = tmp_path / "car.toml"
+    path.write_text(BUS + "\n\n" + text + "\n")
+    end = gateway("check", path)
+    assert (end.code, end.err.count("\n")) == (2, 1)
+    assert str(path) in end.err
+    assert said in end.err
+
+
+MESSAGE = 'BU_: A\n\nBO_ 256 M: {length} A\n SG_ S : {place}@1+ ({scaling}) [0|0] "" A\n'
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"scaling": "0,0"}, "car.dbc: M.S.factor = 0.0: a factor is a number other than 0"),
+        ({"scaling": "1e999,0"}, "car.dbc: M.S.factor = inf: a factor"),
+        ({"scaling": "9" * 400 + ",0"}, "car.dbc: M.S.factor = inf: a factor"),
+        ({"scaling": "1,-1e999"}, "car.dbc: M.S.offset = -inf: an offset"),
+        ({"length": "99999999999"}, "car.dbc:3: M = 99999999999: a message has at most 65536 bytes"),
+        ({"length": "9" * 5000}, "car.dbc:3: M = '9999"),
+        ({"place": "0|99999999"}, "car.dbc:4: S = 99999999: a signal lies within 524288 bits"),
+        ({"place": "99999999|8"}, "car.dbc:4: S = 99999999: a signal lies"),
+    ],
+)
+def test_a_database_that_means_harm_is_one_line(gateway, tmp_path, wrong, said):
+    text = MESSAGE.format(**{"length": 8, "place": "0|16", "scaling": "1,0", **wrong})
+    (tmp_path / "car.dbc").write_text(text)
+    (tmp_path / "car.toml").write_text(BUS + 'database = ["car.dbc"]\n')
+    end = gateway("check", "car.toml")
+    assert (end.code, end.err.count("\n")) == (2, 1)
+    assert said in end.err
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        (".kcd", '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Document/><Bus name="b">\n'
+         '<Message id="0x1" name="M" length="9999999999"/></Bus></NetworkDefinition>'),
+        (".sym", 'FormatVersion=6.0\n{SENDRECEIVE}\n[M]\nID=001h\nLen=9999999999\nVar=V unsigned 0,8\n'),
+    ],
+)  # fmt: skip
+def test_absurd_lengths_of_other_databases_are_refused(gateway, tmp_path, suffix, text):
+    (tmp_path / f"car{suffix}").write_text(text)
+    (tmp_path / "car.toml").write_text(BUS + f'database = ["car{suffix}"]\n')
+    end = gateway("check", "car.toml")
+    assert (end.code, end.err.count("\n")) == (2, 1)
+    assert "9999999999: a message has at most 65536 bytes" in end.err
+
+
 def test_a_wrong_environment_is_named(gateway, tmp_path, monkeypatch):
     (tmp_path / "c.toml").write_text(BUS)
     monkeypatch.setenv("GATEWAY_MEMORY", "f.sqlite")

@@ -130,6 +130,36 @@ def test_outcomes_that_die_with_their_worker_before_they_are_fetched(tmp_path, m
     assert len(list(tmp_path.iterdir())) == 3
 
 
+class Asking:
+    """Work: who listens on this machine for a cluster of ours, and what does a stranger get there."""
+
+    def do(self, task):
+        return [distributed.get_worker().scheduler.address, distributed.get_worker().address]
+
+    def failed(self, task, text):
+        return [text]
+
+    def killed(self, task):
+        return ["killed"], None
+
+
+@pytest.mark.parametrize("stranger", [None, distributed.Security.temporary], ids=["no certificate", "his own"])
+def test_nobody_else_on_this_machine_runs_code_at_our_workers(stranger):
+    with ExitStack() as stack:
+        pool = Pool(Asking(), Workers(count=1), stack)
+        (scheduler, worker) = pool.run([0])
+        for address in (scheduler, worker):
+            assert address.startswith("tls://127.0.0.1:")
+        port = scheduler.rsplit(":", 1)[1]
+        addresses = [f"tcp://127.0.0.1:{port}"] if stranger is None else [scheduler]
+        for address in addresses:
+            security = None if stranger is None else stranger()
+            with pytest.raises(OSError, match="(?i)timed out|closed|tls|ssl|certificate"):  # noqa: SIM117
+                with distributed.Client(address, security=security, timeout="2s", set_as_default=False) as client:
+                    client.submit(os.getuid).result(10)
+        assert list(pool.run([0])) == [scheduler, worker], "we go on"
+
+
 @contextmanager
 def started(folder, *words):
     """Run a part of Dask as a process of its own on loopback."""

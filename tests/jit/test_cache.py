@@ -80,6 +80,54 @@ def test_a_file_that_is_cut_off_or_changed_is_said_once_and_not_used(folder, sai
     assert "a.b-1.kernel: damaged" in said[0]
 
 
+def give_to_another(path, how, monkeypatch):
+    """Have something belong to another user, or be writable by others."""
+    if how == "mode":
+        path.chmod(path.stat().st_mode | 0o022)
+    elif os.geteuid() == 0:
+        os.chown(path, 65534, -1)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda mine=os.geteuid(): mine + 1)
+
+
+@pytest.mark.parametrize("how", ["owner", "mode"])
+def test_what_another_could_have_written_is_not_loaded(folder, said, monkeypatch, how):
+    cache.write("a.b", "1", CODE)
+    path = folder / "a.b-1.kernel"
+    give_to_another(path, how, monkeypatch)
+    assert cache.read("a.b", "1") is None
+    (line,) = said
+    assert str(path) in line
+
+
+@pytest.mark.parametrize("how", ["owner", "mode"])
+@pytest.mark.parametrize("home", [True, False])
+def test_a_folder_of_another_is_not_used_but_a_private_one(folder, said, monkeypatch, tmp_path, how, home):
+    cache._private.cache_clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home") if home else "/proc/none")
+    cache.write("a.b", "1", CODE)
+    give_to_another(folder, how, monkeypatch)
+    assert cache.read("a.b", "1") is None
+    cache.write("a.b", "1", CODE)
+    cache.write("a.b", "2", CODE)
+    if how == "mode" or os.getuid() == 0:  # else all that we write is another's, too
+        assert cache.read("a.b", "2") == CODE
+    assert not (folder / "a.b-2.kernel").exists()
+    assert (str(tmp_path / "home") in str(cache.folder())) == home
+    assert len([line for line in said if f"{folder}: not used" in line]) == 1
+    cache._private.cache_clear()
+
+
+def test_a_wide_umask_does_not_make_our_files_foreign(folder, said):
+    before = os.umask(0)
+    try:
+        cache.write("a.b", "1", CODE)
+    finally:
+        os.umask(before)
+    assert cache.read("a.b", "1") == CODE
+    assert not said
+
+
 def test_a_folder_that_cannot_be_made_costs_one_line(tmp_path, monkeypatch, said):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("GATEWAY_CACHE_DIR", str(tmp_path / "file"))

@@ -60,7 +60,8 @@ def test_the_demos_compile_nothing_and_need_no_cache(scenario):
 
 @pytest.mark.long
 def test_the_daemon_s_kernels_and_the_structural_analysis_compile_nothing():
-    assert run(COMMAND, "warmup", GATEWAY_KERNELS="shipped").returncode == 0
+    ended = run(COMMAND, "warmup", GATEWAY_KERNELS="shipped")
+    assert (ended.returncode, ended.stderr) == (0, "")
     assert run(COMMAND, "structure", "example_1", GATEWAY_KERNELS="shipped").returncode == 0
 
 

@@ -39,6 +39,15 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = "from gateway.cli import main; main()"
 
 
+class Served(tuple):
+    """Address, port, control token, process identifier; and the process."""
+
+    def __new__(cls, url, port, token, process):
+        made = super().__new__(cls, (url, port, token, process.pid))
+        made.process = process
+        return made
+
+
 @contextmanager
 def server(folder, *options, program=PROGRAM):
     """The page of a gateway that does not run; yields address, port, control token, process identifier."""
@@ -50,7 +59,7 @@ def server(folder, *options, program=PROGRAM):
         line = started.stderr.readline()
         found = re.search(r"page: (https?://\S+?:(\d+)/)(?:#control=(\S+))?", line)
         assert found, line
-        yield found[1], int(found[2]), found[3], started.pid
+        yield Served(found[1], int(found[2]), found[3], started)
         assert started.poll() is None, "it serves still"
     finally:
         started.terminate()
@@ -186,6 +195,36 @@ def test_streams_that_nobody_reads_take_bounded_memory_and_no_more_than_their_pl
         return head == b"HTTP/1.1 200"
 
     wait_for(is_free_again)
+
+
+def test_a_signal_with_pages_open_ends_them_and_logs_nothing(tmp_path):
+    opened = []
+    try:
+        with server(tmp_path) as served:
+            for _ in range(3):
+                connection = socket.create_connection(("127.0.0.1", served[1]), timeout=PATIENCE_S)
+                connection.sendall(request(served[1], "/api/stream"))
+                assert connection.recv(12) == b"HTTP/1.1 200"
+                opened.append(connection)
+            log = served.process.stderr
+            os.set_blocking(log.fileno(), True)
+            served.process.terminate()
+            assert log.read() == "", "no traceback of a page that was open"
+            for connection in opened:
+                assert read_to_end(connection).endswith(b"0\r\n\r\n"), "the stream has ended, and was not cut"
+            assert served.process.wait(60) == 0
+            served.process.poll = lambda: None  # it was to end
+    finally:
+        for connection in opened:
+            connection.close()
+
+
+def read_to_end(connection):
+    """Return all that comes."""
+    parts = []
+    while part := connection.recv(1 << 16):
+        parts.append(part)
+    return b"".join(parts)
 
 
 def test_who_does_not_read_an_answer_is_sent_away(tmp_path):

@@ -66,7 +66,7 @@ def make(tmp_path):
 
     def build(usage=USAGE % SPEED, more="", memory=None):
         cars.append(Car(write_config(tmp_path, 4, extra=usage + more, faults=FAULTS), memory))
-        cars[-1].wait(260)
+        cars[-1].wait(300)
         return cars[-1]
 
     yield build

@@ -96,7 +96,7 @@ def make(tmp_path):
         path = write_config(tmp_path, messages, extra=EXTRA.format(more=more) + extra, faults=faults or {})
         rigs.append(Bus(path))
         if claimed:
-            rigs[-1].wait(260)
+            rigs[-1].wait(300)
         return rigs[-1]
 
     yield build
@@ -446,6 +446,44 @@ def test_the_contention_at_the_start_is_real_time(make):
     for k in range(240, 300):
         sent += list(server.on_time(now + k * MS))
     assert [int(frame["can_id"]) >> 8 & 0xFFFF for frame in sent] == [0xFECA]
+
+
+def test_the_contention_counts_from_when_the_claim_has_left(make):
+    """D13b: the claim had the engine's time, which was up to 95 ms old when the frame left."""
+    rig = make(claimed=False)
+    server = rig.gateway.servers.all[-1]
+    ((claim),) = rig.gateway.advance(100 * MS)
+    assert int(claim["can_id"]) >> 8 & 0xFF00 == 0xEE00
+    assert server.next_ns <= 100 * MS + 1, "wants the next look at once"
+    left = 195 * MS  # the next look at the clock: only then is it known that the frame has left
+    sent = {t: list(server.on_time(t * MS)) for t in range(195, 600)}
+    (first, *_) = (t for t, frames in sent.items() if frames)
+    assert 250 <= first - left // MS <= 280
+    assert int(sent[first][0]["can_id"]) >> 8 & 0xFFFF == 0xFECA
+
+
+@pytest.mark.parametrize(("most", "granted"), [(0xFF, [16, 4]), (20, [16, 4]), (8, [8, 8, 4]), (1, [1] * 20)])
+def test_a_grant_is_never_more_than_the_sender_can_send(make, most, granted):
+    """J1939-21, 5.10.3.1: byte 5 of the RTS, packets that can be sent in response to one CTS."""
+    rig = make(faults={0: coded(100, 1)})
+    to_me, packet = pgn_id(0xEC00, destination=ME, priority=7), pgn_id(0xEB00, destination=ME, priority=7)
+    answers = rig.feed((to_me, bytes([16, 140, 0, 20, most]) + (0xEF00).to_bytes(3, "little")))
+    counts, sent = [], 0
+    while answers and answers[0][1][0] == 17:
+        counts.append(answers[0][1][1])
+        assert answers[0][1][2] == sent + 1
+        for _ in range(counts[-1]):
+            sent += 1
+            answers = rig.feed((packet, bytes([sent]) + bytes(7)))
+    assert counts == granted
+    assert answers[0][1][0] == 19
+
+
+def test_a_sender_that_can_send_nothing_is_refused(make):
+    rig = make()
+    rts = bytes([16, 140, 0, 20, 0]) + (0xEF00).to_bytes(3, "little")
+    ((_, data),) = rig.feed((pgn_id(0xEC00, destination=ME, priority=7), rts))
+    assert (data[0], data[1]) == (255, 2)
 
 
 NAME = NameParams(identity=5, manufacturer=0x123)

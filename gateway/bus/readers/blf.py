@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
+from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
 from gateway.bus.readers.batch import Batch, Names, Read, placed
 from gateway.bus.readers.scan import begin_frame, byte, set_length
@@ -224,6 +225,9 @@ class Blf:
             if why in (LOST, LONG):
                 break
             rest = array[at:].tobytes()
+            if len(rest) > MOST:
+                self._end = ValueError(f"an object that is longer than {MOST} bytes")
+                break
         if batch.count:
             frames += batch.count
             yield _named(batch, names)
@@ -274,12 +278,15 @@ class Blf:
             if mark != b"LOBJ" or size < OBJECT.size:
                 self._end = ValueError("no object where one should be")
                 break
+            if size > MOST:
+                self._end = ValueError(f"an object that is longer than {MOST} bytes")
+                break
             body = self._need(stream, size - OBJECT.size)
             if self._end is None:
                 pull(stream, size % 4)  # padding, of which some may be missing at the end
             try:
                 part = self._contents(head, body, kind)
-            except zlib.error as error:
+            except (zlib.error, ValueError) as error:
                 self._end = self._end or error
                 break
             parts.append(part)
@@ -291,7 +298,12 @@ class Blf:
             yield b"".join(parts)
 
     def _contents(self, head: bytes, body: bytes, kind: int) -> bytes:
-        """Return the objects in an object of the file: a container, or itself."""
+        """Return the objects in an object of the file: a container, or itself.
+
+        Raises:
+            zlib.error: it cannot be unpacked.
+            ValueError: it unpacks to too much.
+        """
         if kind != LOG_CONTAINER:
             return head + body
         if len(body) < CONTAINER.size:
@@ -301,7 +313,10 @@ class Blf:
         if method == PLAIN:
             return bytes(packed)
         if method == ZLIB:
-            return zlib.decompressobj().decompress(packed)
+            part = zlib.decompressobj().decompress(packed, MOST + 1)
+            if len(part) > MOST:
+                raise ValueError(f"a container that unpacks to more than {MOST} bytes")
+            return part
         self.passed_over.append(f"a container that is packed in an unknown way ({method})")
         return b""
 

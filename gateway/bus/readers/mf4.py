@@ -13,7 +13,6 @@ import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
-from gateway.bus.log_source import CutOffError, compression_of, damage
+from gateway.bus.log_source import CutOffError, compression_of, damage, whole
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
 from gateway.errors import InputError
 from gateway.jit import kernel
@@ -255,7 +254,7 @@ class Mf4:
 
         with _tidy():
             # It maps a file that has a name, and reads another one whole.
-            mdf = MDF(self._path if stream is None else BytesIO(stream.read()), **_OPEN)
+            mdf = MDF(self._path if stream is None else whole(stream, self._path), **_OPEN)
         try:
             yield from _joined(_groups(mdf, names))
         finally:

@@ -18,7 +18,6 @@ The first three must be there. The footer is at the file's end: one that is cut 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
-from gateway.bus.log_source import CutOffError, compression_of
+from gateway.bus.log_source import CutOffError, compression_of, whole
 from gateway.bus.readers.batch import DATA, Names, Read
 from gateway.errors import InputError, nearest
 from gateway.jit import kernel
@@ -88,7 +87,7 @@ class Parquet:
         import pyarrow as pa  # noqa: PLC0415 - an extra
         import pyarrow.parquet as pq  # noqa: PLC0415
 
-        source = BytesIO(stream.read()) if compression_of(self._path) else stream
+        source = whole(stream, self._path) if compression_of(self._path) else stream
         head = source.read(4)
         if head != _MAGIC and head:
             raise InputError("not a Parquet file: it does not begin with PAR1", file=self._path)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
-from gateway.bus.log_source import CutOffError, damage, pull
+from gateway.bus.log_source import LINE, CutOffError, damage, pull
 from gateway.bus.readers.batch import Batch, Names, Read, placed
 from gateway.bus.readers.scan import ASK, BAD, DONE, PASSED
 from gateway.errors import InputError
@@ -82,6 +82,21 @@ def shown(line: bytes) -> str:
     return line[:SHOWN].decode("ascii", "replace").strip()
 
 
+def _too_long(text: bytes) -> int:
+    """Return where the first line begins that is longer than :data:`LINE`, -1 if none is.
+
+    Args:
+        text: lines; the last one ends, too.
+    """
+    at = 0
+    while at + LINE < len(text):
+        end = text.rfind(b"\n", at, at + LINE + 1)
+        if end < 0:
+            return at
+        at = end + 1
+    return -1
+
+
 class TextReader:
     """Reads a log of lines.
 
@@ -115,13 +130,14 @@ class TextReader:
             if not block:
                 break
             cut = block.rfind(b"\n") + 1
-            if not cut:
-                tail += block
-                continue
-            text, tail = tail + block[:cut], block[cut:]
+            text, tail = (tail + block[:cut], block[cut:]) if cut else (b"", tail + block)
+            if (at := _too_long(text)) >= 0:
+                text, tail = text[:at], text[at:]
             for wrong in self._scanned(text, names, batch):
                 if batch.full or (wrong is not None and batch.count):
                     yield self._taken(batch, names)
+            if wrong is None and len(tail) > LINE:
+                wrong = self._endless(tail, self._frames + batch.count)
         if wrong is None and tail and broken is None:
             wrong = self._last(tail, names, batch)
         if batch.count:
@@ -159,6 +175,14 @@ class TextReader:
             if status == PASSED or (status == ASK and self._lines.asked(line, names)):
                 at = end
                 self._line += 1
+
+    def _endless(self, line: bytes, frames: int) -> InputError:
+        """Return the error of a line that is too long to be one."""
+        if not line[:LINE].strip(b"\0"):  # what a file system leaves of a file that was being written
+            text = f"cut off after frame {frames}: from here on there is nothing but {LINE} zero bytes and more"
+            return CutOffError(text, file=self._path, line=self._line)
+        text = f"a line that is longer than {LINE} bytes, after frame {frames}: no log has such lines"
+        return InputError(text, file=self._path, line=self._line, value=shown(line))
 
     def _last(self, tail: bytes, names: Names, batch: Batch) -> InputError | None:
         """Read a last line without an end; returns that it is cut off."""

@@ -16,7 +16,8 @@ from typing import Any
 
 import gateway.fdi.structure
 from gateway.common import progress
-from gateway.jit import cache_directory
+from gateway.jit.cache import folder
+from gateway.jit.owned import foreign, read_own, write_own
 from gateway.monitors.structural.plan import Plan, as_dict, from_dict
 
 #: Plans that are kept: the newest.
@@ -27,9 +28,9 @@ KEPT = 64
 def _generator() -> str:
     """Return a digest of the sources that write plans."""
     total = hashlib.blake2b(digest_size=16)
-    folders = (*gateway.fdi.structure.__path__, str(Path(__file__).parent))
-    for folder in folders:
-        for path in sorted(Path(folder).rglob("*.py")):
+    sources = (*gateway.fdi.structure.__path__, str(Path(__file__).parent))
+    for source in sources:
+        for path in sorted(Path(source).rglob("*.py")):
             total.update(path.name.encode() + b"\0" + path.read_bytes())
     return total.hexdigest()
 
@@ -46,13 +47,16 @@ def key_of(model: bytes, asked: dict[str, Any]) -> str:
 
 
 def _file(key: str) -> Path:
-    return cache_directory() / "structural" / f"{key}.json"
+    return folder() / "structural" / f"{key}.json"
 
 
 def read(key: str) -> Plan | None:
     """Return a plan, None if it is not there, or not to be used."""
     try:
-        head, _, body = _file(key).read_bytes().partition(b"\n")
+        head, _, body = read_own(_file(key)).partition(b"\n")
+    except PermissionError as error:  # a plan is code, which is run
+        progress.say(f"the choice of tests is not used ({error}): it is made again")
+        return None
     except OSError:
         return None
     if hashlib.blake2b(body, digest_size=16).hexdigest().encode() != head:
@@ -67,8 +71,10 @@ def write(key: str, plan: Plan) -> None:
     body = json.dumps(as_dict(plan)).encode()
     draft = path.with_name(f".{key}.{os.getpid()}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_bytes(hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body)
+        path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
+        if why := foreign(path.parent):
+            raise PermissionError(why)
+        write_own(draft, hashlib.blake2b(body, digest_size=16).hexdigest().encode() + b"\n" + body)
         draft.replace(path)
         for old in sorted(path.parent.glob("*.json"), key=lambda file: -file.stat().st_mtime)[KEPT:]:
             old.unlink(missing_ok=True)

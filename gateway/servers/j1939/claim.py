@@ -12,9 +12,8 @@ from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
 
 #: Time for others to contend after a claim.
 CONTEND_NS = 250_000_000
-#: Time between two looks at the clock beyond which it was not running when the claim left: the engine's clock begins
-#: with the first frame, or the first look.
-MOST_NS = 2 * CONTEND_NS
+#: What a look's time may lag behind that of the bus: some looks have the time of the monitors.
+LAG_NS = 20_000_000
 #: The longest random delay before "cannot claim" (J1939-81, 4.4.4.3): 255 times 0.6 ms.
 DELAYS, DELAY_NS = 255, 600_000
 #: Addresses that a device which can take any may take (J1939-81).
@@ -63,21 +62,23 @@ class Claim:
         self._data = name.value.to_bytes(8, "little")
         self._taken: set[int] = set()
         self.address = address
-        self._due_ns: int | None = None
+        self._given_ns: int | None = None  # when the claim was given to be sent
+        self._due_ns: int | None = None  # when the address is ours; None: it is not known that the claim has left
         self.claimed = False
         self.lost = False
         self._random = random.Random(name.value)
         self._cannot_ns: int | None = None  # when to say "cannot claim"
-        self._last_ns = 0
-        self._begun_anew = False
 
     def _claimed_message(self) -> Pdu:
         return Pdu(ADDRESS_CLAIMED, self.address, GLOBAL, self._data)
 
     def start(self, t_ns: int) -> list[Pdu]:
-        """Claim the address."""
-        self._due_ns = t_ns + CONTEND_NS
-        self._last_ns, self._begun_anew = t_ns, False
+        """Claim the address.
+
+        The claim leaves some time later: the engine's time may be old, and the first turn of a daemon takes long. The
+        next look at the clock comes after it has left; from that look on others have their time to contend.
+        """
+        self._given_ns, self._due_ns = t_ns, None
         self.claimed = self.lost = False
         self._cannot_ns = None
         return [self._claimed_message()]
@@ -91,16 +92,16 @@ class Claim:
 
     def on_time(self, t_ns: int) -> list[Pdu]:
         """Claim at first; have the address once nobody has contended in time."""
-        if self._due_ns is None:
+        if self._given_ns is None:
             return [] if self.lost else self.start(t_ns)
         if self._cannot_ns is not None and t_ns >= self._cannot_ns:
             self._cannot_ns = None
             return [self._claimed_message()]
         if not self.claimed and not self.lost:
-            if t_ns - self._last_ns > MOST_NS and not self._begun_anew:
-                self._begun_anew, self._due_ns = True, t_ns + CONTEND_NS
-            self.claimed = t_ns >= self._due_ns
-        self._last_ns = t_ns
+            if self._due_ns is not None:
+                self.claimed = t_ns >= self._due_ns
+            elif t_ns > self._given_ns:
+                self._due_ns = t_ns + LAG_NS + CONTEND_NS
         return []
 
     def _say_cannot(self, t_ns: int) -> None:
@@ -115,7 +116,9 @@ class Claim:
             return self._cannot_ns
         if self.claimed or self.lost:
             return NEVER
-        return 0 if self._due_ns is None else self._due_ns
+        if self._given_ns is None:
+            return 0
+        return self._given_ns + 1 if self._due_ns is None else self._due_ns
 
     def on_claim(self, pdu: Pdu, t_ns: int) -> list[Pdu]:
         """Take another's claim: defend the address, or give it up to a smaller NAME."""
@@ -136,7 +139,7 @@ class Claim:
 
     def on_request(self, t_ns: int) -> list[Pdu]:
         """Answer a request for the address claimed: with the claim, or that there is none (J1939-81, 4.2.1)."""
-        if self._due_ns is None:
+        if self._given_ns is None:
             return []
         if self.lost:
             self._say_cannot(t_ns)

@@ -58,6 +58,7 @@ class _Incoming:
     data: bytearray = field(default_factory=bytearray)
     next: int = 1
     granted: int = 0  # 0: a broadcast
+    most: int = GRANT  # packets that one CTS may grant
 
 
 @dataclass(frozen=True)
@@ -172,12 +173,15 @@ class Transport:
         if key not in self._receiving and len(self._receiving) >= MOST_RECEIVING:
             self.refused += 1
             return [] if to_all else [self._abort(pdu.source, pgn, RESOURCES)]
-        session = _Incoming(pgn, size, packets, t_ns + T1_NS)
+        most = pdu.data[4]  # that the sender can send after one CTS; 0xFF: any number
+        if not to_all and not most:
+            return [self._abort(pdu.source, pgn, RESOURCES)]
+        session = _Incoming(pgn, size, packets, t_ns + T1_NS, most=min(GRANT, most))
         self._receiving[key] = session
         return [] if to_all else [self._grant(pdu.source, session, t_ns)]
 
     def _grant(self, source: int, session: _Incoming, t_ns: int) -> Pdu:
-        count = min(GRANT, session.packets - session.next + 1)
+        count = min(session.most, session.packets - session.next + 1)
         session.granted = session.next + count - 1
         session.due_ns = t_ns + T2_NS
         data = bytes([CTS, count, session.next, 0xFF, 0xFF]) + pgn_bytes(session.pgn)

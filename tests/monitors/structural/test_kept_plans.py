@@ -1,6 +1,7 @@
 """What was chosen once is found again: without algebra, and only for the same model, question and generator."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -86,6 +87,26 @@ def _plan(tmp_path):
 
     params = monitor_of(load_config(tmp_path / "gateway.toml").monitor[0])[1]
     return choose(load_model(shipped("models/motor.toml")), params)
+
+
+def test_a_plan_that_another_could_have_written_is_not_run(tmp_path, folder, monkeypatch):
+    said = []
+    monkeypatch.setattr(kept.progress, "say", said.append)
+    configuration(tmp_path)
+    plan = _plan(tmp_path)
+    kept.write("some", plan)
+    assert kept.read("some") == plan
+    (file,) = (cache_directory() / "structural").glob("some.json")
+    file.chmod(0o666)
+    assert kept.read("some") is None
+    assert any(str(file) in line for line in said)
+    kept.write("some", plan)
+    file.parent.chmod(0o777)
+    assert kept.read("some") is None
+    if os.geteuid() == 0:
+        file.parent.chmod(0o755)
+        os.chown(file, 65534, -1)
+        assert kept.read("some") is None
 
 
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, folder, monkeypatch):

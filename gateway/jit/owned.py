@@ -1,0 +1,63 @@
+"""Files that are code: only from ourselves, or from root, and where nobody else can write.
+
+A cache may lie in a folder that others share (``GATEWAY_CACHE_DIR=/tmp/x``). What another user wrote there would be run
+with our rights. Whose a file is says its descriptor, so that it cannot be exchanged after the look.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+#: Modes by which others than the owner can write.
+_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+def _wrong(status: os.stat_result) -> str:
+    """Return why something may be another's, "" if it is ours."""
+    if status.st_uid not in (os.geteuid(), 0):
+        return f"it belongs to another user ({status.st_uid})"
+    if status.st_mode & _OTHERS:
+        return f"others can write it (mode {stat.S_IMODE(status.st_mode):o})"
+    return ""
+
+
+def foreign(folder: Path) -> str:
+    """Return why a folder is not to be used, "" if it is ours, or not there yet."""
+    try:
+        link = folder.lstat()
+        if stat.S_ISLNK(link.st_mode) and link.st_uid not in (os.geteuid(), 0):
+            return f"it belongs to another user ({link.st_uid})"
+        status = folder.stat()
+    except OSError:  # told by whoever reads or writes there
+        return ""
+    return _wrong(status) if stat.S_ISDIR(status.st_mode) else ""
+
+
+def read_own(path: Path) -> bytes:
+    """Return a file's bytes.
+
+    Raises:
+        OSError: it cannot be read.
+        PermissionError: it is another's, or others can write it, or its folder.
+    """
+    if why := foreign(path.parent):
+        raise PermissionError(errno.EPERM, why, str(path.parent))
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+        status = os.fstat(file.fileno())
+        why = _wrong(status) if stat.S_ISREG(status.st_mode) else "it is no file"
+        if why:
+            raise PermissionError(errno.EPERM, why, str(path))
+        return file.read()
+
+
+def write_own(path: Path, data: bytes) -> None:
+    """Write a file that only we can write, whatever the umask says.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path.write_bytes(data)
+    path.chmod(0o644)
