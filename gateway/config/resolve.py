@@ -209,7 +209,9 @@ def _monitors(
             own = f"{key}.{error.key}" if error.key else key
             raise InputError(error.message, key=own, value=error.value) from error
     for name, part in several.items():
-        yield MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
+        yield MonitorInstance(
+            entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key, entry.trusted
+        )
 
 
 def _signal(config: Config, databases: Sequence[Database], bus: int, name: str) -> Signal:

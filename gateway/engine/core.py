@@ -74,7 +74,7 @@ class Engine:
     def warm(self) -> None:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
         for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):
-            handler["entry"] = instance.monitor.entry
+            handler["entry"] = instance.entry
         self._run = bound(loop.run, self.tables, rest=(_NO_FRAMES, Same(0, _NO_CELLS), 0, NEVER))
 
     def _first_run(self, *arguments: Any) -> int:
@@ -276,7 +276,7 @@ class Engine:
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held"}
-        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes"}
+        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes", "stepping"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def misfits(self, fault: int) -> tuple[int, list[bytes]] | None:

@@ -33,6 +33,9 @@ from gateway.monitors.contract import (
     Signal,
 )
 
+#: Longest time of a debounce, as a configuration may have it, too [ms].
+MOST_DEBOUNCE_MS = 3.6e6
+
 _FLOAT = np.dtype("<f8")
 #: Fields of the inputs that the engine fills itself.
 _OWN = tuple(Inputs.dtype.names or ())
@@ -174,7 +177,7 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     """Return what a monitor with these parameters can report.
 
     Raises:
-        InputError: a name that is there twice, more evidence than a result has room for.
+        InputError: a name that is there twice, more evidence than a result has room for, a debounce that nothing ends.
     """
     faults = tuple(monitor.faults(params))
     most = monitor.evidence.dtype.itemsize // 8
@@ -190,7 +193,25 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
                 key=f"{key}.evidence",
                 value=fault.name,
             )
+        _check_debounce(monitor, fault, key)
     return faults
+
+
+def _check_debounce(monitor: Monitor[Any], fault: Fault, key: str) -> None:
+    """Refuse a debounce by which a fault would never be set, or never be healed: without a word."""
+    asked = fault.debounce
+    for name in ("failed_after", "passed_after", "failed_step", "passed_step"):
+        if getattr(asked, name) < 1:
+            text = f"{name} = {getattr(asked, name)!r}: at least 1"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
+    times = (asked.failed_ms, asked.passed_ms)
+    if (times[0] is None) != (times[1] is None):
+        text = "a debounce by time needs both failed_ms and passed_ms"
+        raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
+    for name, time_ms in zip(("failed_ms", "passed_ms"), times, strict=True):
+        if time_ms is not None and not 0.0 <= time_ms <= MOST_DEBOUNCE_MS:
+            text = f"{name} = {time_ms!r}: 0 to {MOST_DEBOUNCE_MS:g} ms"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
 
 
 def _fields(monitor: Monitor[Any]) -> list[tuple[str, int, bool]]:
