@@ -92,6 +92,10 @@ class EventPrinter:
         elif event["event"] == "clear":
             gone = ", ".join(event["faults"]) or "no entry was there"
             self._console.print(f"{self._time(event)}  cleared: {gone}", markup=False)
+        elif event["event"] == "monitor_off":
+            told = f"{event['monitor']} (type {event['type']}, {event['file']})"
+            self._console.print(f"{self._time(event)}  [bold red]monitor switched off[/]", end=" ")
+            self._console.print(f"{told}: {event['reason']}", markup=False)
         elif event["event"] == "intervention":
             how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
             by = f"{event['protocol']} {event['address']:X}"

@@ -81,6 +81,15 @@ class Engine:
         self.warm()
         return self._run(*arguments)
 
+    def switch_off(self, monitor: int, why: int) -> None:
+        """Step a monitor no more, which has not been stepped yet.
+
+        Args:
+            monitor: its place.
+            why: as :func:`gateway.jit.call_entry` tells it; not 0.
+        """
+        self.tables.handlers[monitor]["off"] = why
+
     @property
     def now_ns(self) -> int:
         """Time of the latest frame or :meth:`advance` [ns]."""

@@ -222,7 +222,11 @@ class Kernel:
         return Entry(self.__qualname__, arguments, address, code.results)
 
     def _key(self, signature: str, *, checked: bool = False) -> str:
-        text = f"{VERSION} {self.id} {signature} {self.closure.digest}{' checked' if checked else ''}"
+        text = f"{VERSION} {self.id} {signature} {self.closure.digest}"
+        if checked:  # it tells the lines of its exceptions
+            codes = [function.__code__ for function in self.closure.kernels]
+            lines = [f"{code.co_filename}:{code.co_firstlineno}:{code.co_linetable.hex()}" for code in codes]
+            text = " ".join([text, "checked", *lines])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def _shipped(self, signature: str) -> cache.Code | None:

@@ -23,7 +23,7 @@ import numpy as np
 
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
-from gateway.jit import Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2
@@ -587,6 +587,11 @@ class Monitor(Generic[P]):
                 file=self.file,
                 key=f'monitor type "{self.type}"',
             ) from error
+
+
+def digest_of(monitor: Monitor[Any]) -> str:
+    """Return the digest of a monitor's kernel, with all that it calls."""
+    return Closure(cast(Any, getattr(monitor.step, "py_func", monitor.step))).digest
 
 
 @dataclass(frozen=True, kw_only=True)

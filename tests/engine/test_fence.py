@@ -195,7 +195,7 @@ def test_only_who_is_trusted_by_author_and_person_runs_without_checks(author, pe
 
 
 def test_ours_are_not_checked():
-    from gateway.monitors.crank.monitor import MONITOR  # noqa: PLC0415 - of this test alone
+    from gateway.monitors.crank.monitor import MONITOR
 
     assert not MONITOR.outside
     assert GOOD.outside
