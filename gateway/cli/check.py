@@ -11,6 +11,7 @@ from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors
+from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.servers.access_review import ways_around
 
@@ -27,6 +28,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     try:
         config = load_config(path)
         gateway = Gateway(config, None, file=path)
+        for instance in gateway.engine.monitors:
+            if instance.monitor.outside:
+                refuse_failing(instance.monitor, instance.params)
     except (InputError, InputErrors) as error:
         if not json:
             raise

@@ -14,7 +14,7 @@ from gateway.jit.addresses import address_of_array
 from gateway.jit.closure import Closure
 from gateway.jit.failures import failure_of
 from gateway.jit.intrinsics import call_entry, lowest_bit, read_ahead
-from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel
+from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel, run_entry
 from gateway.jit.records import (
     LINE,
     Meaning,
@@ -70,6 +70,7 @@ __all__ = [
     "read_ahead",
     "record",
     "record_at",
+    "run_entry",
     "u1",
     "u1s",
     "u4",

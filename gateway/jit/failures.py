@@ -30,7 +30,7 @@ def failure_of(why: int) -> str:
         return f"status {why}"
     found = _Description.from_address(why)
     try:
-        kind, arguments, place = pickle.loads(ctypes.string_at(found.data, found.length))
+        kind, arguments, place = pickle.loads(ctypes.string_at(found.data, found.length))  # noqa: S301 - of our own code
         told = " ".join([f"{kind.__name__}:", *map(str, arguments)]) if arguments else str(kind.__name__)
     except Exception:  # of a class that cannot be imported any more
         return "an exception"

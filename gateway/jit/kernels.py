@@ -12,11 +12,12 @@ import hashlib
 import inspect
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.common import progress
 from gateway.errors import KernelError
@@ -36,7 +37,8 @@ from gateway.jit.forms import (
     take,
     text_of,
 )
-from gateway.jit.intrinsics import PYTHON_ENTRIES
+from gateway.jit.intrinsics import PYTHON_ENTRIES, call_entry
+from gateway.jit.refused import refuse
 from gateway.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -408,4 +410,22 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
         return len(PYTHON_ENTRIES) - 1
     if not isinstance(step, Kernel):
         raise KernelError(f"{getattr(step, '__qualname__', step)} is no kernel: it needs @kernel before its def")
+    if checked:
+        refuse(step)
     return step.entry(tuple(map(Rec, records)), checked=checked or BOUNDSCHECK).address
+
+
+def run_entry(address: int, records: Sequence[NDArray[np.void]]) -> int:
+    """Call an entry point from Python; returns 0, or what went wrong: for :func:`gateway.jit.failure_of`.
+
+    Args:
+        address: of :func:`entry_point`.
+        records: its four, each of shape (1,).
+    """
+    places = [address_of_array(record) for record in records]
+    if not COMPILED:
+        return call_entry(address, *places)
+    cells = struct.pack("=4q", *places)
+    reason = ctypes.c_int64(0)
+    status = int(_ENTRY(address)(cells, ctypes.addressof(reason)))
+    return (reason.value or status) if status else 0

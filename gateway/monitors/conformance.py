@@ -16,6 +16,7 @@ import numpy as np
 
 from gateway.errors import InputError, nearest
 from gateway.jit import Record
+from gateway.monitors.authors import author_of
 from gateway.monitors.contract import (
     API,
     EVIDENCE,
@@ -179,7 +180,8 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     Raises:
         InputError: a name that is there twice, more evidence than a result has room for, a debounce that nothing ends.
     """
-    faults = tuple(monitor.faults(params))
+    with author_of(monitor, "faults"):
+        faults = tuple(monitor.faults(params))
     most = monitor.evidence.dtype.itemsize // 8
     names = [fault.name for fault in faults]
     for k, fault in enumerate(faults):
@@ -244,7 +246,8 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
     Raises:
         InputError: an input that is not named, or that is not there; an array of another length; nothing that triggers.
     """
-    given = monitor.connect(params)
+    with author_of(monitor, "connect"):
+        given = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
     fields = _fields(monitor)
     known = [name for name, *_ in fields]
@@ -263,7 +266,8 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
             )  # fmt: skip
         found += _of_field(monitor, name, given[name], count, is_array)
     triggers = {signal.name for _, signal in found if signal is not None and signal.triggers}
-    messages = set() if monitor.triggers is None else set(monitor.triggers(params))
+    with author_of(monitor, "triggers"):
+        messages = set() if monitor.triggers is None else set(monitor.triggers(params))
     if not triggers and not messages:
         raise InputError("no signal triggers: nothing would step it", file=monitor.file, key=key)
     return Connected(found, triggers, messages)
@@ -305,7 +309,8 @@ def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission |
                 key=f'monitor type "{monitor.type}".emits',
             )
         return None
-    emission = monitor.emits(params)
+    with author_of(monitor, "emits"):
+        emission = monitor.emits(params)
     dtype = monitor.outputs.dtype
     key = f'monitor type "{monitor.type}".emits'
     fields: Mapping[str, tuple[int, ...]] = {name: dtype[name].shape for name in dtype.names or ()}

@@ -13,6 +13,7 @@ reported.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -42,6 +43,9 @@ TIMER = -1
 
 #: Least time from a step that a timer caused to the next one [ns]: a monitor that wakes itself at once stops nobody.
 LEAST_SLEEP_NS = 100_000
+
+#: Where a compiler says that something is wrong.
+_PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
 
 #: Packages whose kernels are ours, and how modules begin that we generate: their indices need no check.
 OWN_PACKAGES, GENERATED = ("gateway", "gateway_studies"), "gateway_generated_"
@@ -582,9 +586,12 @@ class Monitor(Generic[P]):
         try:
             return entry_point(self.step, self.records, checked=checked)
         except GatewayError as error:
+            text = " ".join(str(error).split())
+            lines = [int(line) for file, line in _PLACES.findall(text) if file == str(self.file)]
             raise InputError(
-                f"its kernel cannot be compiled: {error}",
+                f"its kernel cannot be compiled: {text}",
                 file=self.file,
+                line=lines[-1] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
 
