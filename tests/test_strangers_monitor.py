@@ -2,12 +2,14 @@
 
 import json
 import logging
+import subprocess
 import sys
 
 import pytest
 
 from gateway.bus.frames import empty, put
 from gateway.cli.check import check
+from gateway.cli.new_monitor import new_monitor
 from gateway.common.plugins import Registry
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
@@ -149,22 +151,22 @@ def test_a_damaged_file_keeps_nobody_off(tmp_path, gateway_of, text):
 
 
 STEP = {
-    "raise": (RAISES, "ValueError: too much (", 93),
-    "an index beyond": ("    s.cells[int(u.volts)] = 1.0\n", "IndexError: index is out of bounds", None),
-    "print": ("    print(u.volts)\n", "a kernel prints nothing", None),
-    "a field that is not there": ("    s.lowets = 1.0\n", "lowets", None),
-    "memory": ("    many = [u.volts]\n    s.lowest = many[0]\n", "cannot be compiled", None),
-    "recursion": ("    step(s, c, u, out)\n", "calls itself", None),
-    "a fault that is not there": ("    report(out, 7, False, 1.0, 2.0)\n", "fault number 7; its faults are 0 to 1", None),
+    "raise": (RAISES, "ValueError: too much ("),
+    "an index beyond": ("    s.cells[int(u.volts)] = 1.0\n", "IndexError: index is out of bounds"),
+    "print": ("    print(u.volts)\n", "a kernel prints nothing"),
+    "a field that is not there": ("    s.lowets = 1.0\n", "lowets"),
+    "memory": ("    many = [u.volts]\n    s.lowest = many[0]\n", "cannot be compiled"),
+    "recursion": ("    step(s, c, u, out)\n", "calls itself"),
+    "a fault that is not there": ("    report(out, 7, False, 1.0, 2.0)\n", "number 7; its faults are 0 to 1"),
     "too many results": (
-        "    for _ in range(500):\n        report(out, 0, False, 1.0, 2.0)\n", "results too many in one step", None
+        "    for _ in range(500):\n        report(out, 0, False, 1.0, 2.0)\n", "results too many in one step"
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", STEP)
-def test_check_names_a_slip_of_the_step_in_one_line(tmp_path, case, capsys):
-    slip, told, line = STEP[case]
+def test_check_names_a_slip_of_the_step_in_one_line(tmp_path, case):
+    slip, told = STEP[case]
     module = "slip_" + case.replace(" ", "_")
     cells = '    lowest: f8 = means("lowest voltage so far", "V")\n'
     array = "    cells: Annotated[f8s, 3]\n"
@@ -215,3 +217,23 @@ def test_who_ends_the_process_when_imported_is_one_line(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InputError, match=r"leaves cannot be imported: SystemExit: 3"):
         _ = Registry("gateway.monitors", lambda found, _: found, own={})["leaves:MONITOR"]
+
+
+@pytest.mark.long
+def test_the_template_s_own_tests_pass_without_a_warning_and_fail_with_a_slip(tmp_path):
+    assert new_monitor("coolant", tmp_path / "coolant") == 0
+    folder = tmp_path / "coolant"
+    command = [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "-p", "no:xdist"]
+
+    def run(*more):
+        return subprocess.run([*command, *more], cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+
+    good = run()
+    assert good.returncode == 0, good.stdout
+    assert "7 passed" in good.stdout
+    file = folder / "coolant.py"
+    step = "    s.lowest = min(s.lowest, u.volts)\n"
+    file.write_text(file.read_text().replace(step, f"{step}    report(out, int(u.volts), True, 1.0, 2.0)\n"))
+    bad = run("-k", "missing")
+    assert bad.returncode == 1, bad.stdout
+    assert "it reports fault number" in bad.stdout

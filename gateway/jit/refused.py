@@ -1,5 +1,6 @@
-"""What compiles, and must not be in a kernel from outside: printing, which can wait for Python's lock for ever, and
-recursion, whose depth nobody knows.
+"""What compiles, and must not be in a kernel from outside.
+
+Printing can wait for Python's lock for ever; how deep recursion goes nobody knows.
 """
 
 from __future__ import annotations
@@ -31,9 +32,8 @@ def refuse(step: Any) -> None:
         for instruction in dis.get_instructions(code):
             if instruction.argval in _SAID and instruction.opname.startswith("LOAD_GLOBAL"):
                 line = _line(function, instruction.offset)
-                raise KernelError(
-                    f"{name} ({code.co_filename}:{line}): {instruction.argval}: {_SAID[instruction.argval]}"
-                )
+                where, what = f"{name} ({code.co_filename}:{line})", str(instruction.argval)
+                raise KernelError(f"{where}: {what}: {_SAID[what]}")
         if _reaches(function, function, calls):
             where = f"{code.co_filename}:{code.co_firstlineno}"
             raise KernelError(f"{name} ({where}) calls itself: recursion has no bound that is known")

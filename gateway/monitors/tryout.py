@@ -1,4 +1,4 @@
-"""A monitor's kernel is tried before it is on a bus: with ordinary, missing, random and extreme inputs, indices checked.
+"""A monitor's kernel is tried before it is on a bus: ordinary, missing, random and extreme inputs, indices checked.
 
 What it finds would switch the monitor off while it runs, or make its results nobody's.
 """
@@ -61,8 +61,7 @@ def try_out(monitor: Monitor[Any], params: MonitorParams, seed: int = 1) -> list
             doing[0] = kind
             found.extend(dict.fromkeys(_steps(monitor, params, address, len(faults), kind, values)))
 
-    records = _records(monitor, params)  # an author's mistake is told here, not in the thread
-    del records
+    _records(monitor, params)  # an author's mistake is told here, not in the thread
     thread = threading.Thread(target=work, name="try-out", daemon=True)
     thread.start()
     thread.join(PATIENCE_S)
