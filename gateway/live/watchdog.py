@@ -8,13 +8,13 @@ monitor is being stepped, and how many steps it has ended.
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from gateway.common import progress
 from gateway.engine.core import Engine
 from gateway.faults.hung import hung_beside
 from gateway.monitors.contract import digest_of
@@ -27,6 +27,11 @@ LIMIT_S = 5.0
 ASKED_LIMIT_S = 1.0
 #: Time between two looks [s], and looks that must have seen the same step: a machine that slept proves nothing.
 LOOK_S, LOOKS = 0.25, 4
+
+
+def _say(text: str) -> None:
+    """Say it where it is seen although the process ends at once."""
+    print(text, file=sys.stderr, flush=True)
 
 
 class Stepped(NamedTuple):
@@ -101,11 +106,11 @@ class Watchdog:
         instance = engine.monitors[monitor]
         kind = instance.monitor
         reason = f"its step did not return for {seconds:.0f} s"
-        progress.say(f"monitor {instance.name} (type {kind.type}, {kind.file}): {reason}; the process ends")
+        _say(f"monitor {instance.name} (type {kind.type}, {kind.file}): {reason}; the process ends")
         path = self._memory()
         if path is not None:
             try:
                 hung_beside(path).add(instance.name, digest_of(kind), reason)
             except OSError as error:
-                progress.say(f"{path}: cannot note that monitor {instance.name} is to stay off: {error}")
+                _say(f"{path}: cannot note that monitor {instance.name} is to stay off: {error}")
         self._leave(HUNG_EXIT)
