@@ -40,12 +40,15 @@ def test_a_step_that_loops_for_ever_ends_the_process_and_stays_off_the_next_time
     file.write_text(file.read_text().replace(STEP, LOOPS + STEP))
     with bus(tmp_path) as uri:
         run = ("run", "gateway.toml", "--bus", uri, "--memory", "faults.sqlite")
-        with process(*run, cwd=tmp_path, ready="monitoring") as started:
-            with process("simulate", "drained.toml", "--bus", uri, cwd=tmp_path, ready=""):
-                if asked:
-                    wait_until_busy(started.pid)
-                    started.send_signal(signal.SIGTERM)
-                assert started.wait(60) == HUNG_EXIT
+        simulate = ("simulate", "drained.toml", "--bus", uri)
+        with (
+            process(*run, cwd=tmp_path, ready="monitoring") as started,
+            process(*simulate, cwd=tmp_path, ready=""),
+        ):
+            if asked:
+                wait_until_busy(started.pid)
+                started.send_signal(signal.SIGTERM)
+            assert started.wait(60) == HUNG_EXIT
         said = "".join(started.log)
         assert f"monitor battery (type battery_voltage, {file}): its step did not return" in said
         again = gateway(*run, "--duration", "1", "--json", cwd=tmp_path)
