@@ -20,6 +20,7 @@ from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.monitors.contract import Fault
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
@@ -165,7 +166,7 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
 
 def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    watched = memory_health.FAULTS if config.memory.watched else ()
+    watched: tuple[Fault, ...] = memory_health.FAULTS if config.memory.watched else ()
     if any(instance.monitor.outside for instance in monitors):
         watched += monitor_health.FAULTS
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
