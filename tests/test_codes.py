@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from gateway.engine.checks import bus_health, clock_health, communication, memory_health, monitoring_health
+from gateway.engine.checks import (
+    bus_health,
+    clock_health,
+    communication,
+    memory_health,
+    monitor_health,
+    monitoring_health,
+)
 from gateway.monitors.crank import faults as crank
 from gateway.monitors.steering import faults as steering
 from gateway.monitors.truck import faults as truck
@@ -17,7 +24,12 @@ KNOWN = {
     "truck": truck.faults_of(("t1_x",)),
     "check": communication.FAULTS,
     "bus": bus_health.FAULTS,
-    "gateway": (*clock_health.OWN_FAULTS, *memory_health.FAULTS, *monitoring_health.FAULTS),
+    "gateway": (
+        *clock_health.OWN_FAULTS,
+        *memory_health.FAULTS,
+        *monitor_health.FAULTS,
+        *monitoring_health.FAULTS,
+    ),
 }
 
 

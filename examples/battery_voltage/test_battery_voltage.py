@@ -1,36 +1,28 @@
-"""The scenario as the gateway plays it, and single steps of the monitor."""
-
-from pathlib import Path
+"""The monitor by itself, and on a bus; the scenario is a test, too (pytest.ini). Fixtures: docs/bench.md."""
 
 import pytest
-
-from gateway.config.load import load_config
-from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
-
-HERE = Path(__file__).parent
+from battery_voltage import MONITOR
 
 
-def play(**fault):
-    """Play the scenario with another fault; returns the DTCs that were set."""
-    scenario = load_scenario(HERE / "drained.toml")
-    faults = tuple(f.model_copy(update=fault) for f in scenario.fault)
-    scenario = scenario.model_copy(update={"fault": faults})
-    config = load_config(scenario.config)
-    gateway, told = Gateway(config), []
-    gateway.listen(told.append)
-    drive(gateway, Player(scenario, {bus.name: k for k, bus in enumerate(config.bus)}))
-    gateway.close()
-    return [e["dtc"] for e in told if e["event"] == "dtc" and e["status"] & 1]
+def test_missing_random_and_extreme_inputs_do_no_harm(check_monitor):
+    check_monitor(MONITOR)
+    check_monitor(MONITOR, low=0.0, hysteresis=0.0)
+
+
+def drained(virtual_ecu, volts):
+    """Switch a battery on that has another voltage from 5 to 10 s."""
+    fault = {"kind": "drained", "from_s": 5.0, "to_s": 10.0, "volts": volts}
+    virtual_ecu("battery_ecu:ECU", faults=[fault], duration_s=20.0)
 
 
 @pytest.mark.parametrize(("volts", "dtc"), [(10.5, "P0562-16"), (16.5, "P0563-17")])
-def test_a_battery_that_is_too_low_or_too_high_is_named(volts, dtc):
-    assert play(volts=volts) == [dtc]
+def test_a_battery_that_is_too_low_or_too_high_is_named_and_heals(virtual_ecu, dtcs, volts, dtc):
+    drained(virtual_ecu, volts)
+    dtcs.expect(dtc, by=6.0, healed_by=12.0)
 
 
 @pytest.mark.parametrize("volts", [11.2, 12.6, 15.2])
-def test_a_good_battery_is_not_accused(volts):
-    assert play(volts=volts) == []
+def test_a_good_battery_is_not_accused(virtual_ecu, dtcs, gateway_bench, volts):
+    drained(virtual_ecu, volts)
+    gateway_bench.run(15.0)
+    dtcs.none()

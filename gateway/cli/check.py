@@ -11,6 +11,7 @@ from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors, each_of
+from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
 from gateway.servers.access_review import ways_around
@@ -28,6 +29,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     try:
         config = load_config(path)
         gateway = Gateway(config, None, file=path)
+        for instance in gateway.engine.monitors:
+            if instance.monitor.outside:
+                refuse_failing(instance.monitor, instance.params)
     except (InputError, InputErrors) as error:
         errors = mistakes(path) or each_of(error)
         if not json:

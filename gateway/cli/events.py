@@ -100,6 +100,11 @@ class EventPrinter:
         gone = ", ".join(event["faults"]) or "no entry was there"
         self._lines.print(f"{self._time(event)}  cleared: {gone}")
 
+    def _on_monitor_off(self, event: dict[str, Any]) -> None:
+        mark = "monitor switched off"
+        told = f"{event['monitor']} (type {event['type']}, {event['file']}): {event['reason']}"
+        self._lines.print(f"{self._time(event)}  {mark}  {told}", mark=mark, colour="bold red")
+
     def _on_intervention(self, event: dict[str, Any]) -> None:
         how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
         by = f"{event['protocol']} {event['address']:X}"

@@ -12,7 +12,7 @@ from gateway.errors import InputError
 #: The folder that is copied: a monitor that CI runs.
 TEMPLATE = "examples/battery_voltage"
 #: Of its files, what is copied.
-_KINDS = (".py", ".dbc", ".toml", ".md")
+_KINDS = (".py", ".dbc", ".toml", ".ini", ".md")
 #: Its names, and what stands for them; the first that fits.
 _NAMES = ("battery_voltage", "battery_ecu")
 

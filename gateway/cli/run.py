@@ -36,27 +36,29 @@ class Ending:
         self._signalled = 0
         self._limit = math.inf
         self._starting = starting
+        #: Whether a signal came, even one for which no handler of Python could run yet.
+        self.heard = False
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
         if starting is not None:
             # The handler in C writes the signal's number there, whatever the main thread does.
-            self._heard, wakeup = socket.socketpair()
+            self._numbers, wakeup = socket.socketpair()
             self._wakeup = wakeup
             wakeup.setblocking(False)
             signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
             threading.Thread(target=self._watch, name="signals", daemon=True).start()
 
     def _watch(self) -> None:
-        while number := self._heard.recv(1):
-            if self._starting is not None and number[0] in (signal.SIGINT, signal.SIGTERM):
+        while number := self._numbers.recv(1):
+            if number[0] not in (signal.SIGINT, signal.SIGTERM):
+                continue
+            self.heard = True
+            if self._starting is not None:
                 os._exit(self._starting or 0)
 
     def ready(self) -> None:
         """From now on a signal is an end in good order."""
-        if self._starting is not None:
-            self._starting = None
-            signal.set_wakeup_fd(-1)
-            self._wakeup.close()
+        self._starting = None
 
     def _on_signal(self, number: int, _: object) -> None:
         self._signalled = number
@@ -111,6 +113,7 @@ def run(
             notifier=Notifier(),
             on_built=ending.ready,
             status=status,
+            asked=lambda: ending.heard,
         )
         stack.callback(daemon.close)
 

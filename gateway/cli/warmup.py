@@ -28,7 +28,7 @@ def warmup(*, json: bool) -> int:
             if isinstance(monitor, InputError):
                 raise monitor
             if not isinstance(monitor, Family):  # its kernels depend on what a configuration says
-                _ = monitor.entry
+                _ = monitor.checked_entry if monitor.outside else monitor.entry
         except InputError as error:  # of another package: the others are made ready
             say(f"monitor type {type_}: {error}")
     gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file

@@ -63,7 +63,7 @@ def _load(place: str) -> object:
     module, _, name = place.partition(":")
     try:
         found: object = import_module(module)
-    except Exception as error:  # whatever a plug-in does while it is imported, it is one line
+    except (Exception, SystemExit) as error:  # whatever a plug-in does while it is imported, it is one line
         told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise InputError(f"{module} cannot be imported: {told}", value=place) from error
     for part in name.split("."):

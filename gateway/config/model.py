@@ -79,6 +79,10 @@ class MonitorConfig(BaseModel):
         default_factory=dict,
         description='default "Message.Signal" = your "Message.Signal", or "bus.Message.Signal"',
     )
+    trusted: bool = Field(
+        False,
+        description="the indices of its kernel are not checked, if its package says the same (docs/monitors.md)",
+    )
     _folder: Path = PrivateAttr(Path())
 
     @property

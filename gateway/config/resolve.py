@@ -255,7 +255,7 @@ def _monitors(
                     raise InputError(each.message, key=own, value=each.value) from error
             wrong.check()
     return [
-        MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key)
+        MonitorInstance(entry.name, monitor, part, bus, entry.priority, entry.signals, sent, name, key, entry.trusted)
         for name, part in several.items()
     ]
 

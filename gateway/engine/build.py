@@ -35,6 +35,7 @@ from gateway.engine.tables import (
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
 from gateway.errors import Gathered, InputError, named
+from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS, Arrivals
 from gateway.signals.database import Database
@@ -169,8 +170,11 @@ def _prepare(m: MonitorInstance, state: Any, const: Any) -> None:
         InputError: parameters that only show there that they are wrong; the key is that of the configuration.
     """
     try:
-        m.monitor.prepare(m.params, state, const)
+        with author_of(m.monitor, "prepare"):
+            m.monitor.prepare(m.params, state, const)
     except InputError as error:
+        if error.file is not None:  # of the monitor itself
+            raise
         place = m.key or f'monitor "{m.name}"'
         key = f"{place}.{error.key}" if error.key else place
         raise InputError(error.message, key=key, value=error.value) from error

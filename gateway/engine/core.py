@@ -74,12 +74,21 @@ class Engine:
     def warm(self) -> None:
         """Load the machine code of the loop and of the monitors now, rather than at the first frame."""
         for handler, instance in zip(self.tables.handlers, self.monitors, strict=True):
-            handler["entry"] = instance.monitor.entry
+            handler["entry"] = instance.entry
         self._run = bound(loop.run, self.tables, rest=(_NO_FRAMES, Same(0, _NO_CELLS), 0, NEVER))
 
     def _first_run(self, *arguments: Any) -> int:
         self.warm()
         return self._run(*arguments)
+
+    def switch_off(self, monitor: int, why: int) -> None:
+        """Step a monitor no more, which has not been stepped yet.
+
+        Args:
+            monitor: its place.
+            why: as :func:`gateway.jit.call_entry` tells it; not 0.
+        """
+        self.tables.handlers[monitor]["off"] = why
 
     @property
     def now_ns(self) -> int:
@@ -276,7 +285,7 @@ class Engine:
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held"}
-        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes"}
+        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes", "stepping"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def misfits(self, fault: int) -> tuple[int, list[bytes]] | None:

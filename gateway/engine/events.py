@@ -21,6 +21,9 @@ CYCLE_BEGAN, CYCLE_ENDED = 5, 6
 #: The wall clock was set; ``value`` is by how much [s].
 CLOCK_STEPPED = 7
 
+#: A step of a monitor failed, which is switched off; ``fault`` is the index of the monitor.
+MONITOR_OFF = 8
+
 #: Bus of what is of no bus: the gateway's own faults.
 NO_BUS = 255
 

@@ -20,6 +20,7 @@ class MonitorInstance:
     ``priority`` 0 steps first.
     ``part`` tells several of one name apart, that are parts of one configured monitor.
     ``emission`` is the message its results are sent in; None: they are not sent.
+    ``trusted``: whether a person says that the indices of its kernel need no check, as its author does.
     ``key`` is where the configuration has it, for errors.
     """
 
@@ -32,6 +33,17 @@ class MonitorInstance:
     emission: Message | None = None
     part: str = ""
     key: str = ""
+    trusted: bool = False
+
+    @property
+    def entry(self) -> int:
+        """Address of its compiled kernel; of one from outside with every index checked, unless it is trusted.
+
+        Raises:
+            InputError: it cannot be compiled.
+        """
+        trusted = not self.monitor.outside or (self.monitor.trusted and self.trusted)
+        return self.monitor.entry if trusted else self.monitor.checked_entry
 
 
 @dataclass(frozen=True)

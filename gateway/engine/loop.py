@@ -13,6 +13,7 @@ received at that moment.
 
 from __future__ import annotations
 
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -34,13 +35,13 @@ from gateway.engine.checks.communication_steps import (
 )
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
-from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED
+from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, MONITOR_OFF
 from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel, read_ahead
-from gateway.monitors.contract import FAILED, TIMER
+from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
     OK,
@@ -79,8 +80,30 @@ def inputs_valid(T: Any, t_ns: int, h: Any) -> bool:
 
 
 @kernel
+def switch_off(T: Any, t_ns: int, h: Any, why: int) -> None:
+    """Step a monitor no more, and tell it: its faults are not tested, all others go on.
+
+    Args:
+        T: the tables.
+        t_ns: now.
+        h: the monitor.
+        why: not 0; what :func:`gateway.jit.call_entry` gave.
+    """
+    h.off = why
+    h.wake_ns = NEVER
+    h.tested = 0
+    h.skipped += 1
+    for k in range(h.faults):
+        not_tested(T, t_ns, h.fault + k)
+    announce(T, t_ns, MONITOR_OFF, T.timers[h.timer].index, h.bus, 0.0, 0.0)
+
+
+@kernel
 def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
-    """Step one monitor and debounce what it reports."""
+    """Step one monitor and debounce what it reports; one whose step failed once is not stepped again."""
+    if h.off != 0:
+        h.skipped += 1
+        return
     at = h.inputs
     T.pool_ns[at] = t_ns
     T.pool_ns[at + 1] = trigger
@@ -91,15 +114,23 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     out.overflow = 0
     out.wake_ns = 0
     out.send = 0
-    if call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0]) != 0:
-        raise RuntimeError("a monitor's kernel failed")
+    clock = T.clock[0]
+    clock.stepping = h.timer + 1  # a watchdog sees it, should the step not return
+    why = call_entry(h.entry, h.state, h.const, h.inputs_address, T.out_address[0])
+    clock.stepping = 0
+    if why != 0:
+        switch_off(T, t_ns, h, why)
+        return
     h.steps += 1
     h.tested = 1
     wake_ns, before_ns = out.wake_ns if out.wake_ns > 0 else NEVER, h.wake_ns
+    earliest_ns = t_ns + (LEAST_SLEEP_NS if trigger == TIMER else 1)
+    if wake_ns < earliest_ns:
+        wake_ns = earliest_ns
+        clock.wakes_moved += 1
     h.wake_ns = wake_ns
     if wake_ns < before_ns:
         arm(T, h.timer, wake_ns)
-    clock = T.clock[0]
     clock.results_lost += out.overflow
     if out.send == 1 and h.emit >= 0:
         emit(T, t_ns, T.emits[h.emit])
@@ -109,6 +140,10 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
             clock.results_unknown += 1
             continue
         fault = h.fault + r.fault
+        if isnan(r.value) or isnan(r.threshold):  # nothing was compared: it neither accuses nor heals
+            clock.results_no_number += 1
+            not_tested(T, t_ns, fault)
+            continue
         place = report_result(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
         if place >= 0 or T.debounces[fault].timed == 1:
             for e in range(r.evidence.shape[0]):

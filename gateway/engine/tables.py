@@ -69,6 +69,7 @@ class HandlerState(Record):
     """What it has done, and when it wants to be woken."""
 
     tested: u1
+    off: i8 = means("why it is stepped no more, as call_entry tells it; 0: it is stepped")
     wake_ns: i8 = means(unit="ns")
     steps: i8
     skipped: i8
@@ -98,6 +99,7 @@ class ClockPass(Record):
     held: u1 = means("whether test results do not count at present")
     reported: i8 = means("results of the gateway itself that wait")
     gate_changes: i8 = means("what gates ask for, but for signals: cycles that began or ended, failed results of roots")
+    stepping: i8 = means("timer of the monitor that is being stepped, and one; 0: none is")
     events: i8
     sent: i8
     fed: i8
@@ -129,6 +131,8 @@ class ClockState(Record):
     timeouts: i8
     results_lost: i8 = means("results that there was no room for")
     results_unknown: i8 = means("results of a fault that the monitor does not have")
+    results_no_number: i8 = means("results whose value or threshold is no number: not tested")
+    wakes_moved: i8 = means("wishes to be woken too early, which were put off")
     sent_lost: i8
 
 

@@ -11,8 +11,10 @@ is compiled once for all engines.
 """
 
 from gateway.jit.addresses import address_of_array
+from gateway.jit.closure import Closure
+from gateway.jit.failures import failure_of
 from gateway.jit.intrinsics import call_entry, lowest_bit, read_ahead
-from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel
+from gateway.jit.kernels import Kernel, Same, bound, entry_point, kernel, run_entry
 from gateway.jit.records import (
     LINE,
     Meaning,
@@ -39,7 +41,40 @@ from gateway.jit.records import (
 from gateway.jit.settings import BOUNDSCHECK, COMPILED, cache_directory
 
 __all__ = [
-    "BOUNDSCHECK", "COMPILED", "LINE", "Kernel", "Meaning", "Record", "Same", "address_of_array", "bound",
-    "cache_directory", "call_entry", "entry_point", "f8", "f8s", "i1", "i2", "i4", "i4s", "i8", "i8s", "kernel",
-    "labels", "lowest_bit", "means", "read_ahead", "record", "record_at", "u1", "u1s", "u4", "u8", "u8s", "zeros",
+    "BOUNDSCHECK",
+    "COMPILED",
+    "LINE",
+    "Closure",
+    "Kernel",
+    "Meaning",
+    "Record",
+    "Same",
+    "address_of_array",
+    "bound",
+    "cache_directory",
+    "call_entry",
+    "entry_point",
+    "f8",
+    "f8s",
+    "failure_of",
+    "i1",
+    "i2",
+    "i4",
+    "i4s",
+    "i8",
+    "i8s",
+    "kernel",
+    "labels",
+    "lowest_bit",
+    "means",
+    "read_ahead",
+    "record",
+    "record_at",
+    "run_entry",
+    "u1",
+    "u1s",
+    "u4",
+    "u8",
+    "u8s",
+    "zeros",
 ]  # fmt: skip

@@ -25,7 +25,6 @@ from gateway.errors import KernelError
 from gateway.jit import forms
 from gateway.jit.closure import NOT_INLINED
 from gateway.jit.forms import Form
-from gateway.jit.settings import BOUNDSCHECK
 
 types: Any = _types
 
@@ -35,7 +34,6 @@ OnLowered = Callable[[str], None]
 _OPTIONS = {
     "nopython": True,
     "nogil": True,
-    "boundscheck": BOUNDSCHECK,
     "error_model": "numpy",  # division by zero as in NumPy
     "forceinline": True,  # so that tables handed down in a tuple cost nothing
     "_nrt": False,
@@ -117,11 +115,24 @@ class Callee(CPUDispatcher):
         return self.overloads[tuple(sigutils.normalize_signature(sig)[0])].entry_point
 
 
-def callee(function: Any) -> Any:
-    """Return a kernel as kernels call it."""
-    return Callee(
-        function, targetoptions=_OPTIONS | {"forceinline": NOT_INLINED not in vars(function) and not BOUNDSCHECK}
-    )
+#: Whether what is lowered now has its indices checked; one entry is lowered at a time.
+_checked: list[bool] = []
+
+
+def checking() -> bool:
+    """Return whether the entry that is lowered now has its indices checked, with all that it calls."""
+    return bool(_checked) and _checked[-1]
+
+
+def callee(function: Any, *, checked: bool) -> Any:
+    """Return a kernel as kernels call it.
+
+    Args:
+        function: of plain Python.
+        checked: whether each index is checked against its array's length.
+    """
+    inlined = NOT_INLINED not in vars(function) and not checked
+    return Callee(function, targetoptions=_OPTIONS | {"boundscheck": checked, "forceinline": inlined})
 
 
 def _type_of(form: Form) -> Any:
@@ -235,8 +246,10 @@ def _store(context: Any, builder: Any, pointer: Any, kind: Any, value: Any, at: 
     return at + 1
 
 
-def _wrapper(context: Any, described: Any, arguments: tuple[Form, ...], kinds: Any, symbol: str) -> Any:
-    """Return the module with the entry's C function."""
+def _wrapper(
+    context: Any, described: Any, arguments: tuple[Form, ...], kinds: Any, symbol: str, *, checked: bool
+) -> Any:
+    """Return the module with the entry's C function; one that is checked tells its caller why it failed."""
     module = ir.Module(symbol)
     module.triple, module.data_layout = "", ""
     cells = ir.IntType(64).as_pointer()
@@ -247,10 +260,19 @@ def _wrapper(context: Any, described: Any, arguments: tuple[Form, ...], kinds: A
     target = context.declare_function(module, described)
     status, result = context.call_conv.call_function(builder, target, described.restype, described.argtypes, values)
     with builder.if_then(status.is_error, likely=False):
+        if checked:
+            _tell_reason(builder, function.args[1], status)
         builder.ret(status.code)
     _store(context, builder, function.args[1], described.restype, result, 0)
     builder.ret(ir.Constant(ir.IntType(32), 0))
     return module
+
+
+def _tell_reason(builder: Any, results: Any, status: Any) -> None:
+    """Store the address of the exception's description where the result would be, if the caller wants one."""
+    wanted = builder.icmp_unsigned("!=", results, ir.Constant(results.type, None))
+    with builder.if_then(builder.and_(status.is_user_exc, wanted)):
+        builder.store(builder.ptrtoint(status.excinfoptr, ir.IntType(64)), results)
 
 
 def _linked(library: Any, module: Any) -> Any:
@@ -286,7 +308,7 @@ def _reason(error: BaseException) -> str:
 
 @global_compiler_lock
 def lower(
-    kernel: Any, arguments: tuple[Form, ...], symbol: str, on_lowered: OnLowered | None = None
+    kernel: Any, arguments: tuple[Form, ...], symbol: str, on_lowered: OnLowered | None = None, *, checked: bool
 ) -> tuple[Any, Form]:
     """Return the module of an entry, linked and not optimised, and the form of its result.
 
@@ -295,12 +317,14 @@ def lower(
         arguments: their forms.
         symbol: name of the C function.
         on_lowered: called with the name of each kernel that was lowered.
+        checked: whether each index is checked, in all that it calls, too.
 
     Raises:
         KernelError: numba cannot compile it; says which kernel, and where.
     """
     if on_lowered is not None:
         _on_lowered.append(on_lowered)
+    _checked.append(checked)
     try:
         kinds = tuple(_type_of(form) for form in arguments)
         target = kernel._numba_type_.dispatcher
@@ -308,7 +332,7 @@ def lower(
         result = target.overloads[kinds]
         form = _result_form(result.signature.return_type, kernel.__qualname__)
         context: Any = cpu_target.target_context
-        module = _wrapper(context, result.fndesc, arguments, kinds, symbol)
+        module = _wrapper(context, result.fndesc, arguments, kinds, symbol, checked=checked)
         return _linked(result.library, module), form
     except KernelError:
         raise
@@ -317,5 +341,6 @@ def lower(
         where = f"{code.co_filename}:{code.co_firstlineno}"
         raise KernelError(f"the kernel {kernel.__qualname__} ({where}) cannot be compiled: {_reason(error)}") from error
     finally:
+        _checked.pop()
         if on_lowered is not None:
             _on_lowered.remove(on_lowered)

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from gateway.errors import KernelError
 from gateway.jit.records import LINE, record_at
 
 
@@ -50,8 +49,16 @@ class Intrinsic:
 PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]] = []
 
 
+#: What went wrong in kernels of plain Python; :func:`call_entry` returned the place here, counted from 1.
+PYTHON_FAILURES: list[str] = []
+
+
 def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
-    """Call the entry at an address with the addresses of its four records; returns 0, or what went wrong."""
+    """Call the entry at an address with the addresses of its four records.
+
+    Returns:
+        0, or what went wrong: for :func:`gateway.jit.failures.failure_of`.
+    """
     step, dtypes = PYTHON_ENTRIES[int(address)]
     records = (record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True))
     try:
@@ -62,8 +69,8 @@ def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
             if at.tb_frame.f_globals.get("__name__", "").partition(".")[0] != "numpy":
                 where = f"{at.tb_frame.f_code.co_filename}:{at.tb_lineno}"
             at = at.tb_next
-        told = f"{type(error).__name__}: {error}"
-        raise KernelError(f"the kernel {step.__qualname__} failed ({where}): {told}") from error
+        PYTHON_FAILURES.append(f"{type(error).__name__}: {error} ({where})")
+        return len(PYTHON_FAILURES)
     return 0
 
 
@@ -84,15 +91,19 @@ def _build_call_entry() -> Any:
                 builder.store(value, cgutils.gep_inbounds(builder, cells, 0, k))
             first = cgutils.gep_inbounds(builder, cells, 0, 0)
             target = builder.inttoptr(arguments[0], kind.as_pointer())
-            code = builder.call(target, [first, ir.Constant(word.as_pointer(), None)])
-            return builder.sext(code, word)
+            reason = cgutils.alloca_once_value(builder, ir.Constant(word, 0))
+            code = builder.sext(builder.call(target, [first, reason]), word)
+            told = builder.load(reason)
+            failed = builder.icmp_signed("!=", code, ir.Constant(word, 0))
+            known = builder.and_(failed, builder.icmp_signed("!=", told, ir.Constant(word, 0)))
+            return builder.select(known, told, code)
 
         return signature, generate
 
     return intrinsic(call_entry)
 
 
-#: Calls the entry at an address with the addresses of its four records; returns 0, or what went wrong.
+#: Calls the entry at an address with the addresses of its four records; returns 0, or what went wrong (see failures).
 call_entry: Callable[[int, int, int, int, int], int] = cast(Any, Intrinsic(_call_entry, _build_call_entry))
 
 

@@ -12,11 +12,12 @@ import hashlib
 import inspect
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.common import progress
 from gateway.errors import KernelError
@@ -36,7 +37,8 @@ from gateway.jit.forms import (
     take,
     text_of,
 )
-from gateway.jit.intrinsics import PYTHON_ENTRIES
+from gateway.jit.intrinsics import PYTHON_ENTRIES, call_entry
+from gateway.jit.refused import refuse
 from gateway.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -147,7 +149,8 @@ class Kernel:
         self.__module__ = function.__module__
         self.__doc__ = function.__doc__
         self._entries: dict[tuple[Form, ...], Entry] = {}
-        self._callee: Any = None
+        self._checked: dict[tuple[Form, ...], Entry] = {}
+        self._callees: dict[bool, Any] = {}
         self._closure: Closure | None = None
 
     def __repr__(self) -> str:
@@ -158,11 +161,12 @@ class Kernel:
         """Type by which numba knows a kernel that a kernel calls."""
         from numba.core import types  # noqa: PLC0415 - only when compiling
 
-        if self._callee is None:
-            from gateway.jit.frontend import callee  # noqa: PLC0415
+        from gateway.jit.frontend import callee, checking  # noqa: PLC0415
 
-            self._callee = callee(self.py_func)
-        return types.Dispatcher(self._callee)
+        checked = checking()
+        if checked not in self._callees:
+            self._callees[checked] = callee(self.py_func, checked=checked)
+        return types.Dispatcher(self._callees[checked])
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run the kernel's machine code."""
@@ -188,34 +192,43 @@ class Kernel:
             self._closure = Closure(cast(Any, self.py_func))
         return self._closure
 
-    def entry(self, arguments: tuple[Form, ...]) -> Entry:
+    def entry(self, arguments: tuple[Form, ...], *, checked: bool = BOUNDSCHECK) -> Entry:
         """Return its machine code for a signature: shipped, kept from before, or compiled now.
+
+        Args:
+            arguments: their forms.
+            checked: whether each index is checked, here and in all that it calls; such code is never shipped.
 
         Raises:
             KernelError: it cannot be compiled.
         """
+        entries = self._checked if checked and not BOUNDSCHECK else self._entries
         with _lock:
-            if arguments not in self._entries:
-                self._entries[arguments] = self._ready(arguments)
-            return self._entries[arguments]
+            if arguments not in entries:
+                entries[arguments] = self._ready(arguments, checked=checked)
+            return entries[arguments]
 
     @property
     def keys(self) -> dict[str, str]:
         """Digest of each signature that has code in this process -> the key of that code, from the sources."""
         return {signature: self._key(signature) for signature in map(_signature, self._entries)}
 
-    def _ready(self, arguments: tuple[Form, ...]) -> Entry:
+    def _ready(self, arguments: tuple[Form, ...], *, checked: bool) -> Entry:
         from gateway.jit import machine  # noqa: PLC0415 - not where nothing is compiled
 
         signature = _signature(arguments)
-        code = self._shipped(signature)
+        code = None if checked else self._shipped(signature)
         if code is None:
-            code = self._made(arguments, signature)
+            code = self._made(arguments, signature, checked=checked)
         address = machine.load(code.symbol, code.needs, code.code)
         return Entry(self.__qualname__, arguments, address, code.results)
 
-    def _key(self, signature: str) -> str:
+    def _key(self, signature: str, *, checked: bool = False) -> str:
         text = f"{VERSION} {self.id} {signature} {self.closure.digest}"
+        if checked:  # it tells the lines of its exceptions
+            codes = [function.__code__ for function in self.closure.kernels]
+            lines = [f"{code.co_filename}:{code.co_firstlineno}:{code.co_linetable.hex()}" for code in codes]
+            text = " ".join([text, "checked", *lines])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def _shipped(self, signature: str) -> cache.Code | None:
@@ -244,21 +257,21 @@ class Kernel:
     def _file(self) -> str:
         return f"{self.__module__.removeprefix('gateway.')}.{self.__qualname__}".replace("<", "_")
 
-    def _made(self, arguments: tuple[Form, ...], signature: str) -> cache.Code:
+    def _made(self, arguments: tuple[Form, ...], signature: str, *, checked: bool) -> cache.Code:
         """Return code that was compiled here, before or now."""
         from importlib.metadata import version  # noqa: PLC0415
 
         from gateway.jit import machine  # noqa: PLC0415
 
-        key = self._key(signature)
-        tools = f"{version('numba')} {version('llvmlite')} {machine.levels()[0]} {BOUNDSCHECK}"
+        key = self._key(signature, checked=checked)
+        tools = f"{version('numba')} {version('llvmlite')} {machine.levels()[0]} {checked}"
         full = hashlib.blake2b(f"{key} {tools}".encode(), digest_size=8).hexdigest()
         name = self._file()
         code = cache.read(name, full)
         if code is None:
             if not MAY_COMPILE:
                 raise KernelError(f"{self.id} is not shipped, and nothing may be compiled")
-            bitcode, results = self.compile(arguments, key)
+            bitcode, results = self.compile(arguments, key, checked=checked)
             needs = machine.externals(bitcode)
             origin = {"kernel": self.id, "signature": signature, "key": key}
             made = machine.translate(bitcode)
@@ -266,14 +279,14 @@ class Kernel:
             cache.write(name, full, code, bitcode if BUILDING else b"")
         return code
 
-    def compile(self, arguments: tuple[Form, ...], key: str) -> tuple[bytes, str]:
+    def compile(self, arguments: tuple[Form, ...], key: str, *, checked: bool = BOUNDSCHECK) -> tuple[bytes, str]:
         """Compile for a signature; returns optimised bitcode and the form of the result as text."""
         from gateway.jit import machine  # noqa: PLC0415
         from gateway.jit.frontend import lower  # noqa: PLC0415 - imports numba
 
         with progress.compiling(self._file(), len(self.closure.kernels)) as lowered:
-            module, result = lower(self, arguments, symbol_of(key), lowered)
-            return machine.optimise(module), text_of(result)
+            module, result = lower(self, arguments, symbol_of(key), lowered, checked=checked)
+            return machine.optimise(module, checked=checked), text_of(result)
 
 
 def _signature(arguments: tuple[Form, ...]) -> str:
@@ -377,12 +390,17 @@ def _kernel(function: F, *, inlined: bool) -> F:
     return cast(F, Kernel(function)) if COMPILED else function
 
 
-def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
+def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...], *, checked: bool = False) -> int:
     """Give a kernel of four records an address that :func:`gateway.jit.call_entry` can jump to.
 
     Args:
         step: a kernel ``step(a, b, c, d)`` over four records.
         records: the dtypes of the four.
+        checked: whether each index is checked; an index out of bounds, or an exception, is a failure then
+            (:func:`gateway.jit.failure_of`), and nothing beyond an array is touched.
+
+    Raises:
+        KernelError: it is no kernel, or cannot be compiled.
 
     Returns:
         the address; the compiled code lives as long as the process.
@@ -390,4 +408,24 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
     if not COMPILED:
         PYTHON_ENTRIES.append((step, records))
         return len(PYTHON_ENTRIES) - 1
-    return cast(Kernel, step).entry(tuple(map(Rec, records))).address
+    if not isinstance(step, Kernel):
+        raise KernelError(f"{getattr(step, '__qualname__', step)} is no kernel: it needs @kernel before its def")
+    if checked:
+        refuse(step)
+    return step.entry(tuple(map(Rec, records)), checked=checked or BOUNDSCHECK).address
+
+
+def run_entry(address: int, records: Sequence[NDArray[np.void]]) -> int:
+    """Call an entry point from Python; returns 0, or what went wrong: for :func:`gateway.jit.failure_of`.
+
+    Args:
+        address: of :func:`entry_point`.
+        records: its four, each of shape (1,).
+    """
+    places = [address_of_array(record) for record in records]
+    if not COMPILED:
+        return call_entry(address, *places)
+    cells = struct.pack("=4q", *places)
+    reason = ctypes.c_int64(0)
+    status = int(_ENTRY(address)(cells, ctypes.addressof(reason)))
+    return (reason.value or status) if status else 0

@@ -15,7 +15,6 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from gateway.errors import KernelError
-from gateway.jit.settings import BOUNDSCHECK
 
 #: Processor for which code is made, by level; those of one architecture, the best last.
 LEVELS = {"x86_64": "x86-64", "x86_64_v3": "x86-64-v3", "aarch64": "generic"}
@@ -59,15 +58,19 @@ def _target(name: str) -> Any:
     )  # fmt: skip
 
 
-def optimise(module: Any) -> bytes:
-    """Optimise a module for this architecture, whatever the level; returns its bitcode."""
+def optimise(module: Any, *, checked: bool) -> bytes:
+    """Optimise a module for this architecture, whatever the level; returns its bitcode.
+
+    Args:
+        module: linked.
+        checked: whether its indices are checked: it is to be right, and to be there soon.
+    """
     target = _target(architecture())
     module.triple = target.triple
     module.data_layout = str(target.target_data)
     module.verify()
-    # With bounds checks it is to be right, and to be there soon.
-    tuning = llvm.create_pipeline_tuning_options(speed_level=1 if BOUNDSCHECK else 3)
-    tuning.loop_vectorization = tuning.slp_vectorization = not BOUNDSCHECK
+    tuning = llvm.create_pipeline_tuning_options(speed_level=1 if checked else 3)
+    tuning.loop_vectorization = tuning.slp_vectorization = not checked
     builder = llvm.create_pass_builder(target, tuning)
     passes = builder.getModulePassManager()
     passes.add_strip_symbols_pass()  # names of what is inside count what was compiled before

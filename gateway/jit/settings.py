@@ -33,7 +33,7 @@ if not LOADABLE:
 #: True when kernels are compiled; False under ``NUMBA_DISABLE_JIT=1``, or where llvmlite is missing.
 COMPILED: bool = LOADABLE and not _on("NUMBA_DISABLE_JIT")
 
-#: Whether each index is checked against its array's length.
+#: Whether each index of each kernel is checked against its array's length; else only of entries that ask for it.
 BOUNDSCHECK: bool = _on("GATEWAY_BOUNDSCHECK")
 
 #: Whether code is made to be shipped; whether what is shipped is used, and whether what is not may be compiled.

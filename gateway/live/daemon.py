@@ -18,6 +18,7 @@ from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
 from gateway.live.status import StatusSocket
+from gateway.live.watchdog import Watchdog
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 
@@ -41,6 +42,7 @@ class Daemon:
         machine: clocks, buses and threads; its clock gets the configured tolerance.
         on_built: called when everything is compiled, and nothing has been opened or written yet.
         status: status socket instead of the configured one.
+        asked: returns whether the process was asked to end, even while no handler of Python can run.
 
     Attributes:
         status: that socket, if there is one.
@@ -63,11 +65,13 @@ class Daemon:
         machine: Machine | None = None,
         on_built: Callable[[], None] = lambda: None,
         status: Path | None = None,
+        asked: Callable[[], bool] = lambda: False,
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._listener, self._given_taps = tell, list(taps)
         self.status: StatusSocket | None = None
         self._notifier = notifier or Notifier({})
+        self._watchdog = Watchdog(lambda: self.gateway.engine, lambda: self.gateway.store.path, asked=asked)
         config = self._load()
         self._machine = machine or Machine()
         self._clock = self._machine.clock
@@ -135,6 +139,7 @@ class Daemon:
     def run(self, stop: Callable[[], bool]) -> None:
         """Monitor until told to stop; then the operation cycle has ended and everything is kept."""
         self._notifier.ready(self.describe())
+        self._watchdog.begin()
         try:
             self._live.run(stop, on_turn=self._on_turn)
         finally:
@@ -152,6 +157,7 @@ class Daemon:
 
     def close(self) -> None:
         """Close buses, recording, status socket and fault memory."""
+        self._watchdog.end()
         if self.status is not None:
             self.status.close()
         self._live.close()

@@ -16,6 +16,7 @@ import numpy as np
 
 from gateway.errors import InputError, nearest
 from gateway.jit import Record
+from gateway.monitors.authors import author_of
 from gateway.monitors.contract import (
     API,
     EVIDENCE,
@@ -32,6 +33,9 @@ from gateway.monitors.contract import (
     Readout,
     Signal,
 )
+
+#: Longest time of a debounce, as a configuration may have it, too [ms].
+MOST_DEBOUNCE_MS = 3.6e6
 
 _FLOAT = np.dtype("<f8")
 #: Fields of the inputs that the engine fills itself.
@@ -174,9 +178,10 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     """Return what a monitor with these parameters can report.
 
     Raises:
-        InputError: a name that is there twice, more evidence than a result has room for.
+        InputError: a name that is there twice, more evidence than a result has room for, a debounce that nothing ends.
     """
-    faults = tuple(monitor.faults(params))
+    with author_of(monitor, "faults"):
+        faults = tuple(monitor.faults(params))
     most = monitor.evidence.dtype.itemsize // 8
     names = [fault.name for fault in faults]
     for k, fault in enumerate(faults):
@@ -190,7 +195,25 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
                 key=f"{key}.evidence",
                 value=fault.name,
             )
+        _check_debounce(monitor, fault, key)
     return faults
+
+
+def _check_debounce(monitor: Monitor[Any], fault: Fault, key: str) -> None:
+    """Refuse a debounce by which a fault would never be set, or never be healed: without a word."""
+    asked = fault.debounce
+    for name in ("failed_after", "passed_after", "failed_step", "passed_step"):
+        if getattr(asked, name) < 1:
+            text = f"{name} = {getattr(asked, name)!r}: at least 1"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
+    times = (asked.failed_ms, asked.passed_ms)
+    if (times[0] is None) != (times[1] is None):
+        text = "a debounce by time needs both failed_ms and passed_ms"
+        raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
+    for name, time_ms in zip(("failed_ms", "passed_ms"), times, strict=True):
+        if time_ms is not None and not 0.0 <= time_ms <= MOST_DEBOUNCE_MS:
+            text = f"{name} = {time_ms!r}: 0 to {MOST_DEBOUNCE_MS:g} ms"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
 
 
 def _fields(monitor: Monitor[Any]) -> list[tuple[str, int, bool]]:
@@ -223,7 +246,8 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
     Raises:
         InputError: an input that is not named, or that is not there; an array of another length; nothing that triggers.
     """
-    given = monitor.connect(params)
+    with author_of(monitor, "connect"):
+        given = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
     fields = _fields(monitor)
     known = [name for name, *_ in fields]
@@ -242,7 +266,8 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
             )  # fmt: skip
         found += _of_field(monitor, name, given[name], count, is_array)
     triggers = {signal.name for _, signal in found if signal is not None and signal.triggers}
-    messages = set() if monitor.triggers is None else set(monitor.triggers(params))
+    with author_of(monitor, "triggers"):
+        messages = set() if monitor.triggers is None else set(monitor.triggers(params))
     if not triggers and not messages:
         raise InputError("no signal triggers: nothing would step it", file=monitor.file, key=key)
     return Connected(found, triggers, messages)
@@ -284,7 +309,8 @@ def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission |
                 key=f'monitor type "{monitor.type}".emits',
             )
         return None
-    emission = monitor.emits(params)
+    with author_of(monitor, "emits"):
+        emission = monitor.emits(params)
     dtype = monitor.outputs.dtype
     key = f'monitor type "{monitor.type}".emits'
     fields: Mapping[str, tuple[int, ...]] = {name: dtype[name].shape for name in dtype.names or ()}

@@ -13,6 +13,7 @@ reported.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,7 +24,7 @@ import numpy as np
 
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
-from gateway.jit import Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2
@@ -39,6 +40,15 @@ NOT_TESTED, PASSED, FAILED = 0, 1, 2
 
 #: ``u.trigger`` of a step that a timer caused; otherwise the index of the message that did.
 TIMER = -1
+
+#: Least time from a step that a timer caused to the next one [ns]: a monitor that wakes itself at once stops nobody.
+LEAST_SLEEP_NS = 100_000
+
+#: Where a compiler says that something is wrong.
+_PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
+
+#: Packages whose kernels are ours, and how modules begin that we generate: their indices need no check.
+OWN_PACKAGES, GENERATED = ("gateway", "gateway_studies"), "gateway_generated_"
 
 #: Takes the results beyond :data:`MAX_RESULTS`, so that a kernel need not ask.
 _SPARE = MAX_RESULTS
@@ -78,7 +88,8 @@ class Out(Protocol[E, V]):
     Attributes:
         n: results so far (see :func:`report`).
         overflow: results there was no room for.
-        wake_ns: when the monitor wants to be woken if nothing comes in between [ns, 0: never].
+        wake_ns: when the monitor wants to be woken if nothing comes in between [ns, 0: never]; after a step that a
+            timer caused, :data:`LEAST_SLEEP_NS` later at the earliest.
         send: 1: send the monitor's own message, with ``values``.
         values: record of the monitor's outputs.
         results: the results, by :func:`report`.
@@ -113,8 +124,8 @@ def report(out: Out[E, V], fault: int, failed: bool, value: float, threshold: fl
         out: of the step.
         fault: index in the monitor's faults.
         failed: the verdict.
-        value: what was tested (a residual, a distance, a count).
-        threshold: what it was tested against, same unit.
+        value: what was tested (a residual, a distance, a count); NaN: the fault is not tested, whatever the verdict.
+        threshold: what it was tested against, same unit; NaN likewise.
     """
     place = out.n
     if place < MAX_RESULTS:
@@ -487,6 +498,8 @@ class Monitor(Generic[P]):
         emits: parameters -> the message that it can send.
         triggers: parameters -> messages that step it beside those of its signals that trigger.
         capabilities: what else it can do.
+        trusted: whether its author vouches for its kernel: its indices are not checked where the configuration says
+            ``trusted = true``, too.
     """
 
     type: str
@@ -504,6 +517,7 @@ class Monitor(Generic[P]):
     emits: Callable[[P], Emission] | None = None
     triggers: Callable[[P], tuple[str, ...]] | None = None
     capabilities: tuple[Capability, ...] = ()
+    trusted: bool = False
 
     def capability(self, kind: Class[C]) -> C | None:
         """Return what it has of a class of capability."""
@@ -542,6 +556,12 @@ class Monitor(Generic[P]):
         function = getattr(self.step, "py_func", self.step)
         return Path(function.__code__.co_filename)
 
+    @property
+    def outside(self) -> bool:
+        """Whether its kernel is none of the gateway's own."""
+        module = str(getattr(self.step, "__module__", ""))
+        return not (module.partition(".")[0] in OWN_PACKAGES or module.startswith(GENERATED))
+
     @cached_property
     def entry(self) -> int:
         """Address of the compiled kernel; compiles it, or loads it from the cache.
@@ -549,15 +569,39 @@ class Monitor(Generic[P]):
         Raises:
             InputError: it cannot be compiled.
         """
-        records = (self.state.dtype, self.const.dtype, self.inputs.dtype, self.results)
+        return self._entry(checked=False)
+
+    @cached_property
+    def checked_entry(self) -> int:
+        """Address of the kernel as it is compiled with every index checked.
+
+        Raises:
+            InputError: it cannot be compiled.
+        """
+        return self._entry(checked=True)
+
+    @property
+    def records(self) -> tuple[np.dtype[np.void], ...]:
+        """What its kernel is called with: state, constants, inputs, what it reports."""
+        return self.state.dtype, self.const.dtype, self.inputs.dtype, self.results
+
+    def _entry(self, *, checked: bool) -> int:
         try:
-            return entry_point(self.step, records)
+            return entry_point(self.step, self.records, checked=checked)
         except GatewayError as error:
+            text = " ".join(str(error).split())
+            lines = [int(line) for file, line in _PLACES.findall(text) if file == str(self.file)]
             raise InputError(
-                f"its kernel cannot be compiled: {error}",
+                f"its kernel cannot be compiled: {text}",
                 file=self.file,
+                line=lines[-1] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
+
+
+def digest_of(monitor: Monitor[Any]) -> str:
+    """Return the digest of a monitor's kernel, with all that it calls."""
+    return Closure(cast(Any, getattr(monitor.step, "py_func", monitor.step))).digest
 
 
 @dataclass(frozen=True, kw_only=True)

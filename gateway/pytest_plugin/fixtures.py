@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from gateway.common.tomlfile import validate
 from gateway.errors import GatewayError
+from gateway.monitors.conformance import accepted, checked_emission, connections
+from gateway.monitors.tryout import try_out
 from gateway.pytest_plugin.bench import Bench
 from gateway.pytest_plugin.can_log import CanLog
 from gateway.pytest_plugin.dtcs import Dtcs
@@ -19,6 +22,8 @@ from gateway.pytest_plugin.uds import client_of
 
 if TYPE_CHECKING:
     from udsoncan.client import Client
+
+    from gateway.monitors.contract import Monitor
 
 #: Longest name of a folder that is made of a test's name.
 _MOST_OF_NAME = 100
@@ -96,6 +101,31 @@ def _folder_name(part: str) -> str:
     if name == part and part not in (".", ".."):
         return name
     return f"{name}-{hashlib.blake2b(part.encode(), digest_size=4).hexdigest()}"
+
+
+@pytest.fixture
+def check_monitor(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Tries a monitor, every index checked: ``check_monitor(MONITOR)``, ``check_monitor(MONITOR, low=10.5)``.
+
+    Its inputs are ordinary, missing (NaN), random and extreme. What would switch it off while it runs, or make
+    its results nobody's, fails the test. Random inputs are those of ``--gateway-seed``.
+    """
+    seed = request.config.getoption("--gateway-seed")
+
+    def tried(monitor: Monitor[Any], **params: Any) -> None:
+        try:
+            accepted(monitor, monitor.type)
+            given = validate(params, monitor.params, None, "")
+            connections(monitor, given)
+            checked_emission(monitor, given)
+            found = try_out(monitor, given, 1 if seed is None else seed)
+        except GatewayError as error:
+            pytest.fail(str(error), pytrace=False)
+        if found:
+            pytest.fail("\n".join(f"{monitor.file}: {text}" for text in found), pytrace=False)
+
+    request.node.user_properties.append(("seed", 1 if seed is None else seed))
+    return tried
 
 
 @pytest.fixture

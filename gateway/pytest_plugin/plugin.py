@@ -10,10 +10,10 @@ import pytest
 from gateway.errors import GatewayError
 from gateway.pytest_plugin.attached import attach
 from gateway.pytest_plugin.can_log import CanLog
-from gateway.pytest_plugin.fixtures import buses_of, can_log, dtcs, gateway_bench, uds, virtual_ecu
+from gateway.pytest_plugin.fixtures import buses_of, can_log, check_monitor, dtcs, gateway_bench, uds, virtual_ecu
 from gateway.pytest_plugin.scenarios import ScenarioFile, is_scenario
 
-__all__ = ["can_log", "dtcs", "gateway_bench", "uds", "virtual_ecu"]
+__all__ = ["can_log", "check_monitor", "dtcs", "gateway_bench", "uds", "virtual_ecu"]
 
 
 def _folders(config: pytest.Config) -> list[Path]:

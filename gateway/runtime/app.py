@@ -22,6 +22,7 @@ from gateway.engine.events import (
     CLOCK_STEPPED,
     CYCLE_BEGAN,
     CYCLE_ENDED,
+    MONITOR_OFF,
     NO_BUS,
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
@@ -33,6 +34,7 @@ from gateway.faults.catalogue import FaultDefinition, as_dict
 from gateway.faults.clearing import AskedClear
 from gateway.faults.entries import DtcChange
 from gateway.faults.failures import Observed
+from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
@@ -43,6 +45,7 @@ from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.standing import Standing
+from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
     clear_event,
     clock_event,
@@ -146,6 +149,7 @@ class Gateway:
         self._entries: set[str] = set()  # before the clear that is done now
         self._early: list[Frames] = []  # to be sent before anything else
         self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
+        self._off = SwitchedOff(self.engine)
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._tell)
         self._proofs = Proofs(self.engine, self.memory)
         self.event_count = 0
@@ -203,6 +207,7 @@ class Gateway:
         for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
+        self._keep_off()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
         names = {name: k for k, name in enumerate(self._parts.cycles)}
@@ -218,6 +223,12 @@ class Gateway:
         self.memory.note_descriptions()
         self._proofs.recall()
         self.controls.start_cycle(t_ns)
+        self._keep_off()
+
+    def _keep_off(self) -> None:
+        """Leave monitors off whose step did not return in an earlier process."""
+        path = self.store.path
+        self._untold += self._off.keep_off(None if path is None else hung_beside(path))
 
     def stop(self, t_ns: int) -> None:
         """End the operation cycle and keep everything."""
@@ -429,6 +440,9 @@ class Gateway:
             if kind == CLOCK_STEPPED:
                 self._on_step(event)
                 continue
+            if kind == MONITOR_OFF:
+                self._untold.append(self._off.on_event(event, self._bus_name(int(event["bus"]))))
+                continue
             if kind == QUALIFIED_FAILED:
                 self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
             changes = self.memory.apply(event, self._observe)
@@ -507,6 +521,7 @@ class Gateway:
 
     def _after_clear(self, cleared: Iterable[str]) -> None:
         """Tell which entries went."""
+        self._off.again()
         cleared = list(cleared)
         self._standing.after_clear(cleared)
         gone = sorted(self._entries.intersection(cleared))
@@ -530,6 +545,7 @@ class Gateway:
         """
         if not (final or self._changes or self._untold) and self._upkeep.idle:
             return []  # as for nearly every batch
+        self._off.report(self._on_events)
         waiting, self._changes = self._changes, []
         noted = Noted(len(waiting), len(self._untold))
         may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)

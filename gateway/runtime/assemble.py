@@ -10,16 +10,17 @@ from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import memory_health, monitoring_health
+from gateway.engine.checks import memory_health, monitor_health, monitoring_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
-from gateway.engine.instances import FaultSlot
+from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.errors import InputError, InputErrors, named
 from gateway.faults.catalogue import Catalogue, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.monitors.contract import Fault
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
@@ -145,7 +146,7 @@ def _engine(resolved: Resolved) -> Engine:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=resolved.buses,
         clock=config.clock,
-        reported=_own_faults(config),
+        reported=_own_faults(config, resolved.monitors),
     )
 
 
@@ -164,17 +165,20 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
         )
 
 
-def _own_faults(config: Config) -> list[FaultSlot]:
+def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    of_memory = memory_health.FAULTS if config.memory.watched else ()
-    watched = (*of_memory, *(monitoring_health.FAULTS if config.access.watched else ()))
+    watched: list[Fault] = list(memory_health.FAULTS) if config.memory.watched else []
+    if config.access.watched:
+        watched += monitoring_health.FAULTS
+    if any(instance.monitor.outside for instance in monitors):
+        watched += monitor_health.FAULTS
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
 
 
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
     """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
     settings = config.fault.get(slot.id)
-    if slot.fault not in (*memory_health.FAULTS, *monitoring_health.FAULTS):
+    if slot.fault not in (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS):
         return settings
     asked = {} if settings is None else settings.model_dump(exclude_unset=True)
     own = {"emission_related": False, "priority": memory_health.PRIORITY}

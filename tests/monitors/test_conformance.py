@@ -243,6 +243,20 @@ WRONG = {
         {"faults": lambda p: (replace(FAULT, evidence=("a", "b")),)},
         "faults[0].evidence = 'low': 2 names of evidence; a result has room for 1",
     ),
+    **{
+        f"a debounce without {text}": (
+            {"faults": lambda p, changed=changed: (replace(FAULT, debounce=Debounce(**changed)),)},
+            f"faults[0].debounce = 'low': {text}",
+        )
+        for text, changed in {
+            "failed_after = 0: at least 1": {"failed_after": 0},
+            "passed_after = 0: at least 1": {"passed_after": 0},
+            "failed_step = 0: at least 1": {"failed_step": 0},
+            "passed_step = -1: at least 1": {"passed_step": -1},
+            "a debounce by time needs both": {"failed_ms": 10.0},
+            "failed_ms = nan: 0 to 3.6e+06 ms": {"failed_ms": float("nan"), "passed_ms": 1.0},
+        }.items()
+    },
     "emits without outputs": ({"outputs": None}, "emits: outputs and emits go together"),
     "outputs without emits": ({"emits": None}, "emits: outputs and emits go together"),
     "an output without a signal": (

@@ -1,0 +1,75 @@
+"""Monitors that are switched off: told, and a code of the gateway's own while there are any.
+
+A step that fails is the loop's affair, which steps that monitor no more; a step that did not return was ended by the
+watchdog (:mod:`gateway.live.watchdog`), with the process, and is in a file when the next one starts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.common.log import get_logger
+from gateway.engine.checks.memory_health import OWNER
+from gateway.engine.checks.monitor_health import SWITCHED_OFF
+from gateway.engine.core import Engine, Sink
+from gateway.faults.hung import Hung
+from gateway.jit import failure_of
+from gateway.monitors.contract import digest_of
+
+log = get_logger(__name__)
+
+#: Why a monitor is off whose step did not return, as the handlers have it; no status of a kernel.
+HUNG = 4095
+
+
+class SwitchedOff:
+    """Tells which monitors are off.
+
+    Args:
+        engine: whose monitors they are.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        ids = {slot.id: k for k, slot in enumerate(engine.faults)}
+        self._place = ids.get(f"{OWNER}.{SWITCHED_OFF.name}")
+        self._reported = -1  # how many were off at the last report; -1: none since the last clear
+
+    def again(self) -> None:
+        """Report anew: what was reported has been cleared."""
+        self._reported = -1
+
+    def keep_off(self, hung: Hung | None) -> list[dict[str, Any]]:
+        """Leave off whoever did not return from a step before; returns the events that tell it.
+
+        Args:
+            hung: what the last process left; None: nothing. Of another kernel it says nothing.
+        """
+        told = []
+        for k, instance in enumerate(self._engine.monitors):
+            reason = None if hung is None else hung.reason(instance.name, digest_of(instance.monitor))
+            if reason is not None and not self._engine.tables.handlers[k]["off"]:
+                self._engine.switch_off(k, HUNG)
+                told.append(self._told(k, self._engine.wall_ns(self._engine.now_ns), reason))
+        return told
+
+    def on_event(self, event: Any, bus: str) -> dict[str, Any]:
+        """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
+        place = int(event["fault"])
+        reason = failure_of(int(self._engine.tables.handlers[place]["off"]))
+        return self._told(place, int(event["t_ns"]), f"its step failed: {reason}", bus)
+
+    def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
+        instance = self._engine.monitors[place]
+        monitor = instance.monitor
+        told = {"monitor": instance.name, "type": monitor.type, "file": str(monitor.file), "reason": reason}
+        log.error("a monitor is switched off; its faults are not tested, all others go on", **told)
+        return {"event": "monitor_off", "t_ns": t_ns, "bus": bus, **told}
+
+    def report(self, sink: Sink) -> None:
+        """Report the gateway's own fault, if that is news."""
+        count = int((self._engine.tables.handlers["off"] != 0).sum())
+        if self._place is None or count == self._reported:
+            return
+        self._reported = count
+        self._engine.report(self._place, count > 0, float(count), 0.0, (count,), sink)

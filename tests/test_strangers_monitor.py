@@ -1,0 +1,239 @@
+"""A stranger's monitor whose step fails is switched off, told with its file, and nothing else stops."""
+
+import json
+import logging
+import subprocess
+import sys
+
+import pytest
+
+from gateway.bus.frames import empty, put
+from gateway.cli.check import check
+from gateway.cli.new_monitor import new_monitor
+from gateway.common.plugins import Registry
+from gateway.common.resources import shipped
+from gateway.config.load import load_config
+from gateway.errors import InputError
+from gateway.faults.hung import hung_beside
+from gateway.monitors.contract import digest_of
+from gateway.runtime.app import Gateway
+
+RAISES = '    if u.volts > 20.0:\n        raise ValueError("too much")\n'
+CONFIG = """
+[[bus]]
+name = "can"
+uri = "socketcan:can0"
+database = ["battery.dbc"]
+
+[[monitor]]
+name = "battery"
+type = "{module}:MONITOR"
+
+[[monitor]]
+name = "other"
+type = "battery_voltage"
+
+[fault."other.low"]
+dtc = "P1000-16"
+[fault."other.high"]
+dtc = "P1000-17"
+
+[memory]
+path = "{memory}"
+"""
+
+
+def monitor(folder, module, slip="", **replaced):
+    """Write the example's monitor under another name, with a slip at the beginning of its step."""
+    example = shipped("examples/battery_voltage")
+    text = (example / "battery_voltage.py").read_text()
+    text = text.replace('"battery_voltage"', f'"{module}"')
+    text = text.replace("    s.lowest = min(s.lowest, u.volts)\n", f"{slip}    s.lowest = min(s.lowest, u.volts)\n")
+    for old, new in replaced.items():
+        assert old in text
+        text = text.replace(old, new)
+    (folder / f"{module}.py").write_text(text)
+    (folder / "battery.dbc").write_text((example / "battery.dbc").read_text())
+    config = CONFIG.format(module=module, memory=folder / "faults.sqlite")
+    good = f"{module}_good"
+    (folder / f"{good}.py").write_text((example / "battery_voltage.py").read_text())
+    (folder / "gateway.toml").write_text(config.replace('"battery_voltage"', f'"{good}:MONITOR"'))
+    return folder / "gateway.toml"
+
+
+@pytest.fixture
+def gateway_of(tmp_path):
+    made = []
+
+    def make(path):
+        while made:
+            made.pop().close()
+        gateway = Gateway(load_config(path), tmp_path / "faults.sqlite", file=path)
+        made.append(gateway)
+        gateway.told = []
+        gateway.listen(gateway.told.append)
+        gateway.start(0)
+        return gateway
+
+    yield make
+    for gateway in made:
+        gateway.close()
+    sys.path[:] = [place for place in sys.path if not place.startswith(str(tmp_path))]
+
+
+def feed(gateway, *volts):
+    message = gateway.databases[0].message("BATT")
+    start_ns = gateway.engine.now_ns
+    frames = empty(len(volts))
+    for k, value in enumerate(volts):
+        put(frames, k, start_ns + (k + 1) * 100_000_000, message.frame_id, message.encode({"Voltage": value}))
+    gateway.feed(frames)
+
+
+def dtcs(gateway):
+    return [(e["dtc"], bool(e["status"] & 1)) for e in gateway.told if e["event"] == "dtc"]
+
+
+def off(gateway):
+    return [event for event in gateway.told if event["event"] == "monitor_off"]
+
+
+def test_a_step_that_raises_is_told_with_its_file_and_sets_a_code_of_our_own(tmp_path, gateway_of, caplog):
+    path = monitor(tmp_path, "slip_raises", RAISES)
+    gateway = gateway_of(path)
+    with caplog.at_level(logging.ERROR):
+        feed(gateway, 12.6, 25.0, *[10.5] * 6)
+    (event,) = off(gateway)
+    assert (event["monitor"], event["type"], event["bus"]) == ("battery", "slip_raises", "can")
+    assert event["file"] == str(tmp_path / "slip_raises.py")
+    assert "ValueError: too much" in event["reason"]
+    assert event["t_ns"] == 200_000_000
+    assert sorted(dtcs(gateway)) == [("P1000-16", True), ("U3000-48", True)], "the healthy one goes on"
+    assert gateway.memory.entry("gateway.monitor_off").evidence["monitors switched off"] == 1.0
+    gateway.controls.clear(0xFFFFFF)
+    feed(gateway, 12.6)
+    assert ("U3000-48", True) in dtcs(gateway)[2:], "it is still off"
+
+
+def test_without_slips_the_code_is_tested_and_good(tmp_path, gateway_of):
+    gateway = gateway_of(monitor(tmp_path, "slip_none"))
+    feed(gateway, 12.6)
+    assert int(gateway.memory.status("gateway.monitor_off")) == 0
+    assert off(gateway) == []
+
+
+def test_who_did_not_return_stays_off_until_its_kernel_changes(tmp_path, gateway_of):
+    path = monitor(tmp_path, "slip_hung")
+    gateway = gateway_of(path)
+    (battery,) = [m for m in gateway.engine.monitors if m.name == "battery"]
+    hung_beside(tmp_path / "faults.sqlite").add("battery", digest_of(battery.monitor), "its step did not return")
+    again = gateway_of(path)
+    feed(again, *[10.5] * 6)
+    (event,) = off(again)
+    assert "its step did not return" in event["reason"]
+    assert "faults.sqlite.hung.json" in event["reason"]
+    assert sorted(dtcs(again)) == [("P1000-16", True), ("U3000-48", True)]
+    file = tmp_path / "faults.sqlite.hung.json"
+    kept = json.loads(file.read_text())
+    kept["monitors"]["battery"]["digest"] = "of another kernel"
+    file.write_text(json.dumps(kept))
+    changed = gateway_of(path)
+    feed(changed, *[10.5] * 6)
+    assert off(changed) == []
+    assert ("P0562-16", True) in dtcs(changed)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"monitors": 3}', '{"monitors": {"battery": 3}}', "\x00\xff"])
+def test_a_damaged_file_keeps_nobody_off(tmp_path, gateway_of, text):
+    path = monitor(tmp_path, "slip_damaged")
+    (tmp_path / "faults.sqlite.hung.json").write_bytes(text.encode("latin1"))
+    assert off(gateway_of(path)) == []
+
+
+STEP = {
+    "raise": (RAISES, "ValueError: too much ("),
+    "an index beyond": ("    s.cells[int(u.volts)] = 1.0\n", "IndexError: index is out of bounds"),
+    "print": ("    print(u.volts)\n", "a kernel prints nothing"),
+    "a field that is not there": ("    s.lowets = 1.0\n", "lowets"),
+    "memory": ("    many = [u.volts]\n    s.lowest = many[0]\n", "cannot be compiled"),
+    "recursion": ("    step(s, c, u, out)\n", "calls itself"),
+    "a fault that is not there": ("    report(out, 7, False, 1.0, 2.0)\n", "number 7; its faults are 0 to 1"),
+    "too many results": (
+        "    for _ in range(500):\n        report(out, 0, False, 1.0, 2.0)\n", "results too many in one step"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STEP)
+def test_check_names_a_slip_of_the_step_in_one_line(tmp_path, case):
+    slip, told = STEP[case]
+    module = "slip_" + case.replace(" ", "_")
+    cells = '    lowest: f8 = means("lowest voltage so far", "V")\n'
+    array = "    cells: Annotated[f8s, 3]\n"
+    path = monitor(
+        tmp_path, module, slip,
+        **{cells: cells + array if case.startswith("an index") else cells,
+           "import Record, f8,": "import Record, f8, f8s," if case.startswith("an index") else "import Record, f8,",
+           "from pydantic": "from typing import Annotated\n\nfrom pydantic"},
+    )  # fmt: skip
+    with pytest.raises(InputError) as refused:
+        check(path, schema_wanted=False, json=False)
+    text = str(refused.value)
+    assert told in text
+    assert text.startswith(str(tmp_path / f"{module}.py"))
+    assert "\n" not in text
+
+
+PYTHON = {
+    "prepare": ("    c.low, c.high, c.hysteresis =", "    c.lwo, c.high, c.hysteresis = p.lwo,"),
+    "faults": ("    debounce = Debounce(failed_after=5", "    debounce = Debonuce(failed_after=5"),
+    "connect": ('    return {"volts": Signal(p.signal', '    return {"volts": Signal(p.singal'),
+    "step": ("@kernel\ndef step", "def step"),
+}
+
+
+@pytest.mark.parametrize("case", PYTHON)
+def test_an_author_s_mistake_in_plain_python_is_told_as_his_with_file_and_line(tmp_path, case):
+    old, new = PYTHON[case]
+    path = monitor(tmp_path, f"wrong_{case}", **{old: new})
+    with pytest.raises(InputError) as refused:
+        check(path, schema_wanted=False, json=False)
+    text = str(refused.value)
+    file = tmp_path / f"wrong_{case}.py"
+    if case == "step":
+        assert text.startswith(f"{file}: ")
+        assert "step is no kernel: it needs @kernel" in text
+        return
+    line = 1 + file.read_text().split(new)[0].count("\n")
+    assert text.startswith(f'{file}:{line}: monitor type "wrong_{case}".{case}: fails: ')
+
+
+def test_the_example_is_good(tmp_path):
+    assert check(monitor(tmp_path, "no_slip"), schema_wanted=False, json=True) == 0
+
+
+def test_who_ends_the_process_when_imported_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "leaves.py").write_text("import sys\nsys.exit(3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"leaves cannot be imported: SystemExit: 3"):
+        _ = Registry("gateway.monitors", lambda found, _: found, own={})["leaves:MONITOR"]
+
+
+@pytest.mark.long
+def test_the_template_s_own_tests_pass_without_a_warning_and_fail_with_a_slip(tmp_path):
+    assert new_monitor("coolant", tmp_path / "coolant") == 0
+    folder = tmp_path / "coolant"
+    command = [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "-p", "no:xdist"]
+
+    def run(*more):
+        return subprocess.run([*command, *more], cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+
+    good = run()
+    assert good.returncode == 0, good.stdout
+    assert "7 passed" in good.stdout
+    file = folder / "coolant.py"
+    step = "    s.lowest = min(s.lowest, u.volts)\n"
+    file.write_text(file.read_text().replace(step, f"{step}    report(out, int(u.volts), True, 1.0, 2.0)\n"))
+    bad = run("-k", "missing")
+    assert bad.returncode == 1, bad.stdout
+    assert "it reports fault number" in bad.stdout
