@@ -169,16 +169,21 @@ def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path)
     assert "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR" in made.stderr
 
 
-def test_a_misspelt_field_is_one_line_compiled_or_not(tmp_path):
+def test_a_misspelt_field_is_named_compiled_or_not(tmp_path):
+    """The compiler refuses it before the start; plain Python fails at the first step, which switches the monitor off."""
     folder = copy("battery_voltage", tmp_path)
     module = folder / "battery_voltage.py"
     module.write_text(module.read_text().replace("s.lowest = min(", "s.lowets = min("))
-    for setting in ("0", "1"):
-        made = run("demo", "drained.toml", "--speed", "0", cwd=folder, NUMBA_DISABLE_JIT=setting)
-        assert made.returncode == 2, made.stdout + made.stderr
-        assert "lowets" in made.stderr
-        assert "battery_voltage.py" in made.stderr
-        assert "Traceback" not in made.stderr
+    refused = run("demo", "drained.toml", "--speed", "0", cwd=folder, NUMBA_DISABLE_JIT="0")
+    assert refused.returncode == 2, refused.stdout + refused.stderr
+    assert "lowets" in refused.stderr
+    assert "battery_voltage.py" in refused.stderr
+    plain = run("demo", "drained.toml", "--speed", "0", "--json", cwd=folder, NUMBA_DISABLE_JIT="1")
+    (off,) = [e for e in map(json.loads, plain.stdout.splitlines()) if e["event"] == "monitor_off"]
+    assert "lowets" in off["reason"]
+    assert "battery_voltage.py" in off["file"]
+    for ended in (refused, plain):
+        assert "Traceback" not in ended.stderr
 
 
 def test_each_step_can_be_traced(tmp_path):

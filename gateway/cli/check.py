@@ -35,7 +35,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     except (InputError, InputErrors) as error:
         errors = mistakes(path) or each_of(error)
         if not json:
-            raise InputErrors(errors) from error
+            raise (errors[0] if len(errors) == 1 else InputErrors(errors)) from error
         print_json(
             {
                 "ok": False,
