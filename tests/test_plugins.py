@@ -170,7 +170,7 @@ def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path)
 
 
 def test_a_misspelt_field_is_named_compiled_or_not(tmp_path):
-    """The compiler refuses it before the start; plain Python fails at the first step, which switches the monitor off."""
+    """The compiler refuses it before the start; in plain Python the first step fails: the monitor is switched off."""
     folder = copy("battery_voltage", tmp_path)
     module = folder / "battery_voltage.py"
     module.write_text(module.read_text().replace("s.lowest = min(", "s.lowets = min("))
