@@ -53,7 +53,7 @@ class Bench:
             patience_s=0.0,
             connect=self.disk.connect,
             tick_s=0.0,
-            settle=lambda: None,
+            settle=lambda again: None,
         )
 
     def put(self, uri, frames):

@@ -11,7 +11,7 @@ from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError
-from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
+from gateway.jit import COMPILED, Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.conformance import accepted
 from gateway.monitors.contract import (
@@ -333,6 +333,7 @@ def test_a_signal_that_the_monitor_does_not_have_cannot_be_put_elsewhere(databas
     assert failed == [], "BATT steps nobody now"
 
 
+@pytest.mark.skipif(not COMPILED, reason="in plain Python its first step fails: tests/engine/test_fence.py")
 def test_a_misspelt_field_of_a_record_is_one_error_that_names_it(database):
     with pytest.raises(Exception, match="lowets") as refused:
         run(database, ("a", replace(GOOD, step=misspelt)))

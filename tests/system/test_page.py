@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 from browser import asked_for, browser, complaints
 from kernel_can import wait_for
-from processes import bus, gateway, process
+from processes import GATEWAY, bus, gateway, process
 from selenium.webdriver.common.by import By
 from testers import isotp_stack
 from udsoncan.client import Client
@@ -71,7 +71,7 @@ def codes(site):
 def play(site, scenario="crank_missed_tooth"):
     """Play a scenario; returns when it ended and how long after the DTC frame's time the row was there."""
     started = subprocess.Popen(
-        ["python", "-c", "from gateway.cli import main; main()", "simulate", scenario, "--bus", site.uri],
+        [*GATEWAY, "simulate", scenario, "--bus", site.uri],
         cwd=site.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:
@@ -178,7 +178,10 @@ def test_pausing_and_the_keyboard(site):
     assert "Paused" in text_of(site, "#frozen")
     page.send_keys("p")
     wait_for(lambda: text_of(site, "#pause") == "Pause")
-    first = site.driver.find_element(By.CSS_SELECTOR, ".fault > button")
+    if DTC not in codes(site):
+        play(site)
+    first = site.driver.find_element(By.CSS_SELECTOR, f'[data-dtc="{DTC}"] > button')
+    wait_for(first.is_displayed)
     before = first.get_attribute("aria-expanded")
     first.send_keys("\ue007")
     wait_for(lambda: first.get_attribute("aria-expanded") != before)

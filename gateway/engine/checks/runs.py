@@ -32,8 +32,12 @@ def begin_run(T: Any, c: Any, length: int) -> None:
                 return
     c.gate_changes = T.clock[0].gate_changes
     c.usual_length = length
-    c.usual_step = T.debounces[c.fault[COUNTER]].value if c.fault[COUNTER] >= 0 else 0
     c.counted = c.fault[COUNTER] >= 0
+    if c.counted == 1:
+        step = T.debounces[c.fault[COUNTER]].value
+        if step > c.protection.max_step:
+            return  # it passed because frames before it had been rejected: of the next frame it would be a loss
+        c.usual_step = step
     c.summed = c.fault[CRC] >= 0
     c.steady = 1
 
