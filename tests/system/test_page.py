@@ -189,7 +189,8 @@ def test_pausing_and_the_keyboard(site):
 
 def test_the_picture_freezes_at_the_failure_and_a_reload_and_a_daemon_that_restarts_recover(site):
     if DTC in codes(site):
-        gateway("faults", "clear", "gateway.toml", cwd=site.folder)
+        ended = gateway("faults", "clear", "--memory", "faults.sqlite", cwd=site.folder)
+        assert ended.returncode == 0, ended.stderr
         wait_for(lambda: not codes(site))
     site.driver.find_element(By.ID, "freeze").click()
     play(site)
