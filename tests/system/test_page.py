@@ -53,6 +53,7 @@ def site(tmp_path_factory):
         url = page.said.split()[1]
         driver = stack.enter_context(browser(folder))
         made = SimpleNamespace(folder=folder, uri=uri, url=url, driver=driver, daemon=daemon, daemons=daemons)
+        made.plays = 0
         made.plain, _, made.token = url.partition("#control=")
         driver.get(url)
         wait_for(lambda: text_of(made, "#link") == "monitoring")
@@ -70,6 +71,7 @@ def codes(site):
 
 def play(site, scenario="crank_missed_tooth"):
     """Play a scenario; returns when it ended and how long after the DTC frame's time the row was there."""
+    site.plays += 1
     started = subprocess.Popen(
         [*GATEWAY, "simulate", scenario, "--bus", site.uri],
         cwd=site.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -222,7 +224,7 @@ def test_a_page_that_comes_late_shows_what_was_before(site):
     since_s = site.driver.execute_script("return performance.now() / 1000")
     assert drawn["x"][0] < -since_s - 1.0, "older than the page"
     peak = entry["evidence"]["value"]
-    assert sum(abs(high - peak) < 1e-6 for high in drawn["high"]) == 1, "the peak is in one column"
+    assert 1 <= sum(abs(high - peak) < 1e-6 for high in drawn["high"]) <= site.plays, "each peak is in one column"
     assert all(later > earlier for earlier, later in itertools.pairwise(drawn["x"]))
 
 
