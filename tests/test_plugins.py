@@ -78,6 +78,7 @@ def test_each_example_s_own_tests_pass(tmp_path, example):
     assert " passed" in made.stdout
 
 
+@pytest.mark.long
 def test_a_new_monitor_runs_as_it_is(tmp_path):
     made = run("new-monitor", "coolant", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -103,6 +104,7 @@ def test_a_name_that_is_no_module_s_or_taken_is_refused(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_an_entry_point_of_another_package_is_a_type_like_ours(tmp_path):
     folder = copy("battery_voltage", tmp_path)
     points = "[gateway.monitors]\nmy_battery = battery_of_mine:MONITOR\n"
@@ -169,6 +171,7 @@ def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path)
     assert "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR" in made.stderr
 
 
+@pytest.mark.long
 def test_a_misspelt_field_is_named_compiled_or_not(tmp_path):
     """The compiler refuses it before the start; in plain Python the first step fails: the monitor is switched off."""
     folder = copy("battery_voltage", tmp_path)

@@ -149,6 +149,7 @@ def test_a_daemon_on_our_own_buses_imports_no_python_can(tmp_path):
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *STUDIES, *OTHERS))
 
 
+@pytest.mark.long
 def test_a_bus_in_operation_does_not_load_the_logger_with_frames_waiting():
     code = """
 import sys
@@ -164,6 +165,7 @@ link.close()
     assert run(code).stdout.split() == ["False", "True", "True"]
 
 
+@pytest.mark.long
 def test_each_monitor_is_imported_by_itself():
     for name in MONITORS:
         code = f"""
@@ -182,6 +184,7 @@ def test_an_unknown_monitor_is_none():
     assert "nonsense" not in MONITORS
 
 
+@pytest.mark.long
 def test_postponed_modules_are_the_real_ones_once_they_are_used():
     code = """
 import sys
@@ -198,11 +201,13 @@ print(MF4Reader is can.MF4Reader, cantools.logreader.Parser.__module__)
     assert run(code).stdout.split() == ["True", "cantools.logreader"]
 
 
+@pytest.mark.long
 def test_modules_that_are_loaded_already_stay_as_they_are():
     code = "import can; before = can.Bus; import gateway, cantools; print(can.Bus is before)"
     assert run(code).stdout.strip() == "True"
 
 
+@pytest.mark.long
 def test_an_mf4_log_is_read_and_written_by_a_process_that_has_not_loaded_it(tmp_path):
     code = """
 import sys
@@ -273,6 +278,7 @@ def test_doctor_says_what_is_not_installed(lacking, capsys, memory):
     assert set(json.loads(said(True))["extras"].values()) == {None}
 
 
+@pytest.mark.long
 def test_without_extras_all_but_their_features_is_there():
     """Every module of the package, with the packages of all extras missing."""
     names = [

@@ -96,6 +96,7 @@ def test_healthy_drives_set_thresholds(healthy):
     assert 0.003 < rows["jump"].threshold < 0.06
 
 
+@pytest.mark.long
 @compiled
 def test_they_are_written_and_all_else_stays(healthy):
     path, logs = healthy

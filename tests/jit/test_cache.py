@@ -210,6 +210,7 @@ def test_code_of_other_libraries_is_not_loaded(tmp_path):
     assert run(tmp_path, newer + PROGRAM) == "1 []"
 
 
+@pytest.mark.long
 def test_with_bounds_checks_an_index_outside_is_an_error_and_without_what_is_kept_is_another(
     tmp_path,
 ):

@@ -12,6 +12,7 @@ import can
 import numpy as np
 import pytest
 from cantools.database import load_file
+from command import command
 from learning import asked, drive, quiet
 
 from gateway.config.load import load_config
@@ -178,6 +179,13 @@ def gateway(*arguments, cwd):
     )
 
 
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Return a function that runs ``gateway`` in this process, in this test's folder."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: command(capsys, monkeypatch, *arguments)
+
+
 @pytest.mark.long
 def test_the_command_learns_updates_and_keeps_a_person_s_lines(tmp_path):
     """One process each, as people do it: learn, edit, another drive."""
@@ -220,20 +228,19 @@ def test_the_command_learns_updates_and_keeps_a_person_s_lines(tmp_path):
     assert data["alarms"] == []
 
 
-def test_two_buses_are_learned_together(tmp_path):
+@pytest.mark.long
+def test_two_buses_are_learned_together(tmp_path, run):
     (tmp_path / "car.dbc").write_text(DBC)
     rng = random.Random(2)
     one = drive(tmp_path / "one.log", 30.0, plant(rng, 30.0), rng).read_text()
     two = drive(tmp_path / "two.log", 30.0, plant(rng, 30.0)[:1], rng).read_text().replace(" can0 ", " can1 ")
     stamped = sorted((one + two).splitlines())
     (tmp_path / "drive.log").write_text("\n".join(stamped) + "\n")
-    said = gateway(
-        "learn", "drive.log", "--bus", "drive=car.dbc", "--bus", "body=car.dbc", "-o", "x.toml", cwd=tmp_path
-    )
-    assert said.returncode == 0, said.stderr
+    said = run("learn", "drive.log", "--bus", "drive=car.dbc", "--bus", "body=car.dbc", "-o", "x.toml")
+    assert said.code == 0, said.err
     config = load_config(tmp_path / "x.toml")
     assert [(bus.name, len(bus.check)) for bus in config.bus] == [("drive", 2), ("body", 1)]
-    assert gateway("check", "x.toml", cwd=tmp_path).returncode == 0
+    assert run("check", "x.toml").code == 0
 
 
 def test_other_people_s_logs_and_databases(tmp_path):
@@ -253,7 +260,8 @@ def test_other_people_s_logs_and_databases(tmp_path):
     assert line.keys["counter"]["modulus"] == 15
 
 
-def test_messages_by_pgn(tmp_path):
+@pytest.mark.long
+def test_messages_by_pgn(tmp_path, run):
     """Frames of another source address than the database's are the same message."""
     (tmp_path / "car.dbc").write_text(DBC.replace("BO_ 256 ", f"BO_ {0x80000000 | 0x18FF0100} ").split("VAL_")[0])
     alive = plant(random.Random(4))[0][2]
@@ -261,12 +269,12 @@ def test_messages_by_pgn(tmp_path):
         for k in range(3000):
             frame = can.Message(timestamp=k * 0.01, arbitration_id=0x18FF0142, is_extended_id=True, data=alive(k))
             writer.on_message_received(frame)
-    said = gateway("learn", "car.dbc", "drive.asc", "-o", "x.toml", "--pgn", cwd=tmp_path)
-    assert said.returncode == 0, said.stderr
+    said = run("learn", "car.dbc", "drive.asc", "-o", "x.toml", "--pgn")
+    assert said.code == 0, said.err
     config = load_config(tmp_path / "x.toml")
     assert config.bus[0].match == "pgn"
     assert config.bus[0].check[0].counter.modulus == 15
-    assert gateway("learn", "car.dbc", "drive.asc", "-o", "y.toml", cwd=tmp_path).returncode == 2
+    assert run("learn", "car.dbc", "drive.asc", "-o", "y.toml").code == 2
 
 
 @pytest.mark.parametrize(
@@ -285,7 +293,7 @@ def test_messages_by_pgn(tmp_path):
         (["--update", "drive.log", "-o", "hand.toml"], ["hand.learned.json", "not there"]),
     ],
 )
-def test_what_cannot_be_learned_is_one_clear_line(arguments, words, tmp_path):
+def test_what_cannot_be_learned_is_one_clear_line(arguments, words, tmp_path, run):
     (tmp_path / "car.dbc").write_text(DBC)
     (tmp_path / "bad.dbc").write_text("BO_ what")
     rng = random.Random(1)
@@ -294,11 +302,10 @@ def test_what_cannot_be_learned_is_one_clear_line(arguments, words, tmp_path):
     (tmp_path / "foreign.log").write_text("(1.0) can0 7A1#00\n(2.0) can0 7A1#01\n")
     (tmp_path / "cut.log").write_text(log.read_text()[:-7])
     (tmp_path / "hand.toml").write_text('[[bus]]\nname = "can0"\nuri = "virtual:x"\ndatabase = ["car.dbc"]\n')
-    said = gateway("learn", *arguments, cwd=tmp_path)
-    assert said.returncode == 2, said.stdout
-    assert "Traceback" not in said.stderr
-    lines = [line for line in said.stderr.splitlines() if line.startswith("error")]
-    assert len(lines) == 1, said.stderr
+    said = run("learn", *arguments)
+    assert said.code == 2, said.out
+    lines = [line for line in said.err.splitlines() if line.startswith("error")]
+    assert len(lines) == 1, said.err
     for word in words:
         assert word in lines[0]
     assert not (tmp_path / "car.toml").exists()
@@ -329,6 +336,7 @@ def test_stamps_that_jump_back_are_evened(tmp_path):
     assert result.conditions == ("gateway.clock_stepped",)
 
 
+@pytest.mark.long
 def test_a_log_that_cannot_be_read_to_its_end_teaches_nothing(tmp_path):
     log = tmp_path / "drive.log.xz"
     log.write_bytes(lzma.compress(lzma.decompress(DRIVE.read_bytes())[:-13]))

@@ -204,6 +204,7 @@ def test_who_does_not_ask_gets_nothing(project):
     assert (code, "1 passed" in said) == (0, True), said
 
 
+@pytest.mark.long
 def test_a_folder_that_is_not_there_is_told(project):
     (project / "pytest.ini").write_text("[pytest]\ngateway_scenarios = scenaros\n")
     code, said = run(project)

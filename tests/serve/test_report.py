@@ -51,6 +51,7 @@ def lasting(lines):
     return made
 
 
+@pytest.mark.long
 def test_its_numbers_are_those_of_json_and_its_bytes_are_the_same_each_time(log, tmp_path, capsys):
     text = report_of(log, tmp_path / "one.html")
     told = lasting(capsys.readouterr().out)

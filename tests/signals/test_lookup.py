@@ -69,6 +69,7 @@ def test_a_whole_bus_can_match_by_group():
     assert name_at(plan_of(one, pgn=[0]), 0, 0x0CF00421 | EXTENDED) == "EEC1"
 
 
+@pytest.mark.long
 def test_thousands_of_identifiers_and_collisions_on_purpose():
     rng = random.Random(7)
     capacity = 8192
