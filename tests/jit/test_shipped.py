@@ -15,6 +15,8 @@ pytestmark = pytest.mark.skipif(not COMPILED, reason="not COMPILED: nothing is l
 
 PACKAGE = Path(gateway.__file__).parent
 ROOT = PACKAGE.parent
+#: No MF4 log is read here.
+WITHOUT = Path(__file__).parents[1] / "support" / "without"
 
 
 def run(program, *arguments, root=ROOT, cache="/dev/null/none", **environment):
@@ -23,7 +25,7 @@ def run(program, *arguments, root=ROOT, cache="/dev/null/none", **environment):
         cwd=root,
         env={
             **os.environ,
-            "PYTHONPATH": str(root),
+            "PYTHONPATH": f"{root}{os.pathsep}{WITHOUT}",
             "GATEWAY_CACHE_DIR": str(cache),
             **environment,
         },

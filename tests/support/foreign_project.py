@@ -8,6 +8,8 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+#: No MF4 log is read in these projects.
+WITHOUT = str(Path(__file__).parent / "without")
 
 
 @cache
@@ -20,8 +22,8 @@ def environment():
         [sys.executable, "-c", program], cwd="/", env=alone, capture_output=True, text=True, timeout=600, check=False
     )
     if said.stdout.strip().startswith(f"{ROOT}{os.sep}"):
-        return alone
-    return found | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        return alone | {"PYTHONPATH": WITHOUT}
+    return found | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", ""), WITHOUT])}
 
 
 def run(folder, *arguments):

@@ -83,7 +83,9 @@ def test_the_vcan_tests_pass_in_a_real_kernel(kernel, tmp_path, ptrace_xsave):
     environment["GATEWAY_DEMAND_VCAN"] = "1"
     # In this kernel a page of memory is dear, and so is each import: what the tests there do not need is left out.
     environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-    environment["PYTHONPATH"] = os.pathsep.join([str(HERE / "without"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment["PYTHONPATH"] = os.pathsep.join(
+        [str(HERE.parents[1] / "support" / "without"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
     (tmp_path / "environment").write_text("".join(f"{k}={shlex.quote(v)}\n" for k, v in environment.items()))
     lanes = [tmp_path / f"lane{k}" for k in range(len(KERNELS[kernel]))]
     for lane, files in zip(lanes, KERNELS[kernel], strict=True):
