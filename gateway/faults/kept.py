@@ -150,7 +150,7 @@ class KeptStore(Store):
         self._logged = 0
         if self.path is not None and self.look() and self.examine():
             with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
-                write_ahead.lengthen(self._db, self.path, self._place.log)
+                write_ahead.lengthen(self._db, self.path.resolve(), self._place.log)
             self._copy_log()
 
     def _copy_log(self) -> None:

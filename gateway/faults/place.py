@@ -120,4 +120,4 @@ def _inode(path: Path) -> tuple[int, int]:
 
 
 def _log(path: Path) -> Path:
-    return Path(f"{path}-wal")
+    return Path(f"{path.resolve()}-wal")
