@@ -215,7 +215,7 @@ def verify(db: sqlite3.Connection) -> Verdict:
         wrong = _wrong_link(before, (number, kind, subject, of, digest))
         if wrong:
             verdict.broken.append(Broken(str(kind), str(subject), number, wrong))
-        before = Head(number, digest)
+        before = Head(number, digest if isinstance(digest, bytes) else GONE)
         verdict.links += 1
         if kind in _ROWS:
             latest[kind, subject] = (number, of)
@@ -245,6 +245,6 @@ def _wrong_link(before: Head, link: tuple[int, str, str, bytes, bytes]) -> str:
         return ""
     if number != before.number + 1:
         return f"links {before.number + 1} to {number - 1} are gone"
-    if not isinstance(of, bytes) or digest != _link_digest(before.digest, *link[:-1]):
+    if not isinstance(of, bytes) or not isinstance(digest, bytes) or digest != _link_digest(before.digest, *link[:-1]):
         return "the link is not what was written"
     return ""

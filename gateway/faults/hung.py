@@ -58,6 +58,6 @@ def hung_beside(memory: Path) -> Hung:
     try:
         entries = json.loads(found.path.read_text()).get("monitors", {})
         found.monitors = {str(name): dict(entry) for name, entry in entries.items()}
-    except (OSError, ValueError, AttributeError, TypeError):
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):
         found.monitors = {}
     return found

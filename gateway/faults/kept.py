@@ -14,7 +14,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,8 +22,10 @@ from gateway.errors import GatewayError, InputError
 from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
+from gateway.faults.mishaps import Mishap, Mishaps
+from gateway.faults.place import Place
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
-from gateway.faults.salvage import SUFFIXES, Salvage, put_aside, salvage
+from gateway.faults.salvage import SUFFIXES, Salvage, salvage
 from gateway.faults.schema import MIGRATIONS
 from gateway.faults.store import (
     Connect,
@@ -34,30 +36,8 @@ from gateway.faults.store import (
     UnusableError,
     damage,
 )
-from gateway.faults.watched_file import WatchedFile
 
 T = TypeVar("T")
-
-#: Stands for the device and the inode of a file that is not there.
-NO_FILE = (0, 0)
-
-
-@dataclass(frozen=True)
-class Mishap:
-    """Something that happened to the file, and what was done about it.
-
-    Attributes:
-        kind: "damaged", "deleted", "replaced", "overwritten", "foreign" or "unread".
-        reason: in a few words.
-        aside: where what was found is kept now; None: there was nothing, or it could not be put aside.
-        recovered, lost: rows that were read of it, and that could not be.
-    """
-
-    kind: str
-    reason: str
-    aside: Path | None = None
-    recovered: int = 0
-    lost: int = 0
 
 
 class KeptStore(Store):
@@ -74,12 +54,10 @@ class KeptStore(Store):
     def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect, displacing: bool = False) -> None:
         self.detached = ""
         self._displacing = displacing
-        self._watched: WatchedFile | None = None
-        self._overwritten: tuple[str, str] = ("", "")  # what was changed in place: the file, its log
+        self._place = Place()
         self._recorded = self._recordings_lost = 0
         self._suspect = False  # whether the file must be looked at before it is written again
-        self._mishaps: list[Mishap] = []
-        self._inode = self._wal = NO_FILE
+        self._mishaps = Mishaps()
         self._recordings: list[Recording] = []  # of a file that is gone, for the next one
         self._unsaved = False
         self._unread = False  # whether there is a file that could not be read when this began
@@ -138,19 +116,18 @@ class KeptStore(Store):
 
     def mishaps(self) -> list[Mishap]:
         """Return what happened to the file since the last call."""
-        found, self._mishaps = self._mishaps, []
-        return found
+        return self._mishaps.take()
 
     def look(self) -> bool:
         """Look whether the file is still there; returns False if all has to be written into another."""
-        if self.path is not None and not self.detached and not self._is_in_place():
+        if self.path is not None and not self.detached and not self._place.is_in_place(self.path):
             self._suspect = True
         return not self._suspect
 
     @property
     def doubtful(self) -> bool:
         """Whether somebody else has touched the file or its log since the last write: :meth:`examine` says more."""
-        return self._watched is not None and not self._watched.is_same()
+        return self._place.doubtful
 
     def examine(self) -> bool:
         """Look thoroughly whether the file is as it was written, if in doubt; nobody else uses this store meanwhile.
@@ -158,9 +135,8 @@ class KeptStore(Store):
         Returns:
             False if all has to be written into another.
         """
-        if self._watched is not None and not self._suspect and self.doubtful and self.look():
-            self._overwritten = self._watched.what_changed(self._head)
-            self._suspect = any(self._overwritten)
+        if not self._suspect and self.doubtful and self.look():
+            self._suspect = not self._place.examine(self._head)
         return not self._suspect
 
     @property
@@ -174,7 +150,7 @@ class KeptStore(Store):
         self._logged = 0
         if self.path is not None and self.look() and self.examine():
             with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
-                write_ahead.lengthen(self._db, self.path, self._wal)
+                write_ahead.lengthen(self._db, self.path.resolve(), self._place.log)
             self._copy_log()
 
     def _copy_log(self) -> None:
@@ -182,15 +158,12 @@ class KeptStore(Store):
         self._logged = 0
         with suppress(sqlite3.Error):
             write_ahead.copy(self._db)
-        if self._watched is not None:
-            self._watched.note_log()
-            with suppress(OSError):
-                self._watched.note_file()
+        self._place.note_checkpoint()
 
     def compact(self) -> None:
         """Check the file whole, and give back what it does not use (see :meth:`Store.compact`)."""
         if not self.examine():
-            raise GatewayError(f"{self.path}: fault memory not compacted: {self._what_changed()}")
+            raise GatewayError(f"{self.path}: fault memory not compacted: {self._place.what_changed}")
         super().compact()
         self._copy_log()
 
@@ -208,7 +181,7 @@ class KeptStore(Store):
             super().save(changes)
             return
         nested = self._db.in_transaction
-        if nested and self._watched is not None and not self._watched.file_is_same():
+        if nested and self._place.file_is_doubtful:
             raise StoreError(self.path, "its file may have been changed in place")  # the next commit looks
         if not nested:
             self.examine()
@@ -224,9 +197,9 @@ class KeptStore(Store):
         if nested:
             return
         self._count_recordings(changes)
-        if self._watched is None or not self._watched.is_same():
+        if not self._place.is_same:
             self.examine()
-            if whole is not None and (any(self._overwritten) or not self._is_in_place()):
+            if whole is not None and (any(self._place.overwritten) or not self._place.is_in_place(self.path)):
                 self._restore(self.path, whole())  # written, but into a file that nobody will find
                 return
             self._refuse_overwritten(self.path)
@@ -239,11 +212,8 @@ class KeptStore(Store):
         Raises:
             StoreError: it is such a file.
         """
-        if any(self._overwritten):
-            raise StoreError(path, self._what_changed())
-
-    def _what_changed(self) -> str:
-        return " and ".join(filter(None, self._overwritten)) or "the file is not there any more"
+        if any(self._place.overwritten):
+            raise StoreError(path, self._place.what_changed)
 
     def _count_recordings(self, changes: Changes | None = None) -> None:
         if changes is None or changes.recordings or not all(record.occurrence for record in changes.records):
@@ -253,14 +223,13 @@ class KeptStore(Store):
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """One transaction, durable at its end (see :meth:`Store.transaction`); the log is noted as this one left it."""
-        watched = self._watched
-        if watched is None or self._db.in_transaction:
+        if not self._place.watched or self._db.in_transaction:
             with super().transaction():
                 yield
             return
         head = self._head
         # What somebody else has done to the log since is not made good by a commit.
-        ours = watched.log_is_same()
+        ours = self._place.log_is_same
         try:
             with super().transaction():
                 yield
@@ -268,23 +237,14 @@ class KeptStore(Store):
             self._head = head
             raise
         if ours:
-            watched.note_log()
+            self._place.note_commit()
 
     def close(self) -> None:
         """Close the file."""
         if not self.examine():
-            self._keep_from_copying()
+            self._place.keep_from_copying()
         super().close()
-        self._end_watch()
-
-    def _keep_from_copying(self) -> None:
-        if self._watched is not None and any(self._overwritten):
-            self._watched.keep_from_copying()
-
-    def _end_watch(self) -> None:
-        if self._watched is not None:
-            self._watched.close()
-            self._watched = None
+        self._place.end()
 
     def _restore(self, path: Path, everything: Changes) -> None:
         """Open the file again, or a new one, and write all there is."""
@@ -321,14 +281,14 @@ class KeptStore(Store):
     def _leave(self, path: Path) -> None:
         """Give up a file that is damaged, gone, or no longer ours; its recordings are kept for the next one."""
         with suppress(InputError):
-            self._recordings = self._own_recordings() if any(self._overwritten) else self.recordings()
+            self._recordings = self._own_recordings() if any(self._place.overwritten) else self.recordings()
         self._recordings_lost = max(self._recorded - len(self._recordings), 0)
-        self._keep_from_copying()
+        self._place.keep_from_copying()
         with suppress(sqlite3.Error):
             self._db.close()
-        self._end_watch()
+        self._place.end()
         if not path.exists():
-            self._mishaps.append(Mishap("deleted", "its file was deleted"))
+            self._mishaps.deleted()
 
     def _own_recordings(self) -> list[Recording]:
         """Return the recordings of a file that was changed in place, as far as they are what was written.
@@ -354,18 +314,15 @@ class KeptStore(Store):
                 Path(f"{path}{suffix}").unlink(missing_ok=True)
             return True
         if self._unread:
-            aside = put_aside(path, "unread")
-            self._mishaps.append(Mishap("unread", "its file could not be read at the start", aside))
-        elif self._inode != NO_FILE and not self._is_in_place():
-            if _inode(Path(f"{path}-wal")) == self._wal:  # our own, of a file that is no more
+            self._mishaps.unread(path)
+        elif self._place.is_taken(path):
+            if self._place.has_own_log(path):  # our own, of a file that is no more
                 for suffix in SUFFIXES[1:]:
                     Path(f"{path}{suffix}").unlink(missing_ok=True)
-            aside = put_aside(path, "replaced")
-            self._mishaps.append(Mishap("replaced", "another file was put in its place", aside))
-        elif any(self._overwritten):
-            aside = put_aside(path, "overwritten", apart=bool(self._overwritten[0]))
-            kept, lost = len(self._recordings), self._recordings_lost
-            self._mishaps.append(Mishap("overwritten", self._what_changed(), aside, kept, lost))
+            self._mishaps.replaced(path)
+        elif any(self._place.overwritten):
+            kept, lost, apart = len(self._recordings), self._recordings_lost, bool(self._place.overwritten[0])
+            self._mishaps.overwritten(path, self._place.what_changed, kept, lost, apart=apart)
         else:
             return False
         self._unread = False
@@ -377,7 +334,7 @@ class KeptStore(Store):
             self._connect()
         except DamagedError as error:
             found = salvage(path)
-            self._put_aside(path, error, found)
+            self._mishaps.damaged(path, error, found)
             self._recordings = self._recordings or found.recordings
             self._connect()
             return True
@@ -385,8 +342,8 @@ class KeptStore(Store):
 
     def _connect(self) -> None:
         lock, database = self._lock, self._db
-        self._end_watch()
-        self._overwritten = ("", "")
+        self._place.end()
+        self._place.overwritten = ("", "")
         try:
             super()._connect()
             if self.path is not None:
@@ -394,7 +351,7 @@ class KeptStore(Store):
         except ForeignError as error:
             if not self._displacing or self.path is None:
                 raise
-            self._displace(self.path, error)
+            self._mishaps.foreign(self.path, error)
             self._connect()
         except InputError as error:
             self._db = database  # that of this process, if there is no file: it is read still
@@ -408,31 +365,6 @@ class KeptStore(Store):
             raise
 
     # Beginning without, or with another file
-
-    def _displace(self, path: Path, error: ForeignError) -> None:
-        """Put another program's database aside.
-
-        Raises:
-            UnusableError: it cannot be.
-        """
-        try:
-            aside = put_aside(path, "foreign")
-        except OSError as problem:
-            raise UnusableError(f"{error.message}, and it is not put aside: {problem}", file=path) from problem
-        self._mishaps.append(Mishap("foreign", error.message, aside))
-
-    def _put_aside(self, path: Path, error: DamagedError, found: Salvage) -> None:
-        """Put a damaged file aside, of which something could be read.
-
-        Raises:
-            UnusableError: it cannot be put aside.
-        """
-        try:
-            aside = put_aside(path, "damaged")
-        except OSError as problem:
-            raise UnusableError(f"damaged, and not put aside: {problem}", file=path) from problem
-        reason = error.message.partition(";")[0]
-        self._mishaps.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
 
     def _read_all(self) -> None:
         """Find what is damaged but not seen by SQLite: rows that make no sense, or that the chain does not know.
@@ -452,7 +384,7 @@ class KeptStore(Store):
         self.close()
         found = salvage(path)
         try:
-            self._put_aside(path, damage, found)
+            self._mishaps.damaged(path, damage, found)
             super().__init__(path, connect=self._open_database)
             Store.save(self, found.changes())
         except UnusableError as error:
@@ -465,7 +397,7 @@ class KeptStore(Store):
         """Keep everything in this process until the file can be written."""
         with suppress(sqlite3.Error):
             self._db.close()
-        self._end_watch()
+        self._place.end()
         self._db = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         for script in MIGRATIONS:
             self._db.executescript(script)
@@ -478,25 +410,11 @@ class KeptStore(Store):
 
     def _note_place(self) -> None:
         if self.path is not None and not self.detached:
-            self._inode, self._wal = _inode(self.path), _inode(Path(f"{self.path}-wal"))
             self._logged = write_ahead.MANY
             with suppress(sqlite3.Error):
                 self._head = chain.head(self._db)
-            with suppress(OSError):
-                self._watched = WatchedFile(self.path)
+            self._place.begin(self.path)
             self._count_recordings()
-
-    def _is_in_place(self) -> bool:
-        assert self.path is not None
-        return _inode(self.path) == self._inode
-
-
-def _inode(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return NO_FILE
-    return found.st_dev, found.st_ino
 
 
 def _most_of_one(recordings: list[Recording]) -> int:

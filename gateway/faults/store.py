@@ -260,7 +260,8 @@ class Store:
                     self._db.execute("ROLLBACK")
         except (sqlite3.Error, ValueError) as error:
             # Our statements are right for the schema: one that SQLite cannot make sense of means another schema.
-            other = getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR
+            # An error without a code is the driver's: a text that is not UTF-8.
+            other = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) == sqlite3.SQLITE_ERROR
             operational = isinstance(error, sqlite3.OperationalError) and not other
             if operational and _code(cast(sqlite3.Error, error)) not in _DAMAGE:
                 raise InputError(f"fault memory not readable: {error}", file=self.path) from error

@@ -3,11 +3,15 @@
 SQLite does not look. What its connection has read it takes for granted as long as no other connection writes. So it
 goes on writing into a file that was cut off, or that another one was copied over. Two looks find that out:
 
-- A quick one at each commit: size and times of both files. After each write of its own the writer sets the time of
-  change back. So whoever writes next leaves another time, however soon he does (times of files go in steps of some ms).
+- A quick one at each commit: size and times of both files, and whether the index of the log is the same file. After
+  each write of its own the writer sets the time of change back. So whoever writes next leaves another time, however
+  soon he does (times of files go in steps of some ms).
 - A thorough one, if the quick one finds a difference. The difference may be harmless: a backup that sets times, another
   link, a request of another process. The content of the file is compared with its checksum. A copy of file and log
   must have the last link of the chain (:mod:`gateway.faults.chain`): SQLite reads a log as far as its checksums go on.
+
+The index of the log (-shm) is watched only for being there. Other processes make another one if it is gone. They do not
+see then what is written, and write over it.
 
 Only checkpoints change the file itself, and only the writer does these.
 """
@@ -67,10 +71,12 @@ class WatchedFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._wal = str(path), f"{path}-wal"
+        beside = path.resolve()  # SQLite keeps log and index beside the file itself, whatever links to it
+        self._path, self._wal, self._shm = str(path), f"{beside}-wal", f"{beside}-shm"
         self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         self._file_state = self._log_state = _NO_FILE
         self._sum = 0
+        self._index = _state(self._shm)[:2]
         try:
             self.note_file()
         except OSError:
@@ -107,9 +113,13 @@ class WatchedFile:
         """Tell whether nobody has touched the log."""
         return _state(self._wal) == self._log_state
 
+    def index_is_same(self) -> bool:
+        """Tell whether the index of the log is the one that is open; what is in it SQLite mends by itself."""
+        return _state(self._shm)[:2] == self._index
+
     def is_same(self) -> bool:
-        """Tell whether nobody has touched either: the quick look."""
-        return self.file_is_same() and self.log_is_same()
+        """Tell whether nobody has touched any of the three: the quick look."""
+        return self.file_is_same() and self.log_is_same() and self.index_is_same()
 
     def what_changed(self, head: chain.Head) -> tuple[str, str]:
         """Look thoroughly; returns what is wrong with the file, and with its log, each "" if it is as it was.
@@ -123,6 +133,8 @@ class WatchedFile:
                 return self._what_it_is(), ""
         except OSError as error:
             return f"it cannot be read: {error.strerror or error}", ""
+        if not self.index_is_same():
+            return "", "the index of its log (-shm) was deleted or replaced"
         if seen[1] != self._log_state:
             try:
                 found = self._head_of_copy()

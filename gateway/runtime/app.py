@@ -6,75 +6,60 @@ tests all drive this same class.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gateway.bus.conditions import are_steps
-from gateway.bus.frames import FRAME, OWN, Frames, chosen, empty, joined
+from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
-from gateway.engine.events import (
-    CLOCK_STEPPED,
-    CYCLE_BEGAN,
-    CYCLE_ENDED,
-    MONITOR_OFF,
-    NO_BUS,
-    QUALIFIED_FAILED,
-    QUALIFIED_PASSED,
-    Events,
-)
 from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
-from gateway.faults.catalogue import FaultDefinition, as_dict
-from gateway.faults.clearing import AskedClear
-from gateway.faults.entries import DtcChange
-from gateway.faults.failures import Observed
 from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
-from gateway.faults.status import Status
+from gateway.runtime.account import bus_errors, counters, description, signal_slots
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
+from gateway.runtime.interventions import Interventions
+from gateway.runtime.outbox import Listener, Outbox
 from gateway.runtime.proofs import Proofs
+from gateway.runtime.reception import Reception, refuse_unless_frames
 from gateway.runtime.standing import Standing
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
-    clear_event,
-    clock_event,
-    cycle_event,
-    dtc_event,
-    intervention_event,
-    monitor_event,
     summary_event,
 )
-from gateway.runtime.upkeep import PATIENCE_S, Noted, Upkeep
+from gateway.runtime.upkeep import PATIENCE_S
 from gateway.runtime.usage_meter import UsageMeter
+from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
-from gateway.servers.authority import Authority, Refusal, local_intervention
+from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
-from gateway.servers.uds.extended_data import EXTENDED_DATA
 from gateway.signals.database import Database
-
-#: Takes one event of the JSON contract.
-Listener = Callable[[dict[str, Any]], None]
 
 log = get_logger(__name__)
 
 _NO_FRAMES = empty(0)
-_TEST_FAILED = int(Status.TEST_FAILED)
 
 
 class Gateway:
     """Engine, fault memory and servers of one configuration.
+
+    Its parts, in the order of a batch: :class:`~gateway.runtime.reception.Reception` gives frames to the engine,
+    :class:`~gateway.runtime.verdicts.Verdicts` takes its events into the fault memory,
+    :class:`~gateway.runtime.outbox.Outbox` has them committed, tells them and sends them.
+    :class:`~gateway.runtime.interventions.Interventions` is what testers do to the memory,
+    :class:`~gateway.runtime.controls.Controls` how they do it. What is left here: beginning, end and succession, and
+    the order in which the parts have their turn after a batch.
 
     Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
     condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
@@ -109,7 +94,6 @@ class Gateway:
         self._closed = False
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
-        self._judged = [self._parts.slots[name] for name in signals_of(config.needs)]
         self._recorder = None if recording is None else Recorder(recording, names, lasting=lasting)
         self.memory = FaultMemory(
             self.catalogue,
@@ -126,9 +110,6 @@ class Gateway:
             self._recorder,
             self._parts.slots,
             round(config.access.stale_ms * 1e6),
-            self._before_clear,
-            self._after_clear,
-            self._note_intervention,
             live=self._parts.live,
         )
         local = config.access.local_unlocked
@@ -141,18 +122,39 @@ class Gateway:
             len(config.bus),
             lambda: self.controls.send,
         )
-        self._index = {definition.id: k for k, definition in enumerate(self.catalogue)}
-        self._emitted = self.engine.emitted
-        self._listeners: list[Listener] = []
-        self._changes: list[DtcChange] = []  # not told yet, nor are these events
-        self._untold: list[dict[str, Any]] = []
-        self._entries: set[str] = set()  # before the clear that is done now
-        self._early: list[Frames] = []  # to be sent before anything else
-        self._upkeep = Upkeep(self.memory, self.store, self.engine, self._tell)
+        self._connect()
+
+    def _connect(self) -> None:
+        """Make what stands between the parts: frames in, verdicts, what is told and sent of them."""
         self._off = SwitchedOff(self.engine)
-        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._tell)
+        self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, self.servers.on_changes)
+        self._upkeep = self._outbox.upkeep
+        names = [bus.name for bus in self.config.bus]
+        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
-        self.event_count = 0
+        self._verdicts = Verdicts(
+            self.config,
+            self._parts,
+            self.memory,
+            self.controls,
+            self._recorder,
+            self._outbox,
+            self._off,
+            self._doubts,
+        )
+        judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
+        self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
+        self._interventions = Interventions(
+            self.engine,
+            self.memory,
+            self._outbox,
+            self._verdicts,
+            self.controls,
+            self.authority,
+            self._standing,
+            self._off,
+        )
+        self.controls.connect(self._interventions)
 
     def finish(self, t_ns: int) -> Frames:
         """Put down all that a successor is to find in the fault memory; returns frames to send.
@@ -191,18 +193,16 @@ class Gateway:
                 it does after that is lost.
         """
         self.memory.succeed(old.memory)
-        self._upkeep.succeed(old._upkeep)
+        self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
         self._meter.succeed(old._meter)
-        self._changes, self._untold = old._changes, old._untold
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self._proofs.recall()
         self.controls.go_on()
         self.servers.succeed(old.servers, buses)
-        self._listeners = old._listeners
-        self.event_count = old.event_count
+        self._verdicts.count = old._verdicts.count
         self._standing.succeed(old._standing)
         for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
@@ -215,7 +215,7 @@ class Gateway:
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
-        self._listeners.append(listener)
+        self._outbox.listen(listener)
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
@@ -228,7 +228,7 @@ class Gateway:
     def _keep_off(self) -> None:
         """Leave monitors off whose step did not return in an earlier process."""
         path = self.store.path
-        self._untold += self._off.keep_off(None if path is None else hung_beside(path))
+        self._outbox.note(*self._off.keep_off(None if path is None else hung_beside(path)))
 
     def stop(self, t_ns: int) -> None:
         """End the operation cycle and keep everything."""
@@ -237,7 +237,7 @@ class Gateway:
         self._meter.stop()
         self._proofs.look()
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
-        self._settle(t_ns, final=True)
+        self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
             log.error(
                 "the fault memory was not written at the end; what it had not stored is lost",
@@ -281,72 +281,27 @@ class Gateway:
             GatewayError: the gateway is closed.
         """
         if self._closed or type(frames) is not np.ndarray or frames.dtype is not FRAME or frames.ndim != 1:
-            self._refuse_unless_frames(frames)
+            self._refuse_unless_open()
+            refuse_unless_frames(frames)
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         if self.servers.indifferent(frames):  # as to nearly every batch
-            return self._emit(self._process(frames))
+            return self._emit(self._reception.process(frames))
         sent: list[Frames] = []
         for piece, last, wanting in self.servers.pieces(frames):
-            sent.append(self._emit(self._process(piece), asked=bool(wanting)))
+            sent.append(self._emit(self._reception.process(piece), asked=bool(wanting)))
             for k in wanting:
                 made = self.servers.on_frame(k, last, self.engine.now_ns)
-                sent += [*self._take_early(), made]
+                sent += [*self._outbox.take_early(), made]
         return joined(sent)
 
     def _refuse_unless_open(self) -> None:
         if self._closed:
             raise GatewayError("this gateway is closed: make a new one")
 
-    def _refuse_unless_frames(self, frames: object) -> None:
-        self._refuse_unless_open()
-        if not isinstance(frames, np.ndarray) or frames.dtype != FRAME or frames.ndim != 1:
-            kind = type(frames).__name__
-            if isinstance(frames, np.ndarray):
-                kind = f"array of {frames.dtype} and shape {frames.shape}"
-            text = (
-                "frames are an array of gateway.bus.frames.FRAME, shape (n,), which put() and put_message() there fill"
-            )
-            raise TypeError(f"{text}; this is: {kind}")
-
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
-        if not self._emitted:
-            return frames
-        own = frames["flags"] & OWN != 0
-        if not own.any():
-            return frames
-        return chosen(frames, ~(own & np.isin(frames["can_id"], self._emitted)))
-
-    def _process(self, frames: Frames) -> Frames:
-        if not self._meter.measures:
-            return self._process_piece(frames)
-        sent: list[Frames] = []
-        for piece, look_ns in self._meter.pieces(frames):
-            if look_ns is None:
-                sent.append(self._process_piece(piece))
-            elif self.controls.receive:  # frames and time until the look in one pass of the loop
-                sent.append(self.engine.process(piece, self._on_events, look_ns))
-                self._meter.look()
-            else:
-                sent += [self._process_piece(piece), self._look(look_ns)]
-        return joined(sent)
-
-    def _look(self, t_ns: int) -> Frames:
-        """Let time pass until a look of the meter."""
-        sent = self.engine.advance(t_ns, self._on_events)
-        self._meter.look()
-        return sent
-
-    def _process_piece(self, frames: Frames) -> Frames:
-        if self.controls.receive or not len(frames):
-            return self.engine.process(frames, self._on_events)
-        # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
-        # And what conditions of access need: what is blinded because the vehicle stands must see that it moves.
-        needed = are_steps(frames) | self.engine.plan.among(frames, self._judged)
-        sent = self.engine.process(chosen(frames, needed), self._on_events)
-        more = self.engine.advance(int(frames["t_ns"].max()), self._on_events)
-        return joined([sent, more])
+        return self._reception.without_own(frames)
 
     def advance(self, t_ns: int) -> Frames:
         """Let time pass without frames; returns the frames to send.
@@ -355,9 +310,7 @@ class Gateway:
             GatewayError: the gateway is closed.
         """
         self._refuse_unless_open()
-        looks = self._meter.times(t_ns) if self._meter.measures else ()
-        sent = [self._look(look_ns) for look_ns in looks]
-        return self._emit(joined([*sent, self.engine.advance(t_ns, self._on_events)]))
+        return self._emit(self._reception.advance(t_ns))
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass for the servers that answer others, which the monitors' time lags behind.
@@ -384,7 +337,7 @@ class Gateway:
     @property
     def due_ns(self) -> int:
         """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
-        if self._changes or self._untold or self._early or not self._idle:
+        if not (self._outbox.empty and self._idle):
             return -1
         return min(self.engine.due_ns, self.servers.next_ns)
 
@@ -407,79 +360,12 @@ class Gateway:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
-        judged: list[tuple[AskedClear, Refusal]] = []
-
-        def judge(asked: AskedClear) -> int:
-            refusal = self.authority.local_refusal("clear")
-            judged.append((asked, refusal))
-            return Refusal.NONE if asked.force else refusal
-
-        cleared = self.memory.serve_requests(self._before_clear, judge)
-        for asked, refusal in judged:
-            if not (cleared or (refusal and not asked.force)):
-                continue  # it could not be written, or there was nothing
-            request = b"\x14" + asked.group.to_bytes(3, "big")
-            self.controls.note(
-                local_intervention("clear", request, asked.by, refusal, force=asked.force, why=asked.why)
-            )
-        if cleared:
-            self.controls.forget(cleared)
+        self._interventions.serve_requests()
         self._upkeep.tend()
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Store each bus's state in the fault memory so that other processes can read it."""
         self.memory.note_buses(states)
-
-    def _on_events(self, events: Events) -> None:
-        self.event_count += len(events)
-        for event in events:
-            kind = int(event["kind"])
-            if kind in (CYCLE_BEGAN, CYCLE_ENDED):
-                self._on_cycle(event, began=kind == CYCLE_BEGAN)
-                continue
-            if kind == CLOCK_STEPPED:
-                self._on_step(event)
-                continue
-            if kind == MONITOR_OFF:
-                self._untold.append(self._off.on_event(event, self._bus_name(int(event["bus"]))))
-                continue
-            if kind == QUALIFIED_FAILED:
-                self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
-            changes = self.memory.apply(event, self._observe)
-            told = self._note_changes(changes)
-            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._untold.append(monitor_event(event, self.catalogue, self._bus_name(int(event["bus"]))))
-
-    def _note_changes(self, changes: Sequence[DtcChange]) -> bool:
-        """Keep changes to be told when they are stored; returns whether there are any worth it."""
-        told = [change for change in changes if change.concerns_fault]
-        self._changes += told
-        for change in told:
-            self._record(change)
-            bus = self.engine.faults[self._index[change.definition.id]].bus
-            self._untold.append(dtc_event(change, self._bus_name(bus)))
-        return bool(told)
-
-    def _record(self, change: DtcChange) -> None:
-        if self._recorder is not None and int(change.new_status) & ~int(change.old_status) & _TEST_FAILED:
-            t_ns = change.t_ns - self.engine.offset_ns
-            self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
-
-    def _on_cycle(self, event: np.void, *, began: bool) -> None:
-        name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
-        if began:
-            self.controls.begin(name, t_ns)
-        else:
-            self.controls.end(name, t_ns)
-        bus, number = self._bus_name(int(event["bus"])), self.memory.cycle_number(name)
-        self._untold.append(cycle_event(t_ns, bus, name, began=began, number=number))
-
-    def _on_step(self, event: np.void) -> None:
-        self._untold.append(clock_event(int(event["t_ns"]), float(event["value"])))
-
-    def _bus_name(self, bus: int) -> str:
-        """Return the name of a bus; the gateway's own faults are of none."""
-        return "" if bus == NO_BUS else self.config.bus[bus].name
 
     def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
         """Return the frames to send: the monitors' own, then what the servers have to say.
@@ -489,16 +375,16 @@ class Gateway:
             asked: whether somebody asks for what there is now.
         """
         now = self.engine.now_ns
-        if not (self._changes or self._untold or self._early) and self._idle and now < self.servers.next_ns:
+        if self._outbox.empty and self._idle and now < self.servers.next_ns:
             return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
         self._doubts.poll()
-        self._standing.settle(self._on_events)
+        self._standing.settle(self._verdicts.take)
         if self._recorder is not None and self._recorder.busy:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
-            self._note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
-        frames = [*self._take_early(), sent if self.controls.send else _NO_FRAMES]
-        frames += self.servers.on_changes(self._settle(now, asked=asked), now)
+            self._verdicts.note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
+        frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
+        frames += self._outbox.release(now, self._verdicts.take, asked=asked)
         frames += self.servers.on_time(now)
         return joined(frames)
 
@@ -513,69 +399,6 @@ class Gateway:
         recording = self._recorder is not None and self._recorder.busy
         return not (recording or self.memory.room or self._doubts.busy) and self._upkeep.idle
 
-    def _before_clear(self) -> None:
-        """Write and tell all that waits: what is cleared next must not be told as set after it."""
-        now = self.engine.now_ns
-        self._early += self.servers.on_changes(self._settle(now, final=True), now)
-        self._entries = {entry.fault for entry in self.memory.entries()}
-
-    def _after_clear(self, cleared: Iterable[str]) -> None:
-        """Tell which entries went."""
-        self._off.again()
-        cleared = list(cleared)
-        self._standing.after_clear(cleared)
-        gone = sorted(self._entries.intersection(cleared))
-        t_ns = self.engine.wall_ns(self.engine.now_ns)
-        self._tell(clear_event(t_ns, gone))
-
-    def _note_intervention(self, intervention: Intervention) -> None:
-        """Keep what a tester did; it is told when it is stored."""
-        told = self.memory.note_intervention(intervention)
-        if told is not None:
-            self._untold.append(intervention_event(told))
-
-    def _take_early(self) -> list[Frames]:
-        early, self._early = self._early, []
-        return early
-
-    def _settle(self, now: int, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
-        """Write what has changed, if it is time, and tell the events of it; returns the changes to tell.
-
-        What is wrong with the memory itself is told before what it could not store.
-        """
-        if not (final or self._changes or self._untold) and self._upkeep.idle:
-            return []  # as for nearly every batch
-        self._off.report(self._on_events)
-        waiting, self._changes = self._changes, []
-        noted = Noted(len(waiting), len(self._untold))
-        may = self._upkeep.settle(now, noted, self._on_events, asked=asked, final=final)
-        own, self._changes = self._changes, waiting[may.changes :]
-        events = may.events
-        if self._upkeep.beside and not final and self._upkeep.stored:
-            self._changes += own  # of the memory's own faults: they are written next
-            own = []
-        elif may == noted:
-            events = len(self._untold)
-        told, self._untold = self._untold[:events], self._untold[events:]
-        stored = self._upkeep.stored
-        for event in told:
-            if event["event"] == "dtc":
-                event["stored"] = stored
-                self._upkeep.not_stored += not stored
-            self._tell(event)
-        return own + waiting[: may.changes]
-
-    def _observe(self, definition: FaultDefinition) -> Observed:
-        inputs = self.engine.inputs_of(self._index[definition.id])
-        return Observed(
-            {name: self.controls.value(name) for name in self._parts.frozen[definition.id]},
-            {f"{ref.message}.{ref.signal}": value for ref, value in inputs.items()},
-        )
-
-    def _tell(self, event: dict[str, Any]) -> None:
-        for listener in self._listeners:
-            listener(event)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What was taken where the configuration leaves it to the databases, one line each."""
@@ -584,11 +407,7 @@ class Gateway:
     @property
     def signal_slots(self) -> dict[str, int]:
         """Mailbox slots of the signals whose latest value is known, by full name; with the bus if there are several."""
-        buses = self.config.bus
-        return {
-            ("" if len(buses) == 1 else f"{buses[ref.bus].name}.") + f"{ref.message}.{ref.signal}": slot
-            for slot, ref in enumerate(self.engine.plan.slot_names)
-        }
+        return signal_slots(self.config, self.engine)
 
     @property
     def codes(self) -> Mapping[str, tuple[str, ...]]:
@@ -597,14 +416,7 @@ class Gateway:
 
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""
-        return {
-            "name": self.config.name,
-            "faults": [as_dict(definition) for definition in self.catalogue],
-            "identifiers": self.identifiers.describe(),
-            "extended_data": [
-                {"record": number, "name": kind.name, "length": kind.length} for number, kind in EXTENDED_DATA.items()
-            ],
-        }
+        return description(self.config, self.catalogue, self.identifiers)
 
     def summary(self, seconds: float) -> dict[str, Any]:
         """Return the last event of the JSON contract.
@@ -612,22 +424,11 @@ class Gateway:
         Args:
             seconds: how long the work took by the caller's clock.
         """
-        counters = self.engine.counters()
-        for name, count in self.servers.counters().items():
-            counters[name] = counters.get(name, 0) + count
-        counters["memory_not_stored"] = self._upkeep.not_stored
-        counters["memory_write_failures"] = self._upkeep.failures
-        if self._recorder is not None:
-            counters["recordings_refused"] = self._recorder.refused
-        errors = {
-            bus.name: {name: n for name, n in self.engine.error_counters(k).items() if n}
-            for k, bus in enumerate(self.config.bus)
-        }
         return summary_event(
             seconds,
-            self.event_count,
-            counters,
-            buses=errors,
+            self._verdicts.count,
+            counters(self.engine, self.servers, self._upkeep, self._recorder),
+            buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
         )

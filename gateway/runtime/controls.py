@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Protocol
 
 from gateway.engine.core import Engine
 from gateway.faults.interventions import Intervention
@@ -15,6 +16,19 @@ from gateway.faults.settings import ConditionSettings
 from gateway.faults.status import Status
 from gateway.faults.store import Store
 from gateway.servers.tester_control import LatestResult
+
+
+class Watcher(Protocol):
+    """Knows of what testers do."""
+
+    def before_clear(self) -> None:
+        """Do what must be done before a tester's clear."""
+
+    def after_clear(self, cleared: Iterable[str]) -> None:
+        """Do what must be done after any clear, of the faults with these ids."""
+
+    def note(self, intervention: Intervention) -> None:
+        """Keep and tell what a tester did."""
 
 
 class Controls:
@@ -27,8 +41,6 @@ class Controls:
         recorder: of frames around failures, if there is one.
         slots: mailbox slots of signals by name.
         stale_ns: a signal that is older meets no condition.
-        before_clear: called before a tester's clear; ``after_clear`` after any, with the ids of the faults cleared.
-        noted: takes what a tester did, to be kept and told.
         live: monitor and value of names that stand for a live value.
     """
 
@@ -40,9 +52,6 @@ class Controls:
         recorder: Recorder | None,
         slots: Mapping[str, int],
         stale_ns: int,
-        before_clear: Callable[[], None] = lambda: None,
-        after_clear: Callable[[Iterable[str]], None] = lambda cleared: None,
-        noted: Callable[[Intervention], None] = lambda intervention: None,
         *,
         live: Mapping[str, tuple[str, str]] = MappingProxyType({}),
     ) -> None:
@@ -52,13 +61,16 @@ class Controls:
         self._recorder = recorder
         self._slots, self._live = slots, live
         self._stale_ns = stale_ns
-        self._noted = noted
-        self._before_clear, self._after_clear = before_clear, after_clear
+        self._watcher: Watcher | None = None
         self._index = {definition.id: k for k, definition in enumerate(memory.catalogue)}
         # Which testers have it off; a tester's address stands for him.
         self._dtcs_off: set[str] = set()
         self._deaf: set[str] = set()
         self._mute: set[str] = set()
+
+    def connect(self, watcher: Watcher) -> None:
+        """Have somebody know of what is done, who needs this one himself."""
+        self._watcher = watcher
 
     def fault_detection_counter(self, fault: str) -> int:
         """Return a fault's detection counter now, -128..127; 0 for one that is not monitored any more."""
@@ -103,7 +115,8 @@ class Controls:
 
     def note(self, intervention: Intervention) -> None:
         """Keep and tell what a tester did, or was refused; its time is now."""
-        self._noted(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
+        if self._watcher is not None:
+            self._watcher.note(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
 
     def knows(self, group: int) -> bool:
         """Tell whether there is such a DTC or group."""
@@ -117,7 +130,8 @@ class Controls:
         """
         if not self._memory.knows(group):
             return False
-        self._before_clear()
+        if self._watcher is not None:
+            self._watcher.before_clear()
         self.forget(self._memory.clear(group))
         return True
 
@@ -129,7 +143,8 @@ class Controls:
             self._engine.set_active(index, False)
         if self._recorder is not None:
             self._recorder.forget(names)
-        self._after_clear(names)
+        if self._watcher is not None:
+            self._watcher.after_clear(names)
 
     @property
     def results(self) -> bool:

@@ -20,8 +20,9 @@ from gateway.common.log import get_logger
 from gateway.engine.checks.memory_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.engine.core import Engine, Sink
 from gateway.faults.beside import Writer, WriterThread
-from gateway.faults.kept import KeptStore, Mishap
+from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.mishaps import Mishap
 from gateway.faults.pace import Pace
 from gateway.monitors.contract import Fault
 

@@ -56,10 +56,10 @@ class DiagnosticServer(BusServer):
 
     def promise(self, frame: np.void, t_ns: int) -> Frames:
         """Return 0x78 for a request that is taken later."""
+        self._transport.advance(t_ns)
         request = self._transport.peek(frame)
         application = None if not request else self._application_for(request)
         if request and application is not None:
-            self._transport.advance(t_ns)
             self._transport.send(application.pending(request))
         return self._transport.take_frames()
 

@@ -73,6 +73,8 @@ def test_what_the_gateway_writes_is_whole(tmp_path):
         ("UPDATE link SET subject = 'FFFFFF' WHERE kind = 'clear'", "clear FFFFFF (link "),
         ("DELETE FROM link WHERE number = 1", ": links 1 to 1 are gone"),
         ("UPDATE link SET digest = x'00' WHERE number = 4", "(link 4): the link is not"),
+        ("UPDATE link SET digest = 'text' WHERE number = 4", "(link 4): the link is not"),
+        ("UPDATE link SET digest = 5 WHERE number = (SELECT max(number) FROM link)", ": the link is not"),
         ("DELETE FROM link", "its links are gone"),
     ],
 )

@@ -143,3 +143,26 @@ def test_a_file_that_was_never_a_fault_memory_is_not_touched(tmp_path):
     assert path.read_text() == "mine\n" * 100
     with pytest.raises(InputError, match="folder"):
         KeptStore(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE operation_cycle SET name = CAST(x'ff' AS TEXT)",
+        "UPDATE link SET subject = CAST(x'ff' AS TEXT) WHERE number = 3",
+        "UPDATE freeze_frame SET content = CAST(x'ff' AS TEXT)",
+    ],
+)
+def test_a_text_that_is_not_utf_8_any_more_is_damage(tmp_path, statement):
+    """One bit is enough. It was taken for a disk that cannot be read now, and no gateway started any more."""
+    path = tmp_path / "f.sqlite"
+    fill(path)
+    db = sqlite3.connect(path)
+    db.execute(statement)
+    db.commit()
+    db.close()
+    store, memory = kept(path)
+    (mishap,) = store.mishaps()
+    assert mishap.kind == "damaged"
+    assert {e.fault for e in memory.entries()} == {"m.f0", "m.f1", "m.f2"}
+    store.close()

@@ -4,6 +4,8 @@ import os
 import random
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -315,3 +317,61 @@ def test_a_log_that_cannot_be_copied_is_looked_at_again(tmp_path, monkeypatch):
     assert not store.doubtful
     store.close()
     assert store.mishaps() == []
+
+
+#: Another process that has the memory open, as the page has, and looks at it by new connections, too.
+READER = """
+import sys
+from pathlib import Path
+from gateway.faults import service
+path = Path(sys.argv[1])
+held = service.open_reader(path)
+held.load()
+print(flush=True)
+sys.stdin.readline()
+print(*(e["fault"] for e in service.list_entries(path)), flush=True)
+"""
+
+
+@pytest.mark.parametrize("way", ["deleted", "replaced"])
+def test_a_log_whose_index_is_gone_does_not_leave_other_processes_behind(tmp_path, way):
+    """SQLite goes on with the index that it has open. Others made a new one, and saw the memory as it was for ever."""
+    path = tmp_path / "f.sqlite"
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    memory.apply(event(0, True, 6), nothing)
+    memory.commit(6)
+    index = Path(f"{path}-shm")
+    if way == "deleted":
+        index.unlink()
+    else:
+        shutil.copyfile(index, tmp_path / "copy")
+        (tmp_path / "copy").replace(index)
+    assert store.doubtful
+    command = [sys.executable, "-c", READER, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as reader:
+        assert reader.stdout.readline() == "\n"
+        memory.apply(event(1, True, 7), nothing)
+        memory.rewrite()
+        assert memory.commit(LONGEST_NS) is True
+        found, _ = reader.communicate("\n", 60)
+    assert found.split() == ["m.f0", "m.f1"]
+    (mishap,) = store.mishaps()
+    assert (mishap.kind, mishap.reason) == ("overwritten", "the index of its log (-shm) was deleted or replaced")
+    assert store.examine()
+    assert service.verify(path)["whole"]
+    store.close()
+
+
+def test_the_log_is_watched_where_the_path_is_a_link(tmp_path):
+    """SQLite keeps the log beside the file itself."""
+    (tmp_path / "disk").mkdir()
+    path = tmp_path / "f.sqlite"
+    path.symlink_to(tmp_path / "disk" / "f.sqlite")
+    store, memory = kept(path)
+    memory.start_cycle(5)
+    log = tmp_path / "disk" / "f.sqlite-wal"
+    over(log, b"nothing of the kind\n" * 50)
+    assert store.doubtful
+    assert not store.examine()
+    store.close()

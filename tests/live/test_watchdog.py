@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gateway.common.resources import shipped
+from gateway.faults.hung import file_beside, hung_beside
 from gateway.live.watchdog import ASKED_LIMIT_S, HUNG_EXIT, LIMIT_S, LOOKS, Watchdog
 
 
@@ -85,3 +86,10 @@ def test_who_was_asked_to_end_waits_less(rig):
     asked[0] = True
     results = [look(ASKED_LIMIT_S / 2) for _ in range(LOOKS + 1)]
     assert results[-1] == [HUNG_EXIT]
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[]", '{"monitors": [1]}', '{"monitors": {"a": 1}}'])
+def test_a_file_of_hung_monitors_that_cannot_be_read_keeps_nobody_off(tmp_path, text):
+    memory = tmp_path / "f.sqlite"
+    file_beside(memory).write_text(text)
+    assert hung_beside(memory).monitors == {}

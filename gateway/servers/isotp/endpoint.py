@@ -96,9 +96,19 @@ class IsoTpEndpoint:
         return Request(data, functional, now)
 
     def peek(self, frame: np.void) -> bytes | None:
-        """Return the physical request of a single frame, without taking it; None: it has none, or one is under way."""
+        """Return the physical request that a frame completes, without taking it; None: none, or it is not answered.
+
+        Of a request of several frames it is what had come before.
+
+        Args:
+            frame: one that it wanted; each is given once, in its order.
+        """
         data, can_id = payload(frame), int(frame["can_id"])
-        if can_id != self._physical or not data or data[0] >> 4 or self._layer.busy:
+        if can_id != self._physical or not data or self._layer.transmitting:
+            return None
+        if self._layer.receiving:
+            return self._layer.completed_by(data)
+        if data[0] >> 4:
             return None
         return self._layer.single(isotp.CanMessage(can_id & ID_MASK, data=data, extended_id=bool(can_id & EXTENDED)))
 

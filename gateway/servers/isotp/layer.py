@@ -13,6 +13,8 @@ from gateway.common.times import NEVER
 from gateway.servers.isotp.edges import judge
 from gateway.servers.isotp.params import IsoTpParams
 
+#: Kinds of frames, as the high nibble of the first byte has them (ISO 15765-2).
+_CONSECUTIVE, _FLOW_CONTROL = 2, 3
 #: Wait frames in a row that a tester may send.
 MOST_WAITS = 16
 
@@ -97,6 +99,7 @@ class IsoTpLayer:
     def __init__(self, params: IsoTpParams) -> None:
         self._clock = _Clock()
         self._received: deque[isotp.CanMessage] = deque()
+        self._shown: list[int] | None = []  # bytes of each frame of the message under way that is taken later
         self._sent: list[isotp.CanMessage] = []
         self.errors = 0
         mode = isotp.AddressingMode.Normal_29bits if params.flags else isotp.AddressingMode.Normal_11bits
@@ -139,6 +142,7 @@ class IsoTpLayer:
 
     def take(self, message: isotp.CanMessage) -> bytes | None:
         """Take a frame and do what is due; returns the message that it completes, None: none."""
+        self._shown = []
         data, aborts = judge(bytes(message.data))
         if aborts and self._logic.tx_state == self._logic.TxState.WAIT_FC:
             self._logic.stop_sending()
@@ -151,6 +155,24 @@ class IsoTpLayer:
         self._logic.process()
         whole = self._logic.recv()
         return None if whole is None else bytes(whole)
+
+    def completed_by(self, data: bytes) -> bytes | None:
+        """Return what has come of the message under way, if a frame that is taken later completes it; None: not so.
+
+        Args:
+            data: of the next frame that is taken later; each is shown once, in its order.
+        """
+        logic, kind = self._logic, data[0] >> 4
+        if kind == _FLOW_CONTROL or self._shown is None:
+            return None
+        expected = (logic.last_seqnum + len(self._shown) + 1) & 0xF
+        if kind != _CONSECUTIVE or data[0] & 0xF != expected or logic.timer_rx_cf.is_timed_out():
+            self._shown = None  # the message ends here, and is not answered
+            return None
+        self._shown.append(len(data) - 1)
+        come = bytes(logic.rx_buffer)
+        before = len(come) + sum(self._shown[:-1])
+        return come if before < logic.rx_frame_length <= before + self._shown[-1] else None
 
     def single(self, message: isotp.CanMessage) -> bytes | None:
         """Return what a single frame carries, leaving what is under way alone; None: it is no valid one."""
@@ -176,9 +198,14 @@ class IsoTpLayer:
         return bool(self._logic.transmitting())
 
     @property
+    def receiving(self) -> bool:
+        """Whether a message of several frames is being received."""
+        return bool(self._logic.is_rx_active())
+
+    @property
     def busy(self) -> bool:
         """Whether a message is under way, in either direction."""
-        return self.transmitting or bool(self._logic.is_rx_active())
+        return self.transmitting or self.receiving
 
     @property
     def waiting(self) -> int:

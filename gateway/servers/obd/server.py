@@ -27,6 +27,8 @@ from gateway.servers.tester_control import TesterControl
 MODES = range(0x01, 0x0B)
 #: Negative responses to physical requests.
 _NOT_SUPPORTED, _NO_SUCH_PARAMETER, _CONDITIONS_NOT_CORRECT = 0x11, 0x12, 0x22
+#: The answer comes later (P2* of ISO 15765-4).
+_RESPONSE_PENDING = 0x78
 #: PIDs that one request may ask for (ISO 15031-5, on CAN).
 MOST_PIDS = 6
 
@@ -99,6 +101,10 @@ class ObdServer(Application):
         if functional:
             return []
         return [bytes([0x7F, request[0], _NOT_SUPPORTED if mode is None else _NO_SUCH_PARAMETER])]
+
+    def pending(self, request: bytes) -> list[bytes]:
+        """Return 0x78: a physical request is always answered."""
+        return [bytes([0x7F, request[0], _RESPONSE_PENDING])]
 
     def _note_clear(self, outcome: int, functional: bool) -> None:
         by = (self._params.functional or 0) if functional else self._params.request

@@ -1,0 +1,54 @@
+"""What a gateway says of itself: what it monitors and serves, and at the end what it did."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.config.model import Config
+from gateway.engine.core import Engine
+from gateway.faults.catalogue import Catalogue, as_dict
+from gateway.faults.recorder import Recorder
+from gateway.runtime.upkeep import Upkeep
+from gateway.servers.bus_servers import BusServers
+from gateway.servers.identifiers import Identifiers
+from gateway.servers.uds.extended_data import EXTENDED_DATA
+
+
+def description(config: Config, catalogue: Catalogue, identifiers: Identifiers) -> dict[str, Any]:
+    """Return what testers and other programs need to know: faults, identifiers, extended data."""
+    return {
+        "name": config.name,
+        "faults": [as_dict(definition) for definition in catalogue],
+        "identifiers": identifiers.describe(),
+        "extended_data": [
+            {"record": number, "name": kind.name, "length": kind.length} for number, kind in EXTENDED_DATA.items()
+        ],
+    }
+
+
+def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
+    """Return mailbox slots of the signals by full name; with the bus if there are several."""
+    buses = config.bus
+    return {
+        ("" if len(buses) == 1 else f"{buses[ref.bus].name}.") + f"{ref.message}.{ref.signal}": slot
+        for slot, ref in enumerate(engine.plan.slot_names)
+    }
+
+
+def counters(engine: Engine, servers: BusServers, upkeep: Upkeep, recorder: Recorder | None) -> dict[str, int]:
+    """Return what was counted, by name: of frames, requests, and the fault memory."""
+    found = engine.counters()
+    for name, count in servers.counters().items():
+        found[name] = found.get(name, 0) + count
+    found["memory_not_stored"] = upkeep.not_stored
+    found["memory_write_failures"] = upkeep.failures
+    if recorder is not None:
+        found["recordings_refused"] = recorder.refused
+    return found
+
+
+def bus_errors(config: Config, engine: Engine) -> dict[str, dict[str, int]]:
+    """Return what each bus's controller said of errors, how often."""
+    return {
+        bus.name: {name: n for name, n in engine.error_counters(k).items() if n} for k, bus in enumerate(config.bus)
+    }

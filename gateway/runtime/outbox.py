@@ -1,0 +1,130 @@
+"""What goes out of a gateway, in the one order that holds: committed first, told after, sent last.
+
+A change of a DTC takes four steps, and no step is done before the one above it:
+
+1. It is *noted*, when the fault memory of this process has it, with the event that will tell it.
+2. It is *committed*: :mod:`gateway.runtime.upkeep` has it written, and says how much may be told.
+3. It is *told*: its event goes to the listeners, with ``stored``. This is false where the file cannot be written.
+4. It is *sent*: the servers make frames of it (the DTC frame, DM1).
+
+So nobody hears of a DTC that the next start does not find, unless he is told so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from gateway.bus.frames import Frames
+from gateway.engine.core import Engine, Sink
+from gateway.faults.entries import DtcChange
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
+from gateway.runtime.upkeep import Noted, Upkeep
+
+#: Takes one event of the JSON contract.
+Listener = Callable[[dict[str, Any]], None]
+
+
+class Outbox:
+    """Keeps what is to be told until it is stored, then tells and sends it.
+
+    Args:
+        memory: the fault memory.
+        store: its file.
+        engine: debounces the gateway's own faults.
+        report: has faults reported that are to be in the next commit.
+        send: makes frames of changes that were told, at a time of the engine.
+
+    Attributes:
+        upkeep: writes the fault memory.
+    """
+
+    def __init__(
+        self,
+        memory: FaultMemory,
+        store: KeptStore,
+        engine: Engine,
+        report: Callable[[Sink], None],
+        send: Callable[[Sequence[DtcChange], int], list[Frames]],
+    ) -> None:
+        self._report, self._send = report, send
+        self._listeners: list[Listener] = []
+        self._changes: list[DtcChange] = []  # not told yet, nor are these events
+        self._untold: list[dict[str, Any]] = []
+        self._early: list[Frames] = []  # to be sent before anything else
+        self.upkeep = Upkeep(memory, store, engine, self.tell)
+
+    def succeed(self, old: Outbox) -> None:
+        """Go on where that of an earlier configuration stops: what waits there is told here."""
+        self.upkeep.succeed(old.upkeep)
+        self._listeners = old._listeners
+        self._changes, self._untold = old._changes, old._untold
+
+    def listen(self, listener: Listener) -> None:
+        """Add a listener; it is called with each event of the JSON contract, in order."""
+        self._listeners.append(listener)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is noted, and nothing is to be sent."""
+        return not (self._changes or self._untold or self._early)
+
+    def note(self, *events: dict[str, Any]) -> None:
+        """Keep events to be told in their order, when all that happened before them is stored."""
+        self._untold += events
+
+    def note_changes(self, changes: Iterable[DtcChange]) -> None:
+        """Keep changes to be sent when they are stored; their events are noted by :meth:`note`."""
+        self._changes += changes
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Tell an event at once, for which nothing has to be stored."""
+        for listener in self._listeners:
+            listener(event)
+
+    def release(self, now: int, sink: Sink, *, asked: bool = False, final: bool = False) -> list[Frames]:
+        """Commit what was noted, if it is time, tell it, and return the frames that send it (see :meth:`settle`)."""
+        return self._send(self.settle(now, sink, asked=asked, final=final), now)
+
+    def release_early(self, now: int, sink: Sink) -> None:
+        """Commit and tell all that was noted; its frames are sent before any others (:meth:`take_early`)."""
+        self._early += self.release(now, sink, final=True)
+
+    def take_early(self) -> list[Frames]:
+        """Return the frames that go before any others, once."""
+        early, self._early = self._early, []
+        return early
+
+    def settle(self, now: int, sink: Sink, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
+        """Commit what was noted, if it is time, and tell it; returns the changes to send.
+
+        What is wrong with the memory itself is told before what it could not store.
+
+        Args:
+            now: of the engine's clock.
+            sink: takes the events of the gateway's own faults.
+            asked: whether a tester asks for what there is now.
+            final: whether all is committed in any case.
+        """
+        if not (final or self._changes or self._untold) and self.upkeep.idle:
+            return []  # as for nearly every batch
+        self._report(sink)
+        waiting, self._changes = self._changes, []
+        noted = Noted(len(waiting), len(self._untold))
+        may = self.upkeep.settle(now, noted, sink, asked=asked, final=final)
+        own, self._changes = self._changes, waiting[may.changes :]
+        events = may.events
+        if self.upkeep.beside and not final and self.upkeep.stored:
+            self._changes += own  # of the memory's own faults: they are written next
+            own = []
+        elif may == noted:
+            events = len(self._untold)
+        told, self._untold = self._untold[:events], self._untold[events:]
+        stored = self.upkeep.stored
+        for event in told:
+            if event["event"] == "dtc":
+                event["stored"] = stored
+                self.upkeep.not_stored += not stored
+            self.tell(event)
+        return own + waiting[: may.changes]

@@ -1,0 +1,127 @@
+"""The way of an engine's event into the fault memory, and of what came of it into the outbox."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gateway.config.model import Config
+from gateway.engine.events import (
+    CLOCK_STEPPED,
+    CYCLE_BEGAN,
+    CYCLE_ENDED,
+    MONITOR_OFF,
+    NO_BUS,
+    QUALIFIED_FAILED,
+    QUALIFIED_PASSED,
+    Events,
+)
+from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.entries import DtcChange
+from gateway.faults.failures import Observed
+from gateway.faults.memory import FaultMemory
+from gateway.faults.recorder import Recorder
+from gateway.faults.status import Status
+from gateway.runtime.assemble import Parts
+from gateway.runtime.controls import Controls
+from gateway.runtime.doubts import Doubts
+from gateway.runtime.outbox import Outbox
+from gateway.runtime.switched_off import SwitchedOff
+from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_event
+
+_TEST_FAILED = int(Status.TEST_FAILED)
+
+
+class Verdicts:
+    """Takes the engine's events one by one.
+
+    Args:
+        config: has the buses' names.
+        parts: engine, catalogue, cycles, and the signals of freeze frames.
+        memory: takes verdicts.
+        controls: give signals, and begin and end operation cycles.
+        recorder: of frames around failures, if there is one.
+        outbox: takes what is to be told.
+        off: monitors that are switched off.
+        doubts: rules that no frame passes.
+
+    Attributes:
+        count: events until now.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        parts: Parts,
+        memory: FaultMemory,
+        controls: Controls,
+        recorder: Recorder | None,
+        outbox: Outbox,
+        off: SwitchedOff,
+        doubts: Doubts,
+    ) -> None:
+        self._config, self._parts, self._engine, self._catalogue = config, parts, parts.engine, parts.catalogue
+        self._memory, self._controls, self._recorder = memory, controls, recorder
+        self._outbox, self._off, self._doubts = outbox, off, doubts
+        self._index = {definition.id: k for k, definition in enumerate(parts.catalogue)}
+        self.count = 0
+
+    def take(self, events: Events) -> None:
+        """Take events of the engine, in order; it is the sink of :class:`gateway.engine.core.Engine`."""
+        self.count += len(events)
+        for event in events:
+            kind = int(event["kind"])
+            if kind in (CYCLE_BEGAN, CYCLE_ENDED):
+                self._on_cycle(event, began=kind == CYCLE_BEGAN)
+                continue
+            if kind == CLOCK_STEPPED:
+                self._on_step(event)
+                continue
+            if kind == MONITOR_OFF:
+                self._outbox.note(self._off.on_event(event, self._bus_name(int(event["bus"]))))
+                continue
+            if kind == QUALIFIED_FAILED:
+                self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
+            changes = self._memory.apply(event, self._observe)
+            told = self.note_changes(changes)
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
+                self._outbox.note(monitor_event(event, self._catalogue, self._bus_name(int(event["bus"]))))
+
+    def note_changes(self, changes: Sequence[DtcChange]) -> bool:
+        """Keep changes to be told when they are stored; returns whether there are any worth it."""
+        told = [change for change in changes if change.concerns_fault]
+        self._outbox.note_changes(told)
+        for change in told:
+            self._record(change)
+            bus = self._engine.faults[self._index[change.definition.id]].bus
+            self._outbox.note(dtc_event(change, self._bus_name(bus)))
+        return bool(told)
+
+    def _record(self, change: DtcChange) -> None:
+        if self._recorder is not None and int(change.new_status) & ~int(change.old_status) & _TEST_FAILED:
+            t_ns = change.t_ns - self._engine.offset_ns
+            self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
+
+    def _on_cycle(self, event: np.void, *, began: bool) -> None:
+        name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
+        if began:
+            self._controls.begin(name, t_ns)
+        else:
+            self._controls.end(name, t_ns)
+        bus, number = self._bus_name(int(event["bus"])), self._memory.cycle_number(name)
+        self._outbox.note(cycle_event(t_ns, bus, name, began=began, number=number))
+
+    def _on_step(self, event: np.void) -> None:
+        self._outbox.note(clock_event(int(event["t_ns"]), float(event["value"])))
+
+    def _bus_name(self, bus: int) -> str:
+        """Return the name of a bus; the gateway's own faults are of none."""
+        return "" if bus == NO_BUS else self._config.bus[bus].name
+
+    def _observe(self, definition: FaultDefinition) -> Observed:
+        inputs = self._engine.inputs_of(self._index[definition.id])
+        return Observed(
+            {name: self._controls.value(name) for name in self._parts.frozen[definition.id]},
+            {f"{ref.message}.{ref.signal}": value for ref, value in inputs.items()},
+        )
