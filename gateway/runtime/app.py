@@ -44,6 +44,7 @@ from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.proofs import Proofs
+from gateway.runtime.reports import Reports
 from gateway.runtime.standing import Standing
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
@@ -152,6 +153,7 @@ class Gateway:
         self._off = SwitchedOff(self.engine)
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._tell)
         self._proofs = Proofs(self.engine, self.memory)
+        self.reports = Reports(config.report, self.engine, self.controls, self._on_events, self._tell)
         self.event_count = 0
 
     def finish(self, t_ns: int) -> Frames:
@@ -204,6 +206,7 @@ class Gateway:
         self._listeners = old._listeners
         self.event_count = old.event_count
         self._standing.succeed(old._standing)
+        self.reports.succeed(old.reports)
         for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
@@ -617,6 +620,7 @@ class Gateway:
             counters[name] = counters.get(name, 0) + count
         counters["memory_not_stored"] = self._upkeep.not_stored
         counters["memory_write_failures"] = self._upkeep.failures
+        counters |= self.reports.counters()
         if self._recorder is not None:
             counters["recordings_refused"] = self._recorder.refused
         errors = {
