@@ -345,8 +345,26 @@ def test_a_reload_keeps_connections_counts_and_who_is_lost(bench):
     bench.send(one, HOT, "prefailed")
     assert bench.failing(HOT), "what was counted before counts"
     assert bench.gateway.reports.counters() == {"reports_accepted": 4, "reports_refused": 0, "reporters_lost": 1}
+    bench.send(bench.enter(), BLIND, "passed")
+    assert bench.told()[-1]["state"] == "back"
+    assert not bench.failing(LOST)
     bench.leave(one)
     assert bench.told()[-1]["faults"] == [HOT]
+
+
+def test_who_is_lost_is_forgotten_with_its_table(bench):
+    one = bench.enter()
+    bench.send(one, BLIND, "passed")
+    bench.leave(one)
+    old = bench.gateway
+    old.finish(old.engine.now_ns)
+    path = write_config(bench.folder)
+    text = path.read_text()
+    path.write_text(text[: text.rindex("[[report.reporter]]")])
+    bench.gateway = Gateway(load_config(path), store=old.store)
+    bench.gateway.succeed(old)
+    bench.wait(100)
+    assert not bench.failing(LOST)
 
 
 def test_without_reporters_as_in_a_replay_the_faults_are_not_tested(tmp_path):

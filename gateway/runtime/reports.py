@@ -104,7 +104,8 @@ class Reports:
         self._reporters: dict[str, _Reporter] = {}
         self._keys: dict[str, tuple[str, ...]] = {}  # fault -> names of its data
         self._senders: dict[int, _Sender] = {}
-        self._count = self._told_lost = 0
+        self._count = 0
+        self._told_lost = -1  # how many were lost at the last report; -1: of this configuration there was none
         self._look_ns = 0
         self._strangers: Counter[int] = Counter()
         self._unknown: Counter[str] = Counter()  # refused, of no reporter

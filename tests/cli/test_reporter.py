@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -144,11 +145,23 @@ def test_it_waits_no_longer_than_its_patience_and_late_answers_are_counted(tmp_p
         door.close()
 
 
-def test_one_that_is_turned_away_is_told_why(tmp_path, monkeypatch):
+class Late(Reporter):
+    """One that sends when the gateway has ended the connection already."""
+
+    def _connect(self, until_s):
+        made = super()._connect(until_s)
+        ended = select.poll()
+        ended.register(made, 0)  # POLLHUP is always told
+        ended.poll(60_000)
+        return made
+
+
+@pytest.mark.parametrize("kind", [Reporter, Late])
+def test_one_that_is_turned_away_is_told_why(tmp_path, monkeypatch, kind):
     monkeypatch.setattr("gateway.live.report_socket.credentials_of", lambda connection: (1, 54321, 54321))
     monkeypatch.setattr("gateway.live.report_socket.groups_of", lambda connection: set())
     with served(tmp_path):
-        reporter = Reporter(tmp_path / "report.sock", patience_s=5.0)
+        reporter = kind(tmp_path / "report.sock", patience_s=5.0)
         answer = reporter.failed(HOT)
     assert answer.refused == "not_allowed"
     assert answer.why == REFUSALS["not_allowed"]

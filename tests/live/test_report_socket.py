@@ -139,6 +139,7 @@ def test_a_process_that_sends_too_much_is_slowed_down_and_everything_is_answered
             yield from bench.wait(0.005)
             turns.append(sum(bench.counters.values()) - before)
             told.extend(one.answers())
+        assert bench.daemon.gateway.reports.counters()["reports_refused"] <= 1.1 / module.PAUSE_S, "in a second"
         for _ in range(400):
             yield from bench.wait(0.02)
             told.extend(one.answers())
