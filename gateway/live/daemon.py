@@ -117,6 +117,7 @@ class Daemon:
             for door in (self.status, self._reports):
                 if door is not None:
                     door.close()
+            self._doors.close()
             for link in links:
                 link.close()
             gateway.close()
