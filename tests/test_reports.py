@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 
 import pytest
 from reporting import write_config
@@ -156,6 +157,28 @@ def test_what_is_no_report_is_refused_counted_and_changes_nothing(bench, asked, 
     assert bench.packet(one, asked) == reason
     assert not bench.failing(HOT)
     assert bench.gateway.reports.counters() == {"reports_accepted": 0, "reports_refused": 1, "reporters_lost": 0}
+
+
+def test_whatever_is_sent_is_answered_and_counted(bench):
+    seed = random.randrange(10**6)
+    print("seed", seed)
+    draw = random.Random(seed)
+    values = [None, True, -1, 10**300, 1.5, "", "failed", HOT, "\ud800", [], [1], {}, {"cell": 1}, {"cell": None}, [[]]]
+    one = bench.enter()
+    packets = []
+    for _ in range(300):
+        keys = draw.sample(["fault", "result", "data", "id", "goodbye", "x"], draw.randrange(6))
+        packet = json.dumps({"fault": HOT, "result": "passed"} | {key: draw.choice(values) for key in keys}).encode()
+        if draw.random() < 0.5:
+            at = draw.randrange(len(packet))
+            packet = packet[:at] + draw.randbytes(draw.randrange(4)) + packet[at + draw.randrange(4) :]
+        packets.append(packet)
+        bench.wait(10)
+    told = [json.loads(json.dumps(bench.gateway.reports.take(one, packet, bench.now_s))) for packet in packets]
+    counters = bench.gateway.reports.counters()
+    goodbyes = sum(answer["ok"] for answer in told) - counters["reports_accepted"]
+    assert counters["reports_accepted"] + counters["reports_refused"] + goodbyes == len(packets)
+    assert goodbyes >= 0
 
 
 def test_a_misspelt_fault_is_answered_with_the_nearest_and_the_number_of_the_report(bench):

@@ -81,7 +81,7 @@ class Reporter:
         else:  # whoever fails says no goodbye: its faults are not tested
             self._drop("")
 
-    def passed(self, fault: str, **data: float) -> Answer:
+    def passed(self, fault: str, /, **data: float) -> Answer:
         """Report that a test has passed, without debounce.
 
         Args:
@@ -90,15 +90,15 @@ class Reporter:
         """
         return self.report(fault, "passed", **data)
 
-    def failed(self, fault: str, **data: float) -> Answer:
+    def failed(self, fault: str, /, **data: float) -> Answer:
         """Report that a test has failed, without debounce; arguments as for :meth:`passed`."""
         return self.report(fault, "failed", **data)
 
-    def prepassed(self, fault: str, **data: float) -> Answer:
+    def prepassed(self, fault: str, /, **data: float) -> Answer:
         """Report one passed result, which the gateway debounces; arguments as for :meth:`passed`."""
         return self.report(fault, "prepassed", **data)
 
-    def prefailed(self, fault: str, **data: float) -> Answer:
+    def prefailed(self, fault: str, /, **data: float) -> Answer:
         """Report one failed result, which the gateway debounces; arguments as for :meth:`passed`."""
         return self.report(fault, "prefailed", **data)
 

@@ -31,6 +31,8 @@ log = get_logger(__name__)
 LOOK_NS = 50_000_000
 #: Users without a right that are named in the log.
 MOST_STRANGERS = 16
+#: Faults among which the nearest to an unknown one is looked for: frames wait meanwhile.
+MOST_COMPARED = 64
 
 
 class _RefusedError(Exception):
@@ -185,7 +187,8 @@ class Reports:
 
     def _reporter_of(self, fault: str) -> _Reporter:
         if fault not in self._keys:
-            raise _RefusedError("unknown_fault", REFUSALS["unknown_fault"] + nearest(fault, self._keys))
+            close = nearest(fault, self._keys) if len(self._keys) <= MOST_COMPARED else ""
+            raise _RefusedError("unknown_fault", REFUSALS["unknown_fault"] + close)
         return self._reporters[fault.partition(".")[0]]
 
     def _note(self, reporter: _Reporter, fault: str, sender: _Sender) -> None:

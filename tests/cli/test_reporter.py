@@ -1,7 +1,6 @@
 """``gateway report``, ``gateway.report`` for Python and the header for C, against a gateway that runs."""
 
 import json
-import os
 import select
 import signal
 import subprocess
@@ -14,6 +13,7 @@ from command import command
 from debian import program
 from reporting import served, write_config
 
+from gateway.cli.events import EventPrinter
 from gateway.live.report_socket import ReportSocket
 from gateway.report import UNANSWERED, UNDELIVERED, Reporter, header
 from gateway.report.words import REFUSALS, RESULTS
@@ -88,6 +88,19 @@ def test_where_nobody_listens_it_says_so(tmp_path, run):
     code, _, err = run(HOT, "failed", "-c", tmp_path / "bare.toml")
     assert code == 2
     assert "no table [report]" in err
+
+
+def test_who_is_gone_is_said_to_people(capsys):
+    event = {
+        "event": "reporter",
+        "t_ns": 10**9,
+        "reporter": "battery",
+        "state": "lost",
+        "reason": "why",
+        "faults": [HOT],
+    }
+    EventPrinter(as_json=False)(event)
+    assert capsys.readouterr().out.split() == ["1.0000", "s", "reporter", "battery", "lost", "why;", HOT]
 
 
 def test_check_names_users_that_are_not_there(tmp_path, capsys, monkeypatch):
@@ -251,15 +264,12 @@ def test_the_header_is_found_and_knows_the_words(run):
     assert "#define GATEWAY_REPORT_MOST 4096" in text
 
 
-def test_the_protocol_is_what_the_page_says(tmp_path):
+def test_the_protocol_is_what_the_page_says(tmp_path, capsys, monkeypatch):
     page = (ROOT / "docs/report.md").read_text()
     assert all(f"`{word}`" in page for word in (*RESULTS, *REFUSALS))
     begin = page.index("```toml") + len("```toml\n")
     table = textwrap.dedent(page[begin : page.index("```", begin)])
     bus = '[[bus]]\nname = "a"\nuri = "virtual:a"\n'
     (tmp_path / "page.toml").write_text(bus + table)
-    done = subprocess.run(
-        [sys.executable, "-m", "gateway", "check", "page.toml"], cwd=tmp_path, capture_output=True, text=True,
-        check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    ended = command(capsys, monkeypatch, "check", tmp_path / "page.toml")
+    assert ended.code == 0, ended.err
