@@ -12,6 +12,7 @@ from gateway.engine.checks import (
     memory_health,
     monitor_health,
     monitoring_health,
+    reporter_health,
 )
 from gateway.monitors.crank import faults as crank
 from gateway.monitors.steering import faults as steering
@@ -28,6 +29,7 @@ KNOWN = {
         *clock_health.OWN_FAULTS,
         *memory_health.FAULTS,
         *monitor_health.FAULTS,
+        *reporter_health.FAULTS,
         *monitoring_health.FAULTS,
     ),
 }

@@ -338,6 +338,37 @@ def control(
 
 
 @app.command()
+def report(
+    fault: Annotated[str | None, typer.Argument(help="Id of the fault, e.g. battery.hot.")] = None,
+    result: Annotated[
+        str | None,
+        typer.Argument(help="passed or failed; prepassed or prefailed, which are debounced; not_tested."),
+    ] = None,
+    data: Annotated[
+        list[str] | None, typer.Option("--data", metavar="NAME=NUMBER", help="A number of it; may be repeated.")
+    ] = None,
+    socket: Annotated[
+        Path | None, typer.Option("--socket", help="Report socket of the gateway; default: as configured in [report].")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("-c", "--config", help="Configuration file; default: gateway.toml in this folder.")
+    ] = None,
+    header: Annotated[bool, typer.Option("--header", help="Print the path of the header for C, and exit.")] = False,
+    json: Json = False,
+) -> None:
+    """Report a test result of your own to a running gateway.
+
+    Exit code 1: it is refused at present, and may be taken later.
+    """
+    from gateway.cli.reporter import print_header
+    from gateway.cli.reporter import report as work
+
+    if header:
+        raise typer.Exit(print_header())
+    raise typer.Exit(work(fault, result, data or (), socket=socket, config=config, json=json))
+
+
+@app.command()
 def structure(
     model: Annotated[
         Path, typer.Argument(help="File of a structural model, or the name of a shipped one, e.g. truck.")

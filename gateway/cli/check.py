@@ -111,6 +111,10 @@ def _of_this_machine(config: Config) -> list[str]:
     for k, bus in enumerate(config.bus):
         if lacking and bus.uri.startswith("socketcan:"):
             said.append(f"bus[{k}].uri = {bus.uri!r}: gateway run ends here: {lacking}")
+    for j, reporter in enumerate(() if config.report is None else config.report.reporter):
+        strangers = reporter.strangers()
+        if strangers:
+            said.append(f"report.reporter[{j}]: this machine has no {', no '.join(strangers)}")
     folders = [("memory.path", config.memory.path.parent)]
     if config.record is not None:
         folders.append(("record.folder", config.record.folder))

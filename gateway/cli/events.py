@@ -105,6 +105,12 @@ class EventPrinter:
         told = f"{event['monitor']} (type {event['type']}, {event['file']}): {event['reason']}"
         self._lines.print(f"{self._time(event)}  {mark}  {told}", mark=mark, colour="bold red")
 
+    def _on_reporter(self, event: dict[str, Any]) -> None:
+        mark = f"reporter {event['reporter']} {event['state']}"
+        faults = f"; {', '.join(event['faults'])}" if event["faults"] else ""
+        colour = "green" if event["state"] == "back" else "bold red"
+        self._lines.print(f"{self._time(event)}  {mark}  {event['reason']}{faults}", mark=mark, colour=colour)
+
     def _on_intervention(self, event: dict[str, Any]) -> None:
         how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
         by = f"{event['protocol']} {event['address']:X}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from pathlib import Path
 
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
@@ -18,6 +19,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
     return chain(
         _names(config),
         _monitors(config),
+        _reporters(config),
         _checks(config),
         _outputs(config),
         check_unique(config.did),
@@ -47,6 +49,34 @@ def _monitors(config: Config) -> Iterator[InputError]:
             config.bus_index(entry.bus)
         except InputError as error:
             yield InputError(error.message, key=f"monitor[{k}].bus", value=error.value)
+
+
+def _reporters(config: Config) -> Iterator[InputError]:
+    """Names and DTCs of reporters and their faults are theirs alone."""
+    if config.report is None:
+        return
+    taken = {"gateway": "the gateway itself"}
+    taken |= {bus.name: "a bus" for bus in config.bus} | {entry.name: "a monitor" for entry in config.monitor}
+    codes: dict[str, str] = {}
+    for k, reporter in enumerate(config.report.reporter):
+        key = f"report.reporter[{k}]"
+        if reporter.name in taken:
+            text = f"this name is taken by {taken[reporter.name]}"
+            yield InputError(text, key=f"{key}.name", value=reporter.name)
+        taken.setdefault(reporter.name, key)
+        names: set[str] = set()
+        for j, fault in enumerate(reporter.fault):
+            if fault.name in names:
+                yield InputError("this name is taken", key=f"{key}.fault[{j}].name", value=fault.name)
+            names.add(fault.name)
+            settings = config.fault.get(f"{reporter.name}.{fault.name}")
+            dtc = (settings and settings.dtc) or fault.dtc
+            owner = codes.setdefault(dtc, f"{key}.fault[{j}]")
+            if owner != f"{key}.fault[{j}]":
+                text = f"{owner} has this DTC; give one of them another"
+                yield InputError(text, key=f"{key}.fault[{j}].dtc", value=dtc)
+    if config.status is not None and config.status.socket == Path(config.report.socket):
+        yield InputError("this is the status socket", key="report.socket", value=config.report.socket)
 
 
 def _checks(config: Config) -> Iterator[InputError]:

@@ -14,6 +14,7 @@ from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
+from gateway.faults.reported import ReportParams
 from gateway.faults.settings import CycleSettings, FaultOverride
 from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of
@@ -154,6 +155,7 @@ class Config(StrictModel):
         None, description="what tells how the vehicle is used: distance, running time, performance ratios of monitors"
     )
     status: StatusConfig | None = Field(None, description="a unix socket for gateway serve and gateway watch")
+    report: ReportParams | None = Field(None, description="a unix socket on which other processes report test results")
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"
     )

@@ -20,7 +20,7 @@ from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
 from gateway.engine.timers import note_all
 from gateway.jit import Same, bound
-from gateway.monitors.contract import FAILED, NOT_TESTED
+from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
 from gateway.signals.tables import DecodePlan, SignalRef
 
 _NO_FRAMES = empty(0)
@@ -156,8 +156,10 @@ class Engine:
         limit: float,
         evidence: Sequence[float],
         sink: Sink,
-    ) -> None:
-        """Take a test result that is none of a monitor's, at the time it is.
+        *,
+        at_once: bool = False,
+    ) -> bool:
+        """Take a test result that is none of a monitor's, at the time it is; returns whether it counts.
 
         Args:
             fault: index in :attr:`faults`.
@@ -166,14 +168,30 @@ class Engine:
             limit: what it was tested against, same unit.
             evidence: values by the names of the fault's evidence.
             sink: called with the events.
+            at_once: whether it qualifies at once, without debounce.
         """
         clock = self.tables.clock[0]
         row = self.tables.reports[int(clock["reported"])]
-        row["fault"], row["failed"] = fault, failed
+        row["fault"], row["result"], row["at_once"] = fault, FAILED if failed else PASSED, at_once
         row["value"], row["limit"] = value, limit
         row["evidence"][:] = 0.0
         row["evidence"][: len(evidence)] = evidence
-        clock["reported"] += 1
+        self._take_report(sink)
+        return int(self.tables.debounces[fault]["last"]) != NOT_TESTED
+
+    def report_not_tested(self, fault: int, sink: Sink) -> None:
+        """Take it that a test that is none of a monitor's cannot run now; what was counted is held.
+
+        Args:
+            fault: index in :attr:`faults`.
+            sink: called with the events.
+        """
+        row = self.tables.reports[int(self.tables.clock[0]["reported"])]
+        row["fault"], row["result"] = fault, NOT_TESTED
+        self._take_report(sink)
+
+    def _take_report(self, sink: Sink) -> None:
+        self.tables.clock[0]["reported"] += 1
         self._run(_NO_FRAMES, 0, NEVER)
         self._drain(sink)
 

@@ -257,6 +257,15 @@ def report_time_based(d: Any, t_ns: int, result: int) -> int:
 
 
 @kernel
+def jump_to_end(d: Any, t_ns: int, result: int) -> None:
+    """Bring the counter to where the next equal result qualifies (AUTOSAR DEM: a monitor that has debounced itself)."""
+    d.counter = d.failed_after if result == FAILED else -d.passed_after
+    if d.timed == 1:
+        d.direction = result
+        d.since_ns = max(d.since_ns, t_ns)
+
+
+@kernel
 def hold(d: Any, t_ns: int) -> None:
     """Stop counting; what has been counted is kept (freeze), or given up if the fault is set to (reset)."""
     d.last = NOT_TESTED

@@ -37,11 +37,11 @@ from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, MONITOR_OFF
 from gateway.engine.gate import closed, is_valid
-from gateway.engine.results import announce, not_tested, push, report_result, store_evidence
+from gateway.engine.results import announce, not_tested, push, report_result, report_verdict, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel, read_ahead
-from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, TIMER
+from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, NOT_TESTED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
     OK,
@@ -266,11 +266,17 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
 
 @kernel(inlined=False)
 def take_reports(T: Any) -> None:
-    """Debounce the results that the gateway reports of itself, at the time it is."""
+    """Debounce the results that are none of a monitor's, at the time it is."""
     clock = T.clock[0]
     for k in range(clock.reported):
         r = T.reports[k]
-        place = report_result(T, clock.now_ns, r.fault, r.failed == 1, r.value, r.limit)
+        if r.result == NOT_TESTED:
+            not_tested(T, clock.now_ns, r.fault)
+            continue
+        if r.at_once == 1:
+            place = report_verdict(T, clock.now_ns, r.fault, r.result == FAILED, r.value, r.limit)
+        else:
+            place = report_result(T, clock.now_ns, r.fault, r.result == FAILED, r.value, r.limit)
         for e in range(r.evidence.shape[0]):
             store_evidence(T, r.fault, place, e, r.evidence[e])
     clock.reported = 0

@@ -22,7 +22,7 @@ __all__ = [
     "table",
 ]
 
-#: Test results of the gateway itself that wait at most (see Engine.report).
+#: Test results of the gateway itself and of other processes that wait at most (see Engine.report).
 MOST_REPORTS = 16
 
 
@@ -80,10 +80,11 @@ class Handler(HandlerState, HandlerPlace):
 
 
 class Report(Record):
-    """A test result that is none of a monitor's: of the gateway itself."""
+    """A test result that is none of a monitor's: of the gateway itself, or of another process."""
 
     fault: i4
-    failed: u1
+    result: u1 = means("PASSED, FAILED or NOT_TESTED")
+    at_once: u1 = means("whether it qualifies at once, without debounce")
     value: f8
     limit: f8
     evidence: Annotated[f8s, EVIDENCE]

@@ -12,11 +12,13 @@ from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
 from gateway.errors import GatewayError, InputError
 from gateway.faults.kept import KeptStore
+from gateway.live.doors import Doors
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
+from gateway.live.report_socket import ReportSocket
 from gateway.live.status import StatusSocket
 from gateway.live.watchdog import Watchdog
 from gateway.runtime.app import Gateway
@@ -70,6 +72,8 @@ class Daemon:
         self._path, self._bus, self._memory = path, bus, memory
         self._listener, self._given_taps = tell, list(taps)
         self.status: StatusSocket | None = None
+        self._doors = Doors()
+        self._reports: ReportSocket | None = None
         self._notifier = notifier or Notifier({})
         self._watchdog = Watchdog(lambda: self.gateway.engine, lambda: self.gateway.store.path, asked=asked)
         config = self._load()
@@ -94,6 +98,9 @@ class Daemon:
                 links.append(self._new_link(entry.uri, index, entry.name))
                 links[-1].start()
             self.status = self._new_status(config, status, gateway, links)
+            if self.status is not None:
+                self._doors.add(self.status)
+            self._replace_reports(self._new_reports(config, gateway))
             gateway.start(self._clock.now())
             self._live = Live(
                 gateway,
@@ -104,11 +111,13 @@ class Daemon:
                 tick_s=self._machine.tick_s,
                 monotonic=self._machine.monotonic,
                 settle=self._machine.settle,
-                door=self.status,
+                door=self._doors,
             )
         except BaseException:
-            if self.status is not None:
-                self.status.close()
+            for door in (self.status, self._reports):
+                if door is not None:
+                    door.close()
+            self._doors.close()
             for link in links:
                 link.close()
             gateway.close()
@@ -127,6 +136,23 @@ class Daemon:
         settings = config.status or StatusConfig(socket=path or Path())
         place = path or settings.socket
         return StatusSocket(place, gateway, self._bus_states, readers=settings.readers)
+
+    def _new_reports(self, config: Config, gateway: Gateway) -> ReportSocket | None:
+        """Return the report socket of a configuration: the one that there is, if it fits."""
+        before = self._reports
+        if config.report is None or (before is not None and before.fits(config.report)):
+            return None if config.report is None else before
+        return ReportSocket(config.report, gateway)
+
+    def _replace_reports(self, new: ReportSocket | None) -> None:
+        if new is self._reports:
+            return
+        if self._reports is not None:
+            self._doors.remove(self._reports)
+            self._reports.close()
+        if new is not None:
+            self._doors.add(new)
+        self._reports = new
 
     def _bus_states(self) -> list[dict[str, Any]]:
         return self._live.bus_states()
@@ -158,8 +184,10 @@ class Daemon:
     def close(self) -> None:
         """Close buses, recording, status socket and fault memory."""
         self._watchdog.end()
-        if self.status is not None:
-            self.status.close()
+        for door in (self.status, self._reports):
+            if door is not None:
+                door.close()
+        self._doors.close()
         self._live.close()
         for link in self._live.links:
             link.close()
@@ -248,7 +276,7 @@ class Daemon:
         kept = {link.uri: link for link in self._live.links}
         links: list[Link] = []
         opened: list[Link] = []
-        ring = self._ring
+        ring, reports = self._ring, self._reports
         channels = [bus.channel for bus in new.config.bus]
         same = [bus.channel for bus in old.config.bus] == channels
         try:
@@ -261,6 +289,7 @@ class Daemon:
                     opened.append(link)
                     link.start()
                 links.append(link)
+            reports = self._new_reports(new.config, old)
             self._live.drain()
             self._live.finish()
             began_s = self._machine.monotonic()
@@ -271,6 +300,8 @@ class Daemon:
             old.go_on()
             for link in opened:
                 link.close()
+            if reports is not None and reports is not self._reports:
+                reports.close()
             raise
         gateway.succeed(old)
         self.gateway = gateway
@@ -283,6 +314,9 @@ class Daemon:
             self._ring = ring
         if self.status is not None:
             self.status.replace(gateway)
+        self._replace_reports(reports)
+        if self._reports is not None and new.config.report is not None:
+            self._reports.replace(gateway, new.config.report)
         self._live.replace(gateway, links, self._taps())
         for link in kept.values():
             link.close()

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import selectors
 import socket
-import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -30,8 +29,8 @@ from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
-from gateway.live.status_commands import NOBODY, Commands, monitoring_of
-from gateway.live.unix_socket import listen_at
+from gateway.live.status_commands import Commands, monitoring_of
+from gateway.live.unix_socket import credentials_of, listen_at
 from gateway.runtime.app import Gateway
 
 PROTOCOL = 1
@@ -55,16 +54,12 @@ MOST_MESSAGES = 512
 log = get_logger(__name__)
 
 
-#: Process, user and group at the other end (unix(7), SO_PEERCRED).
-_CREDENTIALS = struct.Struct("3i")
-
-
 class _Reader:
     """One connection."""
 
     def __init__(self, connection: socket.socket, number: int) -> None:
         self.socket, self.number = connection, number
-        self.uid = _uid_of(connection)
+        self.uid = credentials_of(connection)[1]
         self.heard = bytearray()
         self.lines: deque[bytes] = deque()
         self.waiting: deque[bytes] = deque()
@@ -349,7 +344,13 @@ class StatusSocket:
         monitoring = monitoring_of(self._gateway)
         self._send(
             _message(
-                "buses", t_ns=t_ns, buses=told, counters=counters, receive=monitoring["receive"], monitoring=monitoring
+                "buses",
+                t_ns=t_ns,
+                buses=told,
+                counters=counters,
+                receive=monitoring["receive"],
+                monitoring=monitoring,
+                reporters=self._gateway.reports.states(),
             )
         )
         for reader in self._readers:
@@ -366,14 +367,6 @@ class StatusSocket:
         told = min(len(rows), MOST_MESSAGES)
         left_out = len(rows) - told
         self._send(_message("messages", data, t_ns=t_ns, offset_ns=engine.offset_ns, rows=told, left_out=left_out))
-
-
-def _uid_of(connection: socket.socket) -> int:
-    """Return as which user the process at the other end runs."""
-    if not hasattr(socket, "SO_PEERCRED"):
-        return NOBODY  # another system than Linux
-    told = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    return int(_CREDENTIALS.unpack(told)[1])
 
 
 def _message(kind: str, data: bytes = b"", **fields: Any) -> bytes:

@@ -28,6 +28,7 @@ from typing import Any
 from gateway.errors import GatewayError, InputError, nearest
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
+from gateway.live.unix_socket import NOBODY
 from gateway.runtime.app import Gateway
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
 from gateway.servers.uds.params import S3_MS
@@ -44,8 +45,6 @@ _KEYS = {
 MOST_SIGNALS = 256
 #: Longest ``by`` and ``why`` [characters].
 MOST_LETTERS = 80
-#: What nobody can tell who asks.
-NOBODY = -1
 
 
 @dataclass

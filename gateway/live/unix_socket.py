@@ -1,28 +1,40 @@
-"""Sockets of this machine that a process listens at, for its owner alone."""
+"""Sockets of this machine that a process listens at, and who is at their other end."""
 
 from __future__ import annotations
 
 import os
 import socket
 import stat
+import struct
 from pathlib import Path
 
 from gateway.errors import InputError
 
+#: Process, user and group at the other end (unix(7), SO_PEERCRED).
+_CREDENTIALS = struct.Struct("3i")
+#: All groups of the process at the other end (socket(7) of Linux 4.13); Python's module has no name for it.
+_SO_PEERGROUPS, _MOST_GROUPS = 59, 1024
+#: What nobody can tell who asks.
+NOBODY = -1
 
-def listen_at(path: Path, what: str = "status socket") -> socket.socket:
-    """Return a socket that listens at a path, for its owner alone; one that nobody listens at any more gives way.
+
+def listen_at(
+    path: Path, what: str = "status socket", *, kind: int = socket.SOCK_STREAM, mode: int = 0o600
+) -> socket.socket:
+    """Return a socket that listens at a path; one that nobody listens at any more gives way.
 
     Args:
         path: of the socket.
         what: it is, for people.
+        kind: of socket.
+        mode: of the file; as it is, it is for its owner alone.
 
     Raises:
         InputError: somebody does, or what is there is no socket.
     """
-    _tidy(path, what)
-    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(0o177)
+    _tidy(path, what, kind)
+    made = socket.socket(socket.AF_UNIX, kind)
+    before = os.umask(0o777 & ~mode)
     try:
         made.bind(str(path))
     except OSError as error:
@@ -35,14 +47,14 @@ def listen_at(path: Path, what: str = "status socket") -> socket.socket:
     return made
 
 
-def _tidy(path: Path, what: str) -> None:
+def _tidy(path: Path, what: str, listening: int) -> None:
     try:
         kind = path.lstat().st_mode
     except OSError:
         return
     if not stat.S_ISSOCK(kind):
         raise InputError(f"this is no socket; the {what} does not replace it", value=str(path))
-    probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    probe = socket.socket(socket.AF_UNIX, listening)
     probe.setblocking(False)
     try:
         probe.connect(str(path))
@@ -54,3 +66,21 @@ def _tidy(path: Path, what: str) -> None:
     finally:
         probe.close()
     raise InputError(f"another gateway listens at this {what}", value=str(path))
+
+
+def credentials_of(connection: socket.socket) -> tuple[int, int, int]:
+    """Return process, user and group at the other end; NOBODY on another system than Linux."""
+    if not hasattr(socket, "SO_PEERCRED"):
+        return NOBODY, NOBODY, NOBODY
+    told = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, gid = _CREDENTIALS.unpack(told)
+    return pid, uid, gid
+
+
+def groups_of(connection: socket.socket) -> set[int]:
+    """Return the further groups of the process at the other end; none where the kernel does not tell them."""
+    try:
+        told = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, 4 * _MOST_GROUPS)
+    except OSError:
+        return set()
+    return {group for (group,) in struct.iter_unpack("I", told[: len(told) // 4 * 4])}

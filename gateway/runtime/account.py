@@ -8,6 +8,7 @@ from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.faults.catalogue import Catalogue, as_dict
 from gateway.faults.recorder import Recorder
+from gateway.runtime.reports import Reports
 from gateway.runtime.upkeep import Upkeep
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.identifiers import Identifiers
@@ -35,8 +36,10 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
     }
 
 
-def counters(engine: Engine, servers: BusServers, upkeep: Upkeep, recorder: Recorder | None) -> dict[str, int]:
-    """Return what was counted, by name: of frames, requests, and the fault memory."""
+def counters(
+    engine: Engine, servers: BusServers, upkeep: Upkeep, recorder: Recorder | None, reports: Reports
+) -> dict[str, int]:
+    """Return what was counted, by name: of frames, requests, the fault memory, and other processes' reports."""
     found = engine.counters()
     for name, count in servers.counters().items():
         found[name] = found.get(name, 0) + count
@@ -44,7 +47,7 @@ def counters(engine: Engine, servers: BusServers, upkeep: Upkeep, recorder: Reco
     found["memory_write_failures"] = upkeep.failures
     if recorder is not None:
         found["recordings_refused"] = recorder.refused
-    return found
+    return found | reports.counters()
 
 
 def bus_errors(config: Config, engine: Engine) -> dict[str, dict[str, int]]:

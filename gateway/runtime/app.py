@@ -32,6 +32,7 @@ from gateway.runtime.interventions import Interventions
 from gateway.runtime.outbox import Listener, Outbox
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.reception import Reception, refuse_unless_frames
+from gateway.runtime.reports import Reports
 from gateway.runtime.standing import Standing
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
@@ -155,6 +156,7 @@ class Gateway:
             self._off,
         )
         self.controls.connect(self._interventions)
+        self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)
 
     def finish(self, t_ns: int) -> Frames:
         """Put down all that a successor is to find in the fault memory; returns frames to send.
@@ -204,6 +206,7 @@ class Gateway:
         self.servers.succeed(old.servers, buses)
         self._verdicts.count = old._verdicts.count
         self._standing.succeed(old._standing)
+        self.reports.succeed(old.reports)
         for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
@@ -427,7 +430,7 @@ class Gateway:
         return summary_event(
             seconds,
             self._verdicts.count,
-            counters(self.engine, self.servers, self._upkeep, self._recorder),
+            counters(self.engine, self.servers, self._upkeep, self._recorder, self.reports),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],

@@ -10,9 +10,10 @@ from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import memory_health, monitor_health, monitoring_health
+from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.errors import InputError, InputErrors, named
@@ -39,6 +40,9 @@ from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.signals.database import Database
+
+#: Faults of the gateway itself.
+_OWN = (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS, *reporter_health.FAULTS)
 
 
 @dataclass(frozen=True)
@@ -146,7 +150,7 @@ def _engine(resolved: Resolved) -> Engine:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=resolved.buses,
         clock=config.clock,
-        reported=_own_faults(config, resolved.monitors),
+        reported=[*_reported_faults(config), *_own_faults(config, resolved.monitors)],
     )
 
 
@@ -172,13 +176,21 @@ def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[Fau
         watched += monitoring_health.FAULTS
     if any(instance.monitor.outside for instance in monitors):
         watched += monitor_health.FAULTS
+    if config.report is not None:
+        watched += reporter_health.FAULTS
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
+
+
+def _reported_faults(config: Config) -> list[FaultSlot]:
+    """Return the faults that other processes test; they are of no bus."""
+    reporters = () if config.report is None else config.report.reporter
+    return [FaultSlot(f"{each.name}.{fault.name}", fault.fault, NO_BUS) for each in reporters for fault in each.fault]
 
 
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
     """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
     settings = config.fault.get(slot.id)
-    if slot.fault not in (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS):
+    if slot.fault not in _OWN:
         return settings
     asked = {} if settings is None else settings.model_dump(exclude_unset=True)
     own = {"emission_related": False, "priority": memory_health.PRIORITY}

@@ -29,7 +29,7 @@ Place = tuple[str | int, ...]
 #: Keys of a bus that nothing depends on -> what stands for one that is wrong; None: nothing.
 _ALONE = {"uri": "virtual:check", "bitrate": None, "data_bitrate": None}
 #: Tables that nothing else names.
-_UNNAMED = {"name", "clock", "memory", "access", "usage", "status", "record"}
+_UNNAMED = {"name", "clock", "memory", "access", "usage", "status", "record", "report"}
 _TOKEN = re.compile(r'"([^"]*)"|\[(\d+)\]|([\w-]+)')
 _LISTED = re.compile(r"\b(bus\[\d+\]\.check|monitor|did)\[(\d+)\]")
 _AFTER_ALL = 1 << 30
@@ -209,6 +209,8 @@ class _Gone:
         elif head == "monitor":
             self._owners.add(name)
             self._any_owner = self._any_owner or not isinstance(table.get("name"), str)
+        elif head == "report":
+            self._owners |= {name for name in _texts(table) if "." not in name}
         elif head in ("did", "cycle"):
             self._names.add(name if head == "did" else str(place[1]))
         elif head == "fault":

@@ -34,7 +34,7 @@ STATES = {"memory", "link", "monitoring"}
 #: Least time between two looks into the fault memory's file, and longest [s].
 READ_S, LOOK_S = 0.1, 2.0
 #: Kinds of events that the page lists.
-LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected"}
+LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected", "reporter"}
 
 #: What is on and off where nobody has switched anything.
 ALL_ON: dict[str, Any] = {"on": True, "dtcs": True, "receive": True, "send": True, "by": []}
@@ -118,6 +118,7 @@ class Hub:
         self.memory: dict[str, Any] = self.memory_file.read(())
         self.buses: list[dict[str, Any]] = []
         self.counters: dict[str, int] = {}
+        self.reporters: list[dict[str, Any]] = []
         self.monitoring: dict[str, Any] = dict(ALL_ON)
         self.messages: list[dict[str, Any]] = []
         self.history = History(0)
@@ -273,6 +274,7 @@ class Hub:
 
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
         self.buses, self.counters = self._loads.shown(message), message["counters"]
+        self.reporters = message.get("reporters", [])
         self._tell("buses", self.buses)
         self._take_monitoring(message)
 

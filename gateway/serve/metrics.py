@@ -49,6 +49,7 @@ class Metrics(Collector):
         )  # fmt: skip
         yield from self._faults()
         yield from self._buses()
+        yield from self._reporters()
         decoded = self._hub.counters
         for name, text in (
             ("frames", "Frames taken in."),
@@ -86,6 +87,23 @@ class Metrics(Collector):
         yield GaugeMetricFamily(
             "gateway_memory_stored", "Whether the file has all that is known.", value=float(hub.memory["stored"])
         )
+
+    def _reporters(self) -> Iterator[Metric]:
+        reports = CounterMetricFamily(
+            "gateway_reports", "Test results of other processes by what became of them.", labels=["reporter", "outcome"]
+        )
+        losses = CounterMetricFamily("gateway_reporter_losses", "How often a reporter was lost.", labels=["reporter"])
+        there = GaugeMetricFamily("gateway_reporter_lost", "Whether it is lost at present.", labels=["reporter"])
+        for each in self._hub.reporters:
+            name, counts = each["reporter"], dict(each["counts"])
+            lost = counts.pop("lost", 0)
+            for outcome, count in counts.items():
+                reports.add_metric([name, outcome], float(count))
+            if name:
+                losses.add_metric([name], float(lost))
+                there.add_metric([name], float(bool(each["lost"])))
+        if self._hub.reporters:
+            yield from (reports, losses, there)
 
     def _buses(self) -> Iterator[Metric]:
         state = GaugeMetricFamily("gateway_bus_open", "Whether the bus is open.", labels=["bus"])

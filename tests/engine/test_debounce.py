@@ -12,6 +12,7 @@ from gateway.engine.debounce import (
     fault_detection_counter,
     hold,
     is_settled,
+    jump_to_end,
     qualify_by_time,
     report_counter_based,
     report_time_based,
@@ -168,3 +169,34 @@ def test_reset_starts_anew():
     assert rows[0]["counter"] == 0
     assert report_counter_based(rows[0], FAILED) == QUALIFIED_FAILED
     assert fault_detection_counter(rows[0], 0) == 127
+
+
+TIMED = st.builds(lambda a, b: Debounce(failed_ms=a, passed_ms=b), st.integers(1, 50), st.integers(1, 50))
+
+
+@given(
+    debounce=st.one_of(DEBOUNCES, TIMED),
+    before=st.lists(st.sampled_from([PASSED, FAILED]), max_size=20),
+    result=st.sampled_from([PASSED, FAILED]),
+)
+def test_a_result_after_a_jump_to_the_end_qualifies_whatever_was_before(debounce, before, result):
+    """AUTOSAR: a monitor that reports FAILED or PASSED has debounced itself."""
+    rows = row(debounce)
+    d, t_ns = rows[0], 0
+
+    def take(result):
+        return report_time_based(d, t_ns, result) if debounce.timed else report_counter_based(d, result)
+
+    for each in before:
+        t_ns += 7_000_000
+        take(each)
+    t_ns += 7_000_000
+    known = qualify_by_time(d, t_ns) if debounce.timed else 0  # what time had brought until then
+    verdict = int(d["verdict"])
+    jump_to_end(d, t_ns, result)
+    kind = take(result)
+    if verdict != result:
+        assert kind == (QUALIFIED_FAILED if result == FAILED else QUALIFIED_PASSED), known
+    assert int(d["verdict"]) == result
+    assert fault_detection_counter(d, t_ns) == (127 if result == FAILED else -128)
+    assert fault_detection_counter(d, t_ns + 10**12) == fault_detection_counter(d, t_ns), "it stays there"

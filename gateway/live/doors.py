@@ -1,0 +1,49 @@
+"""Several doors as one: status socket and report socket, for a loop that waits for one descriptor."""
+
+from __future__ import annotations
+
+import selectors
+
+from gateway.bus.frames import Frames
+from gateway.live.loop import Door
+
+
+class Doors:
+    """The doors that are open now."""
+
+    def __init__(self) -> None:
+        self._selector = selectors.DefaultSelector()
+        self._open: list[Door] = []
+
+    def add(self, door: Door) -> None:
+        """Open one more."""
+        self._selector.register(door.fileno(), selectors.EVENT_READ, door)
+        self._open.append(door)
+
+    def remove(self, door: Door) -> None:
+        """Take one out, which is closed after that."""
+        self._selector.unregister(door.fileno())
+        self._open.remove(door)
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when somebody wants something of any."""
+        return self._selector.fileno()
+
+    def listening(self) -> bool:
+        """Tell whether somebody is there who is shown the time."""
+        return any(door.listening() for door in self._open)
+
+    def on_frames(self, frames: Frames) -> None:
+        """Take what came from the buses, or goes there."""
+        for door in self._open:
+            door.on_frames(frames)
+
+    def turn(self, now_s: float, *, wanted: bool) -> None:
+        """Do what is due, without waiting; ``wanted``: whether the descriptor was readable."""
+        asked = {id(key.data) for key, _ in self._selector.select(0)} if wanted else set()
+        for door in list(self._open):
+            door.turn(now_s, wanted=id(door) in asked)
+
+    def close(self) -> None:
+        """Forget them; they are closed by whom they belong to."""
+        self._selector.close()

@@ -1,0 +1,218 @@
+"""The socket on which other processes report test results: packets of JSON, each answered (docs/report.md).
+
+Who may connect is asked of the kernel (SO_PEERCRED), what he may report of :mod:`gateway.runtime.reports`. All of it is
+done in the daemon's loop, without waiting, and so much a turn that frames wait for little: what a process sends beyond
+that waits in the kernel's queue, and then its sender does.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import sys
+from pathlib import Path
+
+from gateway.bus.frames import Frames
+from gateway.common.jsonlines import line
+from gateway.common.log import get_logger
+from gateway.errors import UnsupportedError
+from gateway.faults.reported import ReportParams
+from gateway.live.unix_socket import credentials_of, groups_of, listen_at
+from gateway.report.words import MOST_BYTES, REFUSALS
+from gateway.runtime.app import Gateway
+
+#: Reports of all connections in one turn of the loop.
+MOST_IN_A_TURN = 32
+#: A connection with a report that was refused for its sender's fault is not heard for so long [s].
+PAUSE_S = 0.01
+#: No connection is taken for so long where no descriptors are left [s].
+DEAF_S = 1.0
+#: What the pause is for: who sends too much or nonsense does not keep the loop busy.
+_PAUSING = {"malformed", "unknown_fault", "not_allowed", "rate", "data"}
+_TURNED_AWAY = line({"ok": False, "refused": "not_allowed", "why": REFUSALS["not_allowed"]}).encode()
+
+log = get_logger(__name__)
+
+
+class _Connection:
+    """One process; ``waiting``: an answer that it has no room for, before which nothing more of it is heard."""
+
+    def __init__(self, made: socket.socket, number: int) -> None:
+        self.socket, self.number = made, number
+        self.waiting = b""
+
+
+class ReportSocket:
+    """Listens for reporters.
+
+    Args:
+        params: the table ``[report]``.
+        gateway: that takes the reports.
+
+    Attributes:
+        params: the same.
+        refused: connections beyond the most.
+
+    Raises:
+        InputError: another process listens there, or something else is at this path.
+        UnsupportedError: this system cannot say who connects.
+    """
+
+    def __init__(self, params: ReportParams, gateway: Gateway) -> None:
+        if not sys.platform.startswith("linux"):
+            raise UnsupportedError("[report]: only Linux says which process reports")
+        self.params, self._gateway = params, gateway
+        self._path = Path(params.socket)
+        self._selector = selectors.DefaultSelector()
+        self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=params.mode_of_socket)
+        self._inode = self._path.stat().st_ino
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._connections: list[_Connection] = []
+        self._paused: dict[_Connection, float] = {}  # until when
+        self._deaf_until = 0.0
+        self.refused = 0
+        self._say_strangers()
+
+    def _say_strangers(self) -> None:
+        for reporter in self.params.reporter:
+            for lacking in reporter.strangers():
+                log.error("this machine does not have who may report", reporter=reporter.name, who=lacking)
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when a process reports or comes."""
+        return self._selector.fileno()
+
+    def listening(self) -> bool:
+        """Tell whether a connection waits for a short time to pass."""
+        return bool(self._paused)
+
+    def on_frames(self, frames: Frames) -> None:
+        """Frames are nothing to it."""
+
+    def fits(self, params: ReportParams | None) -> bool:
+        """Return whether it can be that of another configuration: same path."""
+        return params is not None and params.socket == self.params.socket
+
+    def replace(self, gateway: Gateway, params: ReportParams) -> None:
+        """Give the reports to another gateway from now on; the connections stay."""
+        self._gateway, self.params = gateway, params
+        self._path.chmod(params.mode_of_socket)
+        self._say_strangers()
+
+    def turn(self, now_s: float, *, wanted: bool = True) -> None:
+        """Take what has come, without waiting.
+
+        Args:
+            now_s: of a clock that is never set [s].
+            wanted: whether the descriptor was readable.
+        """
+        reports = self._gateway.reports
+        if not reports.begun:
+            return  # no time to stamp a report with
+        reports.pass_time()
+        if self._deaf_until and now_s >= self._deaf_until:
+            self._deaf_until = 0.0
+            self._selector.register(self._socket, selectors.EVENT_READ)
+        for connection in [each for each, until_s in self._paused.items() if now_s >= until_s]:
+            del self._paused[connection]
+            self._selector.register(connection.socket, _events_of(connection), connection)
+            wanted = True
+        if not wanted:
+            return
+        ready = [key for key, _ in self._selector.select(0)]
+        room = max(MOST_IN_A_TURN // max(len(ready), 1), 1)
+        for key in ready:
+            if key.fileobj is self._socket:
+                self._accept(now_s)
+            else:
+                self._hear(key.data, room, now_s)
+
+    def close(self) -> None:
+        """End all connections."""
+        for connection in self._connections:
+            self._gateway.reports.let_go(connection.number)
+            connection.socket.close()
+        self._connections.clear()
+        self._selector.close()
+        self._socket.close()
+        try:
+            if self._path.stat().st_ino == self._inode:
+                self._path.unlink()
+        except OSError:
+            return  # somebody has tidied up already
+
+    def _accept(self, now_s: float) -> None:
+        try:
+            made, _ = self._socket.accept()
+        except BlockingIOError:
+            return  # gone again
+        except OSError as error:
+            # No descriptors left: the socket stays readable, and the loop would turn for nothing.
+            log.warning("report socket: a reporter cannot be taken", reason=error.strerror)
+            self._selector.unregister(self._socket)
+            self._deaf_until = now_s + DEAF_S
+            return
+        made.setblocking(False)
+        if len(self._connections) >= self.params.connections:
+            self.refused += 1
+            if self.refused == 1:
+                log.warning("report socket: too many connections, one refused", most=self.params.connections)
+            made.close()
+            return
+        pid, uid, gid = credentials_of(made)
+        number = self._gateway.reports.enter(uid, {gid, *groups_of(made)}, pid)
+        if number is None:
+            self._send(made, _TURNED_AWAY)
+            made.close()
+            return
+        self._connections.append(_Connection(made, number))
+        self._selector.register(made, selectors.EVENT_READ, self._connections[-1])
+
+    def _hear(self, connection: _Connection, room: int, now_s: float) -> None:
+        if connection.waiting:
+            if not self._send(connection.socket, connection.waiting):
+                return
+            connection.waiting = b""
+            self._selector.modify(connection.socket, selectors.EVENT_READ, connection)
+        for _ in range(room):
+            try:
+                packet = connection.socket.recv(MOST_BYTES + 1)
+            except BlockingIOError:
+                return
+            except ConnectionResetError:
+                continue  # it has ended with answers unread; what it sent before comes still
+            except OSError:
+                packet = b""
+            if not packet:
+                self._drop(connection)
+                return
+            answer = self._gateway.reports.take(connection.number, packet, now_s)
+            data = line(answer).encode()
+            if not self._send(connection.socket, data):
+                connection.waiting = data
+                self._selector.modify(connection.socket, selectors.EVENT_WRITE, connection)
+                return
+            if answer.get("refused") in _PAUSING:
+                self._selector.unregister(connection.socket)
+                self._paused[connection] = now_s + PAUSE_S
+                return
+
+    def _send(self, to: socket.socket, data: bytes) -> bool:
+        """Send an answer; returns whether there was room for it, or nobody wants it any more."""
+        try:
+            to.send(data, socket.MSG_NOSIGNAL)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True  # it has ended; what it sent before comes still
+        return True
+
+    def _drop(self, connection: _Connection) -> None:
+        self._selector.unregister(connection.socket)
+        connection.socket.close()
+        self._connections.remove(connection)
+        self._gateway.reports.leave(connection.number)
+
+
+def _events_of(connection: _Connection) -> int:
+    return selectors.EVENT_WRITE if connection.waiting else selectors.EVENT_READ
