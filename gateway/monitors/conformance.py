@@ -24,6 +24,7 @@ from gateway.monitors.contract import (
     Arrivals,
     Calibration,
     CusumCalibration,
+    Debounce,
     Emission,
     Family,
     Fault,
@@ -181,7 +182,10 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
         InputError: a name that is there twice, more evidence than a result has room for, a debounce that nothing ends.
     """
     with author_of(monitor, "faults"):
-        faults = tuple(monitor.faults(params))
+        given = monitor.faults(params)
+        faults = tuple(given) if isinstance(given, Iterable) else (given,)
+    for k, fault in enumerate(faults):
+        _check_fault(monitor, fault, f'monitor type "{monitor.type}".faults[{k}]')
     most = monitor.evidence.dtype.itemsize // 8
     names = [fault.name for fault in faults]
     for k, fault in enumerate(faults):
@@ -199,9 +203,27 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     return faults
 
 
+def _check_fault(monitor: Monitor[Any], fault: object, key: str) -> None:
+    """Refuse what is no fault, or one with a field of another kind."""
+    if not isinstance(fault, Fault):
+        text = f"this is no Fault, but {type(fault).__name__}"
+        raise InputError(text, file=monitor.file, key=key)
+    for name in ("name", "dtc", "description", "remedy", "tested"):
+        if not isinstance(getattr(fault, name), str):
+            raise InputError("a text", file=monitor.file, key=f"{key}.{name}", value=getattr(fault, name))
+    if isinstance(fault.evidence, str) or not all(isinstance(name, str) for name in fault.evidence):
+        raise InputError("names, a tuple of texts", file=monitor.file, key=f"{key}.evidence", value=fault.evidence)
+    if not isinstance(fault.debounce, Debounce):
+        raise InputError("a Debounce", file=monitor.file, key=f"{key}.debounce", value=fault.debounce)
+
+
 def _check_debounce(monitor: Monitor[Any], fault: Fault, key: str) -> None:
     """Refuse a debounce by which a fault would never be set, or never be healed: without a word."""
     asked = fault.debounce
+    for name in ("failed_after", "passed_after", "failed_step", "passed_step", "jump_up_to", "jump_down_to"):
+        if not isinstance(getattr(asked, name), int | np.integer):
+            text = f"{name} = {getattr(asked, name)!r}: a whole number"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
     for name in ("failed_after", "passed_after", "failed_step", "passed_step"):
         if getattr(asked, name) < 1:
             text = f"{name} = {getattr(asked, name)!r}: at least 1"
@@ -211,7 +233,8 @@ def _check_debounce(monitor: Monitor[Any], fault: Fault, key: str) -> None:
         text = "a debounce by time needs both failed_ms and passed_ms"
         raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
     for name, time_ms in zip(("failed_ms", "passed_ms"), times, strict=True):
-        if time_ms is not None and not 0.0 <= time_ms <= MOST_DEBOUNCE_MS:
+        known = isinstance(time_ms, int | float | np.number) and 0.0 <= time_ms <= MOST_DEBOUNCE_MS
+        if time_ms is not None and not known:
             text = f"{name} = {time_ms!r}: 0 to {MOST_DEBOUNCE_MS:g} ms"
             raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
 
@@ -249,6 +272,9 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
     with author_of(monitor, "connect"):
         given = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
+    if not isinstance(given, Mapping):
+        text = f"inputs and what they are connected to, not {type(given).__name__}"
+        raise InputError(text, file=monitor.file, key=key)
     fields = _fields(monitor)
     known = [name for name, *_ in fields]
     for name in given:
@@ -313,6 +339,8 @@ def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission |
         emission = monitor.emits(params)
     dtype = monitor.outputs.dtype
     key = f'monitor type "{monitor.type}".emits'
+    if not isinstance(emission, Emission):
+        raise InputError(f"this is no Emission, but {type(emission).__name__}", file=monitor.file, key=key)
     fields: Mapping[str, tuple[int, ...]] = {name: dtype[name].shape for name in dtype.names or ()}
     if list(emission.signals) != list(fields):
         raise InputError(

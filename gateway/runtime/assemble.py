@@ -16,7 +16,7 @@ from gateway.engine.core import Engine
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.errors import InputError, InputErrors, named
-from gateway.faults.catalogue import Catalogue, define
+from gateway.faults.catalogue import Catalogue, FaultDefinition, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
@@ -102,17 +102,7 @@ def assemble(resolved: Resolved) -> Parts:
     """
     engine = _engine(resolved)
     _refuse_unknown(resolved.config, engine)
-    catalogue = Catalogue(
-        [
-            define(
-                slot.id,
-                slot.fault,
-                _settings(resolved.config, slot),
-                caused_by=resolved.gates.get(slot.id, Gate()).roots,
-            )
-            for slot in engine.faults
-        ]
-    )
+    catalogue = Catalogue([_definition(resolved, slot) for slot in engine.faults])
     asked, shown = resolved.freeze_frames, resolved.shown
     return Parts(
         resolved.databases,
@@ -173,6 +163,23 @@ def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[Fau
     if any(instance.monitor.outside for instance in monitors):
         watched += monitor_health.FAULTS
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
+
+
+def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
+    """Return a fault's definition.
+
+    Raises:
+        InputError: its DTC is none; with the file of the monitor that has it.
+    """
+    causes = resolved.gates.get(slot.id, Gate()).roots
+    try:
+        return define(slot.id, slot.fault, _settings(resolved.config, slot), caused_by=causes)
+    except InputError as error:
+        name = slot.id.rpartition(".")[0]
+        for monitor in (instance.monitor for instance in resolved.monitors if instance.name == name):
+            key = f'monitor type "{monitor.type}".faults: {slot.fault.name}.dtc'
+            raise InputError(error.message, file=monitor.file, key=key, value=error.value) from error
+        raise
 
 
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
