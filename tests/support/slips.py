@@ -116,7 +116,7 @@ REFUSED = {
 
 
 class Running(NamedTuple):
-    """A slip of a step, while the voltage is above 20 V.
+    """A slip of a step, while the voltage is above the parameter ``above``, 20 V.
 
     Attributes:
         line: of the kernel.
@@ -195,11 +195,11 @@ def running_source(type_: str, *, loops: bool = False) -> str:
         FIRST: f"{FIRST}from typing import Annotated\n\nfrom gateway.jit import f8s, i8\n",
         "class State(Record):": "class TooMuch(Exception):\n    pass\n\n\nclass State(Record):",
         STATE: f"{STATE}    cells: Annotated[f8s, 3]\n    count: i8\n    nothing: i8\n",
-        "    hysteresis: f8\n": "    hysteresis: f8\n    nan: f8\n    inf: f8\n    slip: i8\n",
-        PARAMS: f"{PARAMS}    slip: int = -1\n",
-        PREPARE: f'{PREPARE}    c.slip, c.nan, c.inf = p.slip, float("nan"), float("inf")\n',
+        "    hysteresis: f8\n": "    hysteresis: f8\n    nan: f8\n    inf: f8\n    above: f8\n    slip: i8\n",
+        PARAMS: f"{PARAMS}    slip: int = -1\n    above: float = 20.0\n",
+        PREPARE: f'{PREPARE}    c.slip, c.above, c.nan, c.inf = p.slip, p.above, float("nan"), float("inf")\n',
         "    if u.trigger == TIMER:\n        return\n": (
-            f"    slips = u.volts > 20.0\n{branches}    if u.trigger == TIMER:\n        return\n"
+            f"    slips = u.volts > c.above\n{branches}    if u.trigger == TIMER:\n        return\n"
         ),
     }
     return Slip("", edits).source(type_)
