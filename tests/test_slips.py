@@ -8,6 +8,7 @@ from structlog.testing import capture_logs
 
 from gateway.bus.frames import empty, put
 from gateway.cli.check import check
+from gateway.cli.trace import Trace, only, text_of
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.errors import GatewayError
@@ -138,6 +139,28 @@ def test_without_a_slip_both_say_the_same(played):
     assert verdicts(told, "healthy.low") == verdicts(told, "slips.low") == HEALTHY
     assert lines == []
     assert check(path, schema_wanted=False, json=True) == 0
+
+
+@pytest.mark.parametrize(
+    ("case", "told"),
+    [
+        ("a value that is no number", "low not tested: nan against 11"),
+        ("a number above its faults", "number 7: there is none failed: 25 against 11"),
+        ("a cause of its own", f"number {1 << 40}"),
+        ("an exception", None),
+    ],
+)
+def test_a_trace_shows_what_a_step_did(folder, case, told):
+    path = write(folder, MODULE, running_source(MODULE), f"slip = {list(RUNNING).index(case)}")
+    gateway = Gateway(only(load_config(path), "slips"), None, file=path)
+    trace = Trace(gateway.engine)
+    gateway.start(0)
+    frame = empty(1)
+    put(frame, 0, PERIOD_NS, 0x510, (25_000).to_bytes(2, "little") + bytes(6))
+    gateway.feed(frame)
+    lines = [line for step in trace.steps() for line in text_of(step, 0, 200)]
+    gateway.close()
+    assert (told is None and lines == []) or told in "\n".join(lines)
 
 
 @pytest.mark.parametrize("case", RUNNING)

@@ -148,6 +148,19 @@ def test_a_damaged_file_keeps_nobody_off(tmp_path, gateway_of, text):
     assert off(gateway_of(path)) == []
 
 
+@pytest.mark.parametrize(
+    ("author", "told"), [("", ["its author does not say Monitor(..., trusted=True)"]), ("True", [])]
+)
+def test_check_says_where_trusted_has_no_effect(tmp_path, capsys, author, told):
+    module = f"trusted_by_author_{bool(author)}".lower()
+    path = monitor(tmp_path, module, **({"    api=2,": "    api=2,\n    trusted=True,"} if author else {}))
+    path.write_text(path.read_text().replace(f'"{module}:MONITOR"', f'"{module}:MONITOR"\ntrusted = true'))
+    assert check(path, schema_wanted=False, json=True) == 0
+    said = [text for text in json.loads(capsys.readouterr().out)["warnings"] if "trusted" in text]
+    assert [text.startswith("battery: trusted = true has no effect") for text in said] == [True] * len(told)
+    assert all(part in text for part, text in zip(told, said, strict=True))
+
+
 def test_the_example_is_good(tmp_path):
     assert check(monitor(tmp_path, "no_slip"), schema_wanted=False, json=True) == 0
 
