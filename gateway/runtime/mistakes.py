@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from gateway.common.tomlfile import key_path, read_toml
+from gateway.common.tomlfile import key_path, read_toml, texts_in
 from gateway.config.load import config_of
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
@@ -164,7 +164,7 @@ class _Rest:
             (("output", name), table) for name, table in (outputs.items() if isinstance(outputs, dict) else ())
         ]
         for place, table in of_lists + of_outputs:
-            if any((self._path.parent / text).resolve() == file.resolve() for text in _texts(table)):
+            if any((self._path.parent / text).resolve() == file.resolve() for text in texts_in(table)):
                 yield place
 
     def _dependent(self, place: Place) -> Iterator[Place]:
@@ -266,11 +266,3 @@ def _rank(data: Any, place: Place) -> tuple[int, ...]:
         rank.append(known.index(token))
         data = data[token]
     return tuple(rank)
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from _texts(inner)
