@@ -211,7 +211,8 @@ def _check_fault(monitor: Monitor[Any], fault: object, key: str) -> None:
     for name in ("name", "dtc", "description", "remedy", "tested"):
         if not isinstance(getattr(fault, name), str):
             raise InputError("a text", file=monitor.file, key=f"{key}.{name}", value=getattr(fault, name))
-    if isinstance(fault.evidence, str) or not all(isinstance(name, str) for name in fault.evidence):
+    names: object = fault.evidence
+    if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
         raise InputError("names, a tuple of texts", file=monitor.file, key=f"{key}.evidence", value=fault.evidence)
     if not isinstance(fault.debounce, Debounce):
         raise InputError("a Debounce", file=monitor.file, key=f"{key}.debounce", value=fault.debounce)
@@ -270,7 +271,7 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
         InputError: an input that is not named, or that is not there; an array of another length; nothing that triggers.
     """
     with author_of(monitor, "connect"):
-        given = monitor.connect(params)
+        given: object = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
     if not isinstance(given, Mapping):
         text = f"inputs and what they are connected to, not {type(given).__name__}"

@@ -535,11 +535,11 @@ class Monitor(Generic[P]):
         return None
 
     def _by_author(self, found: C) -> C:
-        called = {each.name: getattr(found, each.name) for each in fields(found)}
-        name = type(found).__name__
-        return replace(
-            found, **{key: by_author(self, f"{name}.{key}", value) for key, value in called.items() if callable(value)}
-        )
+        name, called = type(found).__name__, {each.name: getattr(found, each.name) for each in fields(found)}
+        own: dict[str, Any] = {
+            key: by_author(self, f"{name}.{key}", value) for key, value in called.items() if callable(value)
+        }
+        return replace(found, **own)
 
     @property
     def readout(self) -> tuple[str, ...]:
