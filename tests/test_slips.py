@@ -1,5 +1,6 @@
 """What an author of a monitor can do wrong: each slip is named in one line, and a healthy monitor goes on beside it."""
 
+import json
 import sys
 
 import pytest
@@ -122,6 +123,21 @@ def played(tmp_path, folder):
         return told, lines, gateway, path
 
     return play
+
+
+def test_a_slip_does_not_hide_the_configuration_s_own_mistakes(tmp_path, capsys):
+    path = write(tmp_path, "refused_hides", REFUSED["faults fails"].source("refused_hides"))
+    path.write_text(path.read_text().replace('"P1000-17"', '"P1000-16"'))
+    assert check(path, schema_wanted=False, json=True) == 2
+    told = json.loads(capsys.readouterr().out)["errors"]
+    assert [error["key"] for error in told] == ['monitor type "refused_hides".faults', 'fault."healthy.high".dtc']
+
+
+def test_a_capability_that_fails_is_an_error_of_check_in_json_too(tmp_path, capsys):
+    path = write(tmp_path, "refused_notes", REFUSED["notes fail"].source("refused_notes"))
+    assert check(path, schema_wanted=False, json=True) == 2
+    (error,) = json.loads(capsys.readouterr().out)["errors"]
+    assert error["key"] == 'monitor type "refused_notes".Notes.of'
 
 
 MODULE = "slips_while_it_runs"

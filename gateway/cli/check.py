@@ -35,6 +35,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for instance in gateway.engine.monitors:
             if instance.monitor.outside:
                 refuse_failing(instance.monitor, instance.params)
+        types = [(entry.name, *monitor_of(entry)) for entry in config.monitor]
+        warnings = [f"{name}: {text}" for name, monitor, params in types for text in monitor.warnings(params)]
+        told = {name: list(found) for name, monitor, params in types if (found := monitor.notes(params))}
     except (InputError, InputErrors) as error:
         errors = mistakes(path) or each_of(error)
         if not json:
@@ -58,9 +61,6 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
     gateway.close()
-    types = [(entry.name, *monitor_of(entry)) for entry in config.monitor]
-    warnings = [f"{name}: {text}" for name, monitor, params in types for text in monitor.warnings(params)]
-    told = {name: list(found) for name, monitor, params in types if (found := monitor.notes(params))}
     warnings += [
         f"{name}: {text}"
         for (name, monitor, _), entry in zip(types, config.monitor, strict=True)

@@ -21,6 +21,7 @@ from gateway.common.tomlfile import key_path, read_toml, texts_in
 from gateway.config.load import config_of
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
+from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 
 #: A table, or a key that stands alone, by its path: ``("bus", 0, "check", 2)``.
@@ -122,7 +123,7 @@ class _Rest:
         """Yield the tables that are wrong by an error; none: it is not known which."""
         head, second = (*tokens, None, None)[:2]
         if head == "monitor" and second == "type":  # of a plug-in
-            yield from (("monitor", k) for k, table in self._tables("monitor") if table.get("type") in tokens[2:3])
+            yield from (("monitor", k) for k, table in self._tables("monitor") if _type_of(table) in tokens[2:3])
         elif head == "monitor" and isinstance(second, str):
             yield from (("monitor", k) for k, table in self._tables("monitor") if table.get("name") == second)
         elif error.file != str(self._path):
@@ -240,6 +241,16 @@ class _Gone:
 def _tokens(key: str | None) -> Place:
     """Return the parts of a key: ``bus[0].check[2].message`` is ``("bus", 0, "check", 2, "message")``."""
     return tuple(int(found[2]) if found[2] else found[1] or found[3] for found in _TOKEN.finditer(key or ""))
+
+
+def _type_of(table: dict[str, Any]) -> str | None:
+    """Return the type that a monitor calls itself; that of "package.module:NAME" may be another text."""
+    asked = str(table.get("type"))
+    try:
+        found = MONITORS.get(asked)
+    except InputError:
+        return asked
+    return asked if found is None else found.type
 
 
 def _at(data: Any, place: Iterable[str | int]) -> Any:
