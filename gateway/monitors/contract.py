@@ -550,12 +550,18 @@ class Monitor(Generic[P]):
     def warnings(self, params: P) -> tuple[str, ...]:
         """Return what ``gateway check`` says of parameters, though they are not wrong."""
         found = self.capability(Warnings)
-        return () if found is None else found.of(params)
+        return () if found is None else self._lines("Warnings", found.of(params))
 
     def notes(self, params: P) -> tuple[str, ...]:
         """Return what ``gateway check`` tells of what will run."""
         found = self.capability(Notes)
-        return () if found is None else found.of(params)
+        return () if found is None else self._lines("Notes", found.of(params))
+
+    def _lines(self, kind: str, given: object) -> tuple[str, ...]:
+        if isinstance(given, tuple | list) and all(isinstance(line, str) for line in given):
+            return tuple(given)
+        text = f"lines, a tuple of texts, not {type(given).__name__}"
+        raise InputError(text, file=self.file, key=f'monitor type "{self.type}".{kind}.of')
 
     @cached_property
     def results(self) -> np.dtype[np.void]:

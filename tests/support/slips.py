@@ -88,6 +88,16 @@ REFUSED = {
     "a code that is none": Slip("P05-17", {'"P0563-17"': '"P05-17"'}),
     "more evidence than room": Slip("names of evidence; a result has room for",
                                     {"labels(Evidence), debounce, tested": '("a",) * 9, debounce, tested'}),
+    "a step that is none": Slip("its step is no kernel, but NoneType", {"    step=step": "    step=None"}),
+    "capabilities that are none": Slip("a tuple of what it can do beside", {
+        LAST: '    capabilities=Readout(("lowest",)),\n'}),
+    "a capability's class": Slip("a tuple of what it can do beside", {LAST: "    capabilities=(Readout,),\n"}),
+    "a debounce beyond all numbers": Slip("at most 32767", {"failed_after=5": "failed_after=10**30"}),
+    "a name that is none": Slip("a name of letters and digits", {'Fault("high"': 'Fault(""'}),
+    "a name of two lines": Slip("a name of letters and digits", {'Fault("high"': 'Fault("hi\\ngh"'}),
+    "a description that is none": Slip("description: a text", {'"battery voltage above its limit"': "None"}),
+    "a message that is no tuple": Slip("names of messages, a tuple of texts, not str",
+                                       {"    faults=faults": '    triggers=lambda _: "BATT",\n    faults=faults'}),
     # its functions
     "prepare fails": Slip("fails: AttributeError", {PREPARE: "    c.low = p.lwo\n"}, "p.lwo"),
     "prepare leaves": Slip("fails: SystemExit: 4", {PREPARE: "    raise SystemExit(4)\n"}, "raise SystemExit"),
@@ -95,6 +105,12 @@ REFUSED = {
     "faults gives none": Slip("this is no Fault, but NoneType", {FAULTS: "    return None\n" + FAULTS}),
     "faults gives texts": Slip("this is no Fault, but str", {FAULTS: '    return ("low",)\n' + FAULTS}),
     "connect fails": Slip("fails: AttributeError", {CONNECT: CONNECT.replace("p.signal", "p.singal")}, "p.singal"),
+    "connect gives no name": Slip("a Signal(", {"Signal(p.signal, ": "Signal(None, "}),
+    "emits gives none": Slip("this is no Emission, but NoneType", {
+        "    faults=faults": "    outputs=Evidence,\n    emits=lambda _: None,\n    faults=faults"}),
+    "emits gives no signals": Slip("fields of the outputs and their signals, not NoneType", {
+        "    Fault,\n": "    Emission,\n    Fault,\n",
+        "    faults=faults": '    outputs=Evidence,\n    emits=lambda _: Emission("A", None),\n    faults=faults'}),
     "connect gives none": Slip("not NoneType", {CONNECT: "    return None\n"}),
     "parameters fail": Slip("RuntimeError: no battery", {
         FIRST: f"{FIRST}from pydantic import model_validator\n",
@@ -103,6 +119,10 @@ REFUSED = {
     # what else it can do
     "notes fail": _able("Notes", "Notes.of", 'lambda p: (p.lwo,)', "p.lwo"),
     "warnings fail": _able("Warnings", "Warnings.of", 'lambda p: (f"{1 / 0}",)', "1 / 0"),
+    "warnings are none": Slip("Warnings.of: lines, a tuple of texts, not NoneType", _able(
+        "Warnings", "", "lambda p: None", "").edits),
+    "notes are one text": Slip("Notes.of: lines, a tuple of texts, not str", _able(
+        "Notes", "", "lambda p: 'abc'", "").edits),
     "parts fail": _able("Parts", "Parts.of", 'lambda p, find, codes: {"": find(p.lwo)}', "p.lwo"),
     "arrivals fail": _able("Arrivals", "Arrivals.of", "lambda c: c.lwo", "c.lwo"),
     # its kernel
