@@ -155,7 +155,7 @@ class _Handlers:
         pool: float64, the monitors' inputs one after the other.
         slots: mailbox slots of these inputs.
         sources: messages that they come from, and those of their pages, as the loop has them.
-        pages: mailbox slots of the multiplexed signals among them, in the order of their pages.
+        pages: mailbox slot of each multiplexed signal among them -> its page.
         triggered: row of a message -> the monitors that it steps, by priority.
         states: a record of each monitor.
         consts: a record of each monitor.
@@ -166,7 +166,7 @@ class _Handlers:
     pool: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     slots: list[int] = field(default_factory=list)
     sources: list[int] = field(default_factory=list)
-    pages: list[int] = field(default_factory=list)
+    pages: dict[int, int] = field(default_factory=dict)
     triggered: dict[int, list[int]] = field(default_factory=dict)
     states: list[Any] = field(default_factory=list)
     consts: list[Any] = field(default_factory=list)
@@ -234,9 +234,7 @@ def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made:
     needed = sorted({slot for slot in own if slot != nowhere and int(plan.slot_message[slot]) not in waived})
     sources = sorted({int(plan.slot_message[slot]) for slot in needed})
     for slot in filter(plan.is_multiplexed, needed):
-        if slot not in made.pages:
-            made.pages.append(slot)
-        sources.append(-1 - made.pages.index(slot))
+        sources.append(-1 - made.pages.setdefault(slot, len(made.pages)))
     size = m.monitor.inputs.dtype.itemsize
     assert size == 8 * (2 + len(own)), "as the step copies them"
     while own and own[-1] == nowhere:  # stays NaN without a step's copying it
@@ -277,11 +275,11 @@ def _vectors(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any
     return vectors, flat
 
 
-def _pages(slots: Sequence[int], vectors: Any, plan: DecodePlan) -> Any:
+def _pages(slots: Mapping[int, int], vectors: Any, plan: DecodePlan) -> Any:
     """Return the table of multiplexed signals that monitors wait for; the vectors say which are of their messages."""
     pages = table(len(slots), Page)
     vectors["page"] = -1
-    for k, slot in enumerate(slots):
+    for slot, k in slots.items():
         message = vectors[plan.slot_message[slot]]
         pages[k]["place"], pages[k]["slot"] = plan.positions[plan.slot_names[slot]], slot
         pages[k]["after"], message["page"] = message["page"], k
