@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
@@ -11,6 +13,7 @@ from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.errors import InputError, InputErrors, each_of
+from gateway.monitors.contract import Monitor
 from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
@@ -32,6 +35,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for instance in gateway.engine.monitors:
             if instance.monitor.outside:
                 refuse_failing(instance.monitor, instance.params)
+        types = [(entry.name, *monitor_of(entry)) for entry in config.monitor]
+        warnings = [f"{name}: {text}" for name, monitor, params in types for text in monitor.warnings(params)]
+        told = {name: list(found) for name, monitor, params in types if (found := monitor.notes(params))}
     except (InputError, InputErrors) as error:
         errors = mistakes(path) or each_of(error)
         if not json:
@@ -55,9 +61,12 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
     gateway.close()
-    types = [(entry.name, *monitor_of(entry)) for entry in config.monitor]
-    warnings = [f"{name}: {text}" for name, monitor, params in types for text in monitor.warnings(params)]
-    told = {name: list(found) for name, monitor, params in types if (found := monitor.notes(params))}
+    warnings += [
+        f"{name}: {text}"
+        for (name, monitor, _), entry in zip(types, config.monitor, strict=True)
+        if entry.trusted
+        for text in _trusted_in_vain(monitor)
+    ]
     warnings += _ways_around(config)
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
@@ -78,6 +87,14 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def _trusted_in_vain(monitor: Monitor[Any]) -> Iterator[str]:
+    """Yield why ``trusted = true`` of a configuration has no effect on a monitor."""
+    if not monitor.outside:
+        yield "trusted = true has no effect: monitors of the gateway's own are trusted in any case"
+    elif not monitor.trusted:
+        yield f"trusted = true has no effect: its author does not say Monitor(..., trusted=True) in {monitor.file}"
 
 
 def _shortened(name: str) -> str:

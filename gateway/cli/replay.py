@@ -26,6 +26,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
 from gateway.faults.status import Status
+from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import Parts, prepare
 from gateway.runtime.injection import Injector, parse_injection
@@ -79,7 +80,8 @@ def replay(
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
         report = None if html is None else RunReport(html, gateway, path)
-        with watched.of(gateway, parts, gateway if report is None else report.collector) as consumer:
+        collector = gateway if report is None else report.collector
+        with watched.of(gateway, parts, collector) as consumer, steps_watched(gateway.engine):
             fed = _Faulty(consumer, injectors) if injectors else consumer
             damage = _feed(fed, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun

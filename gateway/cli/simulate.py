@@ -29,6 +29,7 @@ from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
+from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
 from gateway.runtime.drive import drive, judgeable
 from gateway.runtime.playing import player_of
@@ -105,15 +106,16 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
             time.sleep(max(0.0, begun + t_ns / 1e9 / speed - time.monotonic()))
 
     try:
-        drive(
-            gateway,
-            player,
-            judge=judge,
-            on_frames=on_frames,
-            on_report=None if story is None else story.on_report,
-            on_step=on_step,
-            stop=(lambda: False) if shown is None else shown.stop,
-        )
+        with steps_watched(gateway.engine):
+            drive(
+                gateway,
+                player,
+                judge=judge,
+                on_frames=on_frames,
+                on_report=None if story is None else story.on_report,
+                on_step=on_step,
+                stop=(lambda: False) if shown is None else shown.stop,
+            )
         printer(gateway.summary(time.monotonic() - begun))
         code = _verdict(judge, json=json, check=False)
         if story is not None:
@@ -174,6 +176,7 @@ def simulate(
             stack.callback(gateway.close)
             printer = _printer(gateway, json=json)
             report = None if html is None else RunReport(html, gateway, scenario.config)
+            stack.enter_context(steps_watched(gateway.engine, asked=lambda: stop.heard))
             begun = time.monotonic()
             drive(
                 gateway,

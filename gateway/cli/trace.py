@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from gateway.cli.lines import wrapped
 from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.errors import InputError, nearest
-from gateway.monitors.contract import FAILED, TIMER
+from gateway.monitors.contract import FAILED, MAX_RESULTS, TIMER
 
 #: Elements of an array that are printed.
 _FEW = 8
@@ -76,13 +76,13 @@ class Trace:
             "monitor": instance.name,
             "step": number,
             "not_shown": missed,
-            "trigger": "timer" if trigger == TIMER else names[trigger][1],
+            "trigger": _trigger(trigger, names),
             "inputs": {name: _plain(inputs[name]) for name in (inputs.dtype.names or ())[2:]},
             "state": _plain(engine.state_of(k)[0]),
         }
         if out is not None:
             faults = monitor.faults(instance.params)
-            told["results"] = [_result(out["results"][j], faults) for j in range(int(out["n"]))]
+            told["results"] = [_result(out["results"][j], faults) for j in range(min(int(out["n"]), MAX_RESULTS))]
             if int(out["send"]) and monitor.outputs is not None:
                 told["sent"] = _plain(out["values"])
             if int(out["wake_ns"]):
@@ -90,15 +90,25 @@ class Trace:
         return told
 
 
+def _trigger(index: int, names: Sequence[tuple[int, str]]) -> str:
+    """Return what caused a step; the step may have written another number there."""
+    if index == TIMER:
+        return "timer"
+    return names[index][1] if 0 <= index < len(names) else f"number {index}"
+
+
 def _result(row: Any, faults: Any) -> dict[str, Any]:
-    number = int(row["fault"])
+    number, value, threshold = int(row["fault"]), float(row["value"]), float(row["threshold"])
+    result = "failed" if int(row["result"]) == FAILED else "passed"
+    if np.isnan(value) or np.isnan(threshold):
+        result = "not tested"
     known = 0 <= number < len(faults)
     evidence = faults[number].evidence if known else ()
     return {
         "fault": faults[number].name if known else f"number {number}: there is none",
-        "result": "failed" if int(row["result"]) == FAILED else "passed",
-        "value": float(row["value"]),
-        "threshold": float(row["threshold"]),
+        "result": result,
+        "value": value,
+        "threshold": threshold,
         "evidence": dict(zip(evidence, row["cells"].tolist(), strict=False)),
     }
 

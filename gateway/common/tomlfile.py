@@ -108,6 +108,15 @@ def _is_too_deep(value: Any) -> bool:
     return True
 
 
+def texts_in(value: Any) -> Iterator[str]:
+    """Yield all texts that are values in a value of TOML: in tables and lists, too."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from texts_in(inner)
+
+
 def key_path(location: tuple[int | str, ...]) -> str:
     """Return pydantic's location as the dotted path of a TOML key: ``monitor[0].gain``."""
     path = ""

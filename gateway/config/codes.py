@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable
 
+from gateway.common.tomlfile import texts_in
 from gateway.config.model import Config
 from gateway.engine.checks import bus_health, communication
 from gateway.errors import InputError
@@ -16,18 +16,6 @@ from gateway.signals.database import Database
 _CODE = re.compile(r"U[0-3][0-9A-F]{3}(-[0-9A-F]{2})?")
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts in tables and lists."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict):
-        for entry in value.values():
-            yield from _texts(entry)
-    elif isinstance(value, list | tuple):
-        for entry in value:
-            yield from _texts(entry)
-
-
 def network_codes(config: Config, faults: Iterable[Fault]) -> NetworkCodes:
     """Return who gives out codes: none that the configuration names anywhere, that a bus's health has, or a monitor.
 
@@ -35,7 +23,7 @@ def network_codes(config: Config, faults: Iterable[Fault]) -> NetworkCodes:
         config: the configuration.
         faults: of monitors that bring their own DTCs.
     """
-    taken = {text for text in _texts(config.model_dump(exclude_unset=True)) if _CODE.fullmatch(text)}
+    taken = {text for text in texts_in(config.model_dump(exclude_unset=True)) if _CODE.fullmatch(text)}
     taken |= {fault.dtc for fault in faults}
     taken |= set(bus_health.codes_of([bus.health for bus in config.bus]))
     if any(bus.codes == "same" for bus in config.bus):

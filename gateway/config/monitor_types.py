@@ -7,6 +7,7 @@ from typing import Any
 from gateway.common.tomlfile import validate
 from gateway.config.model import MonitorConfig
 from gateway.errors import InputError, nearest
+from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import made
 from gateway.monitors.contract import Family, Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
@@ -29,12 +30,16 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], Monit
             text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
             raise InputError(text, value=entry.type)
     except InputError as error:
+        of_type = (error.key or "").partition('".')[2]  # which part of the plug-in it is
         raise InputError(
-            error.message, file=error.file, key=f"{key}.type" if key else "type", value=entry.type
-        ) from error
-    params: MonitorParams = validate(dict(entry.model_extra or {}), monitor.params, None, key)
+            f"{of_type}: {error.message}" if of_type else error.message,
+            file=error.file, line=error.line, key=f"{key}.type" if key else "type", value=entry.type,
+        ) from error  # fmt: skip
+    given = dict(entry.model_extra or {})
     if not isinstance(monitor, Family):
-        return monitor, params
+        with author_of(monitor, "params"):
+            return monitor, validate(given, monitor.params, None, key)
+    params: MonitorParams = validate(given, monitor.params, None, key)
     try:
         return made(monitor, params, entry.folder), params
     except InputError as error:

@@ -252,6 +252,8 @@ def _monitors(
             for each in each_of(error):
                 own = f"{key}.{each.key}" if each.key else key
                 with wrong:
+                    if each.file is not None:  # of the monitor itself
+                        raise each from error
                     raise InputError(each.message, key=own, value=each.value) from error
             wrong.check()
     return [

@@ -19,7 +19,7 @@ from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
 from gateway.engine.gate import WatchConst, WatchState
-from gateway.engine.tables import NEVER, ClockState, HandlerState, VectorState
+from gateway.engine.tables import NEVER, ClockState, HandlerState, PageState, VectorState
 from gateway.engine.timers import note_all
 from gateway.jit import Record
 from gateway.signals.tables import SignalRef
@@ -94,6 +94,12 @@ def _signals(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
             slot = slots.get(SignalRef(buses[ref.bus], ref.message, ref.signal))
             if slot is not None:
                 new.tables.mailbox[slot] = old.tables.mailbox[k]
+    pages = {int(page["slot"]): page for page in new.tables.pages}
+    for before in old.tables.pages:
+        ref = old.plan.slot_names[before["slot"]]
+        slot = slots.get(SignalRef(buses[ref.bus], ref.message, ref.signal)) if ref.bus in buses else None
+        if slot in pages:
+            _take(pages[slot], before, PageState)
 
 
 def _rows(new: Engine, old: Engine, buses: Mapping[int, int]) -> dict[int, int]:

@@ -27,6 +27,7 @@ from gateway.engine.tables import (
     NEVER,
     Clock,
     Handler,
+    Page,
     Report,
     Tables,
     Vector,
@@ -89,13 +90,20 @@ def build_engine(
     faults: list[FaultSlot] = []
     made = _handlers(monitors, wirings, plan, faults)
     vectors, triggers = _vectors(len(plan.messages), made.triggered)
+    pages = _pages(made.pages, vectors, plan)
     crcs = protection.Tables()
     check_rows = _checks(checks, plan, by_bus, vectors, faults, crcs)
     health = _health(buses, clock, faults)
     faults += reported
     verdicts = _verdicts(faults, debounces or {}, gates, plan)
     watched = _watches(cycles, vectors, plan)
-    own = {"vectors": vectors, "triggers": np.asarray(triggers, np.int32), "checks": check_rows, "health": health}
+    own = {
+        "vectors": vectors,
+        "pages": pages,
+        "triggers": np.asarray(triggers, np.int32),
+        "checks": check_rows,
+        "health": health,
+    }
     tables = _tables(plan, made, verdicts, crcs, ring=table(ring, EVENT), **own, **watched)
     assert_consistent(tables)
     return Engine(plan, tables, tuple(faults), tuple(monitors), tuple(made.states), tuple(made.consts))
@@ -146,7 +154,8 @@ class _Handlers:
         rows: of Handler, shape (monitors,).
         pool: float64, the monitors' inputs one after the other.
         slots: mailbox slots of these inputs.
-        sources: messages that they come from.
+        sources: messages that they come from, and those of their pages, as the loop has them.
+        pages: mailbox slot of each multiplexed signal among them -> its page.
         triggered: row of a message -> the monitors that it steps, by priority.
         states: a record of each monitor.
         consts: a record of each monitor.
@@ -157,6 +166,7 @@ class _Handlers:
     pool: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     slots: list[int] = field(default_factory=list)
     sources: list[int] = field(default_factory=list)
+    pages: dict[int, int] = field(default_factory=dict)
     triggered: dict[int, list[int]] = field(default_factory=dict)
     states: list[Any] = field(default_factory=list)
     consts: list[Any] = field(default_factory=list)
@@ -221,7 +231,10 @@ def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made:
     nowhere = plan.n_slots  # a slot that stays NaN
     own = [nowhere if place is None else plan.slot(*place) for place in wired.inputs]
     waived = {plan.message(*message) for message in wired.optional}
-    sources = sorted({int(plan.slot_message[slot]) for slot in own if slot != nowhere} - waived)
+    needed = sorted({slot for slot in own if slot != nowhere and int(plan.slot_message[slot]) not in waived})
+    sources = sorted({int(plan.slot_message[slot]) for slot in needed})
+    for slot in filter(plan.is_multiplexed, needed):
+        sources.append(-1 - made.pages.setdefault(slot, len(made.pages)))
     size = m.monitor.inputs.dtype.itemsize
     assert size == 8 * (2 + len(own)), "as the step copies them"
     while own and own[-1] == nowhere:  # stays NaN without a step's copying it
@@ -260,6 +273,17 @@ def _vectors(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any
         vectors[row]["check"], vectors[row]["arrived_ns"] = -1, -1
         flat += mine
     return vectors, flat
+
+
+def _pages(slots: Mapping[int, int], vectors: Any, plan: DecodePlan) -> Any:
+    """Return the table of multiplexed signals that monitors wait for; the vectors say which are of their messages."""
+    pages = table(len(slots), Page)
+    vectors["page"] = -1
+    for slot, k in slots.items():
+        message = vectors[plan.slot_message[slot]]
+        pages[k]["place"], pages[k]["slot"] = plan.positions[plan.slot_names[slot]], slot
+        pages[k]["after"], message["page"] = message["page"], k
+    return pages
 
 
 def _checks(

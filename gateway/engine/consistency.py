@@ -16,7 +16,10 @@ def assert_consistent(t: Tables) -> None:
     assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
     assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
     assert ((t.slots >= 0) & (t.slots < slots)).all()
-    assert ((t.sources >= 0) & (t.sources < messages)).all()
+    assert ((t.sources >= -len(t.pages)) & (t.sources < messages)).all()
+    assert ((t.vectors["page"] >= -1) & (t.vectors["page"] < len(t.pages))).all()
+    assert ((t.pages["after"] >= -1) & (t.pages["after"] < len(t.pages))).all()
+    assert ((t.pages["place"] >= 0) & (t.pages["place"] < len(t.present))).all()
     for h in t.handlers:
         assert h["first_slot"] + h["slots"] <= len(t.slots)
         assert h["first_source"] + h["sources"] <= len(t.sources)

@@ -23,6 +23,11 @@ CLOCK_STEPPED = 7
 
 #: A step of a monitor failed, which is switched off; ``fault`` is the index of the monitor.
 MONITOR_OFF = 8
+#: Why a monitor is off that changed the number of its results itself, as the handlers have it; no status of a kernel.
+MISCOUNTED = 4094
+
+#: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
+NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 
 #: Bus of what is of no bus: the gateway's own faults.
 NO_BUS = 255

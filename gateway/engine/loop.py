@@ -35,13 +35,22 @@ from gateway.engine.checks.communication_steps import (
 )
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
-from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, MONITOR_OFF
+from gateway.engine.events import (
+    CYCLE_BEGAN,
+    CYCLE_ENDED,
+    MISCOUNTED,
+    MONITOR_OFF,
+    NO_FAULT,
+    NO_NUMBER,
+    TOO_MANY,
+    TOO_SOON,
+)
 from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, report_verdict, store_evidence
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel, read_ahead
-from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, NOT_TESTED, TIMER
+from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, MAX_RESULTS, NOT_TESTED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
     OK,
@@ -72,11 +81,29 @@ def mark_not_tested(T: Any, t_ns: int, h: Any) -> None:
 
 @kernel
 def inputs_valid(T: Any, t_ns: int, h: Any) -> bool:
-    """Tell whether every message that feeds a monitor has arrived and is not overdue."""
+    """Return whether all that feeds a monitor has come: messages that are not overdue, pages of multiplexed ones."""
     for k in range(h.first_source, h.first_source + h.sources):
-        if not is_valid(T, t_ns, T.sources[k]):
+        source = T.sources[k]
+        if source >= 0:
+            if not is_valid(T, t_ns, source):
+                return False
+        elif T.pages[-1 - source].came == 0:
             return False
     return True
+
+
+@kernel
+def turn_pages(T: Any, t_ns: int, row: int) -> None:
+    """Note which multiplexed signals a frame has; after its message was away, those from before count no more."""
+    page = T.vectors[row].page
+    was_there = is_valid(T, t_ns, row)
+    while page >= 0:
+        p = T.pages[page]
+        if T.present[p.place] == 1:
+            p.came = 1
+        elif not was_there:
+            p.came = 0
+        page = p.after
 
 
 @kernel
@@ -121,6 +148,9 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     if why != 0:
         switch_off(T, t_ns, h, why)
         return
+    if not 0 <= out.n <= MAX_RESULTS or out.overflow < 0:
+        switch_off(T, t_ns, h, MISCOUNTED)  # neither can be by report(): the first would be read beyond its room
+        return
     h.steps += 1
     h.tested = 1
     wake_ns, before_ns = out.wake_ns if out.wake_ns > 0 else NEVER, h.wake_ns
@@ -128,20 +158,25 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     if wake_ns < earliest_ns:
         wake_ns = earliest_ns
         clock.wakes_moved += 1
+        h.slips |= TOO_SOON
     h.wake_ns = wake_ns
     if wake_ns < before_ns:
         arm(T, h.timer, wake_ns)
-    clock.results_lost += out.overflow
+    if out.overflow > 0:
+        clock.results_lost += out.overflow
+        h.slips |= TOO_MANY
     if out.send == 1 and h.emit >= 0:
         emit(T, t_ns, T.emits[h.emit])
     for k in range(out.n):
         r = out.results[k]
         if r.fault < 0 or r.fault >= h.faults:  # never another monitor's
             clock.results_unknown += 1
+            h.slips |= NO_FAULT
             continue
         fault = h.fault + r.fault
         if isnan(r.value) or isnan(r.threshold):  # nothing was compared: it neither accuses nor heals
             clock.results_no_number += 1
+            h.slips |= NO_NUMBER
             not_tested(T, t_ns, fault)
             continue
         place = report_result(T, t_ns, fault, r.result == FAILED, r.value, r.threshold)
@@ -253,6 +288,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         return
     clock.decoded += 1
     commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
+    if v.page >= 0:
+        turn_pages(T, t_ns, row)
     v.arrived_ns = t_ns
     for k in range(v.first_watch, v.first_watch + v.watches):
         watch(T, t_ns, T.watches[k])

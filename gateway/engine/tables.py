@@ -16,6 +16,7 @@ __all__ = [
     "NEVER",
     "Clock",
     "Handler",
+    "Page",
     "Report",
     "Tables",
     "Vector",
@@ -34,6 +35,7 @@ class VectorPlace(Record):
     check: i4 = means("its communication check; -1: none")
     first_watch: i4 = means("of the operation cycles that it may begin or end")
     watches: i4
+    page: i4 = means("first of its pages; -1: none")
 
 
 class VectorState(Record):
@@ -46,6 +48,24 @@ class Vector(VectorState, VectorPlace):
     """One row of the vector table."""
 
 
+class PagePlace(Record):
+    """A multiplexed signal that a monitor waits for: frames of its message come without it, too."""
+
+    place: i4 = means("among the signals of its message")
+    after: i4 = means("the next page of its message; -1: none")
+    slot: i4
+
+
+class PageState(Record):
+    """Whether it has come."""
+
+    came: u1 = means("since its message is there")
+
+
+class Page(PageState, PagePlace):
+    """One multiplexed signal."""
+
+
 class HandlerPlace(Record):
     """One configured monitor: addresses of its kernel and records, and its places in other tables."""
 
@@ -56,7 +76,7 @@ class HandlerPlace(Record):
     inputs: i4 = means("first of its cells in the pool")
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
     slots: i4
-    first_source: i4 = means("sources[first_source:+sources]: the messages that its inputs come from")
+    first_source: i4 = means("sources[first_source:+sources]: what its inputs come from; a message, or -1 - a page")
     sources: i4
     fault: i4
     faults: i4
@@ -69,6 +89,7 @@ class HandlerState(Record):
     """What it has done, and when it wants to be woken."""
 
     tested: u1
+    slips: u1 = means("slips of its author that were put right, as bits: NO_NUMBER, ...")
     off: i8 = means("why it is stepped no more, as call_entry tells it; 0: it is stepped")
     wake_ns: i8 = means(unit="ns")
     steps: i8
@@ -165,6 +186,7 @@ class Tables(NamedTuple):
     present: NDArray[np.uint8]
     mailbox: NDArray[np.float64]
     vectors: NDArray[np.void]
+    pages: NDArray[np.void]
     triggers: NDArray[np.int32]
     handlers: NDArray[np.void]
     slots: NDArray[np.int32]

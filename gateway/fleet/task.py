@@ -27,6 +27,7 @@ from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import Recorded, read_recording
 from gateway.common.jsonlines import line
+from gateway.common.tomlfile import texts_in
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -121,7 +122,7 @@ def digest_of(config: Config, maps: tuple[str, ...]) -> str:
 def _files_of_monitors(config: Config) -> Iterator[Path]:
     """Yield the files that monitors are made of: models, tables that their parameters name, modules of own types."""
     for entry in config.monitor:
-        for value in _texts(entry.model_dump(mode="json")):
+        for value in texts_in(entry.model_dump(mode="json")):
             path = entry.folder / value
             if len(value) < _LONGEST_NAME and "\0" not in value and path.is_file():
                 yield path
@@ -129,15 +130,6 @@ def _files_of_monitors(config: Config) -> Iterator[Path]:
         found = find_spec(module) if colon else None
         if found is not None and found.origin is not None and Path(found.origin).is_file():
             yield Path(found.origin)
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts in a value of JSON."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from _texts(inner)
 
 
 def judge(task: Task) -> list[Outcome]:

@@ -11,12 +11,14 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from gateway.engine.core import Engine
 from gateway.faults.hung import hung_beside
+from gateway.jit import COMPILED
 from gateway.monitors.contract import digest_of
 
 #: Exit code: a step did not return. A service manager starts the gateway again (EX_TEMPFAIL of sysexits.h).
@@ -114,3 +116,23 @@ class Watchdog:
             except OSError as error:
                 _say(f"{path}: cannot note that monitor {instance.name} is to stay off: {error}")
         self._leave(HUNG_EXIT)
+
+
+@contextmanager
+def steps_watched(engine: Engine, *, asked: Callable[[], bool] = lambda: False) -> Iterator[None]:
+    """End the process if a step does not return meanwhile: neither Ctrl-C nor SIGTERM would.
+
+    For what a person starts: he sees the line, nothing is noted. Kernels as plain Python can be interrupted, and may
+    wait in a debugger.
+
+    Args:
+        engine: whose steps they are.
+        asked: returns whether the process was asked to end.
+    """
+    watchdog = Watchdog(lambda: engine, lambda: None, asked=asked)
+    if COMPILED:
+        watchdog.begin()
+    try:
+        yield
+    finally:
+        watchdog.end()

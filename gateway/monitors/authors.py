@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 from gateway.errors import GatewayError, InputError
-from gateway.monitors.contract import Monitor
+
+
+class Written(Protocol):
+    """What somebody has written: a monitor."""
+
+    @property
+    def type(self) -> str:
+        """Its name in the configuration."""
+
+    @property
+    def file(self) -> Path:
+        """Where its kernel stands."""
+
+    @property
+    def outside(self) -> bool:
+        """Whether it is none of ours."""
 
 
 @contextmanager
-def author_of(monitor: Monitor[Any], what: str) -> Iterator[None]:
+def author_of(monitor: Written, what: str) -> Iterator[None]:
     """Tell what fails inside as the author's mistake; of a monitor of ours it stays what it is.
 
     Args:
@@ -35,3 +51,14 @@ def author_of(monitor: Monitor[Any], what: str) -> Iterator[None]:
         told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         key = f'monitor type "{monitor.type}".{what}'
         raise InputError(f"fails: {' '.join(told.split())}", file=monitor.file, line=line, key=key) from error
+
+
+def by_author(monitor: Written, what: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of an author's that tells what fails in it as his mistake (:func:`author_of`)."""
+
+    def call(*arguments: Any) -> Any:
+        with author_of(monitor, what):
+            made = function(*arguments)
+            return list(made) if isinstance(made, Iterator) else made  # what a generator fails at is his, too
+
+    return call

@@ -10,7 +10,8 @@ import inspect
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import FunctionType
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -23,7 +24,9 @@ from gateway.monitors.contract import (
     MAX_OUTPUTS,
     Arrivals,
     Calibration,
+    Capability,
     CusumCalibration,
+    Debounce,
     Emission,
     Family,
     Fault,
@@ -36,6 +39,8 @@ from gateway.monitors.contract import (
 
 #: Longest time of a debounce, as a configuration may have it, too [ms].
 MOST_DEBOUNCE_MS = 3.6e6
+#: Largest counter of one, and step of it, likewise.
+MOST_DEBOUNCE = 32767
 
 _FLOAT = np.dtype("<f8")
 #: Fields of the inputs that the engine fills itself.
@@ -52,6 +57,8 @@ def accepted(monitor: object, name: str) -> Monitor[Any] | Family[Any]:
     """
     if not isinstance(monitor, Monitor | Family):
         raise InputError(f"this is no Monitor, but {type(monitor).__name__}", value=name)
+    if isinstance(monitor, Monitor) and not isinstance(getattr(monitor.step, "py_func", monitor.step), FunctionType):
+        raise InputError(f"its step is no kernel, but {type(monitor.step).__name__}", value=name)
     if monitor.api != API:
         raise InputError(
             f"written for version {monitor.api!r} of the contract, this gateway has {API}",
@@ -147,6 +154,10 @@ def _no_numbers(dtype: np.dtype[np.void]) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
+    given: object = monitor.capabilities
+    if not isinstance(given, tuple | list) or not all(isinstance(found, Capability) for found in given):
+        yield 'a tuple of what it can do beside: (Readout(("lowest",)),)', "capabilities"
+        return
     kinds = Counter(type(found).__name__ for found in monitor.capabilities)
     for kind, count in kinds.items():
         if count > 1:
@@ -181,7 +192,10 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
         InputError: a name that is there twice, more evidence than a result has room for, a debounce that nothing ends.
     """
     with author_of(monitor, "faults"):
-        faults = tuple(monitor.faults(params))
+        given = monitor.faults(params)
+        faults = tuple(given) if isinstance(given, Iterable) else (given,)
+    for k, fault in enumerate(faults):
+        _check_fault(monitor, fault, f'monitor type "{monitor.type}".faults[{k}]')
     most = monitor.evidence.dtype.itemsize // 8
     names = [fault.name for fault in faults]
     for k, fault in enumerate(faults):
@@ -199,19 +213,41 @@ def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault,
     return faults
 
 
+def _check_fault(monitor: Monitor[Any], fault: object, key: str) -> None:
+    """Refuse what is no fault, or one with a field of another kind."""
+    if not isinstance(fault, Fault):
+        text = f"this is no Fault, but {type(fault).__name__}"
+        raise InputError(text, file=monitor.file, key=key)
+    for name in ("name", "dtc", "description", "remedy", "tested"):
+        if not isinstance(getattr(fault, name), str):
+            raise InputError("a text", file=monitor.file, key=f"{key}.{name}", value=getattr(fault, name))
+    if not fault.name or not fault.name.isprintable():
+        raise InputError("a name of letters and digits", file=monitor.file, key=f"{key}.name", value=fault.name)
+    names: object = fault.evidence
+    if not isinstance(names, tuple | list) or not all(isinstance(name, str) for name in names):
+        raise InputError("names, a tuple of texts", file=monitor.file, key=f"{key}.evidence", value=fault.evidence)
+    if not isinstance(fault.debounce, Debounce):
+        raise InputError("a Debounce", file=monitor.file, key=f"{key}.debounce", value=fault.debounce)
+
+
 def _check_debounce(monitor: Monitor[Any], fault: Fault, key: str) -> None:
     """Refuse a debounce by which a fault would never be set, or never be healed: without a word."""
     asked = fault.debounce
+    for name in ("failed_after", "passed_after", "failed_step", "passed_step", "jump_up_to", "jump_down_to"):
+        if not isinstance(getattr(asked, name), int | np.integer):
+            text = f"{name} = {getattr(asked, name)!r}: a whole number"
+            raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
     for name in ("failed_after", "passed_after", "failed_step", "passed_step"):
-        if getattr(asked, name) < 1:
-            text = f"{name} = {getattr(asked, name)!r}: at least 1"
+        if not 1 <= getattr(asked, name) <= MOST_DEBOUNCE:
+            text = f"{name} = {getattr(asked, name)!r}: at least 1, at most {MOST_DEBOUNCE}"
             raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
     times = (asked.failed_ms, asked.passed_ms)
     if (times[0] is None) != (times[1] is None):
         text = "a debounce by time needs both failed_ms and passed_ms"
         raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
     for name, time_ms in zip(("failed_ms", "passed_ms"), times, strict=True):
-        if time_ms is not None and not 0.0 <= time_ms <= MOST_DEBOUNCE_MS:
+        known = isinstance(time_ms, int | float | np.number) and 0.0 <= time_ms <= MOST_DEBOUNCE_MS
+        if time_ms is not None and not known:
             text = f"{name} = {time_ms!r}: 0 to {MOST_DEBOUNCE_MS:g} ms"
             raise InputError(text, file=monitor.file, key=f"{key}.debounce", value=fault.name)
 
@@ -247,8 +283,11 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
         InputError: an input that is not named, or that is not there; an array of another length; nothing that triggers.
     """
     with author_of(monitor, "connect"):
-        given = monitor.connect(params)
+        given: object = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
+    if not isinstance(given, Mapping):
+        text = f"inputs and what they are connected to, not {type(given).__name__}"
+        raise InputError(text, file=monitor.file, key=key)
     fields = _fields(monitor)
     known = [name for name, *_ in fields]
     for name in given:
@@ -267,7 +306,11 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
         found += _of_field(monitor, name, given[name], count, is_array)
     triggers = {signal.name for _, signal in found if signal is not None and signal.triggers}
     with author_of(monitor, "triggers"):
-        messages = set() if monitor.triggers is None else set(monitor.triggers(params))
+        named: object = () if monitor.triggers is None else monitor.triggers(params)
+    if not isinstance(named, tuple | list | set) or not all(isinstance(message, str) for message in named):
+        text = f"names of messages, a tuple of texts, not {type(named).__name__}"
+        raise InputError(text, file=monitor.file, key=f'monitor type "{monitor.type}".triggers')
+    messages = set(named)
     if not triggers and not messages:
         raise InputError("no signal triggers: nothing would step it", file=monitor.file, key=key)
     return Connected(found, triggers, messages)
@@ -279,13 +322,13 @@ def _of_field(
     key = f'monitor type "{monitor.type}".connect.{name}'
     if given is None:
         return [(name, None)] * count
-    if isinstance(given, Signal) and not is_array:
-        return [(name, given)]
     parts = given if isinstance(given, list | tuple) else [given]
     for part in parts:
-        if part is not None and not isinstance(part, Signal):
+        if part is not None and not (isinstance(part, Signal) and isinstance(cast("object", part.name), str)):
             text = 'a Signal("Message.Signal"), or None'
             raise InputError(text, file=monitor.file, key=key, value=part)
+    if isinstance(given, Signal) and not is_array:
+        return [(name, given)]
     if isinstance(given, Signal):
         raise InputError(f"an array of {count}: one signal for each", file=monitor.file, key=key)
     if not is_array:
@@ -313,6 +356,12 @@ def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission |
         emission = monitor.emits(params)
     dtype = monitor.outputs.dtype
     key = f'monitor type "{monitor.type}".emits'
+    if not isinstance(emission, Emission):
+        raise InputError(f"this is no Emission, but {type(emission).__name__}", file=monitor.file, key=key)
+    signals: object = emission.signals
+    if not isinstance(signals, Mapping):
+        text = f"fields of the outputs and their signals, not {type(signals).__name__}"
+        raise InputError(text, file=monitor.file, key=key)
     fields: Mapping[str, tuple[int, ...]] = {name: dtype[name].shape for name in dtype.names or ()}
     if list(emission.signals) != list(fields):
         raise InputError(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
@@ -25,6 +25,7 @@ import numpy as np
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
 from gateway.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway.monitors.authors import by_author
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2
@@ -43,6 +44,13 @@ TIMER = -1
 
 #: Least time from a step that a timer caused to the next one [ns]: a monitor that wakes itself at once stops nobody.
 LEAST_SLEEP_NS = 100_000
+
+#: Slips of a step, in words.
+COUNTS_ITSELF = "it changes out.n or out.overflow itself; only report(out, ...) does"
+WAKES_ITSELF = (
+    f"it wakes itself at once: a step that a timer caused is followed by another {LEAST_SLEEP_NS // 1000} us later at"
+    " the earliest"
+)
 
 #: Where a compiler says that something is wrong.
 _PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
@@ -520,11 +528,18 @@ class Monitor(Generic[P]):
     trusted: bool = False
 
     def capability(self, kind: Class[C]) -> C | None:
-        """Return what it has of a class of capability."""
+        """Return what it has of a class of capability; what fails in one from outside is told as its author's."""
         for found in self.capabilities:
             if isinstance(found, kind):
-                return found
+                return self._by_author(found) if self.outside else found
         return None
+
+    def _by_author(self, found: C) -> C:
+        name, called = type(found).__name__, {each.name: getattr(found, each.name) for each in fields(found)}
+        own: dict[str, Any] = {
+            key: by_author(self, f"{name}.{key}", value) for key, value in called.items() if callable(value)
+        }
+        return replace(found, **own)
 
     @property
     def readout(self) -> tuple[str, ...]:
@@ -535,12 +550,18 @@ class Monitor(Generic[P]):
     def warnings(self, params: P) -> tuple[str, ...]:
         """Return what ``gateway check`` says of parameters, though they are not wrong."""
         found = self.capability(Warnings)
-        return () if found is None else found.of(params)
+        return () if found is None else self._lines("Warnings", found.of(params))
 
     def notes(self, params: P) -> tuple[str, ...]:
         """Return what ``gateway check`` tells of what will run."""
         found = self.capability(Notes)
-        return () if found is None else found.of(params)
+        return () if found is None else self._lines("Notes", found.of(params))
+
+    def _lines(self, kind: str, given: object) -> tuple[str, ...]:
+        if isinstance(given, tuple | list) and all(isinstance(line, str) for line in given):
+            return tuple(given)
+        text = f"lines, a tuple of texts, not {type(given).__name__}"
+        raise InputError(text, file=self.file, key=f'monitor type "{self.type}".{kind}.of')
 
     @cached_property
     def results(self) -> np.dtype[np.void]:

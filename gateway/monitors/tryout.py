@@ -16,7 +16,15 @@ from gateway.errors import InputError
 from gateway.jit import failure_of, run_entry
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_faults
-from gateway.monitors.contract import TIMER, Monitor, MonitorParams
+from gateway.monitors.contract import (
+    COUNTS_ITSELF,
+    LEAST_SLEEP_NS,
+    MAX_RESULTS,
+    TIMER,
+    WAKES_ITSELF,
+    Monitor,
+    MonitorParams,
+)
 
 #: Steps with inputs of one kind, and time between two of them [ns].
 STEPS, PERIOD_NS = 200, 10_000_000
@@ -95,7 +103,8 @@ def _steps(
     u, out = made[2], made[3][0]
     cells = u.view(np.float64)
     for k, row in enumerate(values):
-        u["t_ns"], u["trigger"] = (k + 1) * PERIOD_NS, TIMER if k % 7 == 6 else 0
+        t_ns, trigger = (k + 1) * PERIOD_NS, TIMER if k % 7 == 6 else 0
+        u["t_ns"], u["trigger"] = t_ns, trigger
         cells[2:] = row
         out["n"] = out["overflow"] = out["wake_ns"] = out["send"] = 0
         why = run_entry(address, made)
@@ -103,6 +112,11 @@ def _steps(
             shown = ", ".join(f"{value:g}" for value in row[:8])
             yield f"with {kind} inputs ({shown}) its step {k + 1} fails: {failure_of(why)}"
             return
+        if not 0 <= int(out["n"]) <= MAX_RESULTS or int(out["overflow"]) < 0:
+            yield f"with {kind} inputs {COUNTS_ITSELF}"
+            return
+        if trigger == TIMER and 0 < int(out["wake_ns"]) < t_ns + LEAST_SLEEP_NS:
+            yield f"with {kind} inputs {WAKES_ITSELF}"
         numbers = out["results"]["fault"][: int(out["n"])]
         wrong = [int(number) for number in numbers if not 0 <= number < faults]
         if wrong:

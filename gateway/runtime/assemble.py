@@ -17,7 +17,7 @@ from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.errors import InputError, InputErrors, named
-from gateway.faults.catalogue import Catalogue, define
+from gateway.faults.catalogue import Catalogue, FaultDefinition, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
@@ -106,17 +106,7 @@ def assemble(resolved: Resolved) -> Parts:
     """
     engine = _engine(resolved)
     _refuse_unknown(resolved.config, engine)
-    catalogue = Catalogue(
-        [
-            define(
-                slot.id,
-                slot.fault,
-                _settings(resolved.config, slot),
-                caused_by=resolved.gates.get(slot.id, Gate()).roots,
-            )
-            for slot in engine.faults
-        ]
-    )
+    catalogue = Catalogue([_definition(resolved, slot) for slot in engine.faults])
     asked, shown = resolved.freeze_frames, resolved.shown
     return Parts(
         resolved.databases,
@@ -185,6 +175,23 @@ def _reported_faults(config: Config) -> list[FaultSlot]:
     """Return the faults that other processes test; they are of no bus."""
     reporters = () if config.report is None else config.report.reporter
     return [FaultSlot(f"{each.name}.{fault.name}", fault.fault, NO_BUS) for each in reporters for fault in each.fault]
+
+
+def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
+    """Return a fault's definition.
+
+    Raises:
+        InputError: its DTC is none; with the file of the monitor that has it.
+    """
+    causes = resolved.gates.get(slot.id, Gate()).roots
+    try:
+        return define(slot.id, slot.fault, _settings(resolved.config, slot), caused_by=causes)
+    except InputError as error:
+        name = slot.id.rpartition(".")[0]
+        for monitor in (instance.monitor for instance in resolved.monitors if instance.name == name):
+            key = f'monitor type "{monitor.type}".faults: {slot.fault.name}.dtc'
+            raise InputError(error.message, file=monitor.file, key=key, value=error.value) from error
+        raise
 
 
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:

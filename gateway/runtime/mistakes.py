@@ -17,10 +17,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from gateway.common.tomlfile import key_path, read_toml
+from gateway.common.tomlfile import key_path, read_toml, texts_in
 from gateway.config.load import config_of
 from gateway.config.model import Config
 from gateway.errors import InputError, InputErrors
+from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 
 #: A table, or a key that stands alone, by its path: ``("bus", 0, "check", 2)``.
@@ -122,7 +123,7 @@ class _Rest:
         """Yield the tables that are wrong by an error; none: it is not known which."""
         head, second = (*tokens, None, None)[:2]
         if head == "monitor" and second == "type":  # of a plug-in
-            yield from (("monitor", k) for k, table in self._tables("monitor") if table.get("type") in tokens[2:3])
+            yield from (("monitor", k) for k, table in self._tables("monitor") if _type_of(table) in tokens[2:3])
         elif head == "monitor" and isinstance(second, str):
             yield from (("monitor", k) for k, table in self._tables("monitor") if table.get("name") == second)
         elif error.file != str(self._path):
@@ -164,7 +165,7 @@ class _Rest:
             (("output", name), table) for name, table in (outputs.items() if isinstance(outputs, dict) else ())
         ]
         for place, table in of_lists + of_outputs:
-            if any((self._path.parent / text).resolve() == file.resolve() for text in _texts(table)):
+            if any((self._path.parent / text).resolve() == file.resolve() for text in texts_in(table)):
                 yield place
 
     def _dependent(self, place: Place) -> Iterator[Place]:
@@ -244,6 +245,16 @@ def _tokens(key: str | None) -> Place:
     return tuple(int(found[2]) if found[2] else found[1] or found[3] for found in _TOKEN.finditer(key or ""))
 
 
+def _type_of(table: dict[str, Any]) -> str | None:
+    """Return the type that a monitor calls itself; that of "package.module:NAME" may be another text."""
+    asked = str(table.get("type"))
+    try:
+        found = MONITORS.get(asked)
+    except InputError:
+        return asked
+    return asked if found is None else found.type
+
+
 def _at(data: Any, place: Iterable[str | int]) -> Any:
     for token in place:
         data = data[token]
@@ -268,11 +279,3 @@ def _rank(data: Any, place: Place) -> tuple[int, ...]:
         rank.append(known.index(token))
         data = data[token]
     return tuple(rank)
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from _texts(inner)

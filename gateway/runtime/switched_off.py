@@ -1,4 +1,4 @@
-"""Monitors that are switched off: told, and a code of the gateway's own while there are any.
+"""Monitors that misbehave: told, and a code of the gateway's own while there are any that are switched off.
 
 A step that fails is the loop's affair, which steps that monitor no more; a step that did not return was ended by the
 watchdog (:mod:`gateway.live.watchdog`), with the process, and is in a file when the next one starts.
@@ -8,22 +8,35 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from gateway.common.log import get_logger
 from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.monitor_health import SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
+from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON
+from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
 from gateway.jit import failure_of
-from gateway.monitors.contract import digest_of
+from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, digest_of
 
 log = get_logger(__name__)
 
 #: Why a monitor is off whose step did not return, as the handlers have it; no status of a kernel.
 HUNG = 4095
 
+_REASONS = {MISCOUNTED: COUNTS_ITSELF}
+#: Slips that the loop puts right -> what is said of them, once a monitor.
+_PUT_RIGHT = {
+    NO_NUMBER: "it reports a value or a threshold that is no number (NaN): that fault is not tested then",
+    NO_FAULT: "it reports a number that is none of its faults: that result is nobody's",
+    TOO_MANY: f"it reports more than {MAX_RESULTS} results in one step: those beyond are lost",
+    TOO_SOON: WAKES_ITSELF,
+}
+
 
 class SwitchedOff:
-    """Tells which monitors are off.
+    """Tells which monitors are off, and which ones slip.
 
     Args:
         engine: whose monitors they are.
@@ -34,6 +47,7 @@ class SwitchedOff:
         ids = {slot.id: k for k, slot in enumerate(engine.faults)}
         self._place = ids.get(f"{OWNER}.{SWITCHED_OFF.name}")
         self._reported = -1  # how many were off at the last report; -1: none since the last clear
+        self._named = np.zeros(len(engine.monitors), np.uint8)  # slips that have been told
 
     def again(self) -> None:
         """Report anew: what was reported has been cleared."""
@@ -56,20 +70,36 @@ class SwitchedOff:
     def on_event(self, event: Any, bus: str) -> dict[str, Any]:
         """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
         place = int(event["fault"])
-        reason = failure_of(int(self._engine.tables.handlers[place]["off"]))
+        why = int(self._engine.tables.handlers[place]["off"])
+        reason = _REASONS.get(why) or failure_of(why)
         return self._told(place, int(event["t_ns"]), f"its step failed: {reason}", bus)
 
     def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
         instance = self._engine.monitors[place]
-        monitor = instance.monitor
-        told = {"monitor": instance.name, "type": monitor.type, "file": str(monitor.file), "reason": reason}
+        told = {**_who(instance), "reason": reason}
         log.error("a monitor is switched off; its faults are not tested, all others go on", **told)
         return {"event": "monitor_off", "t_ns": t_ns, "bus": bus, **told}
 
     def report(self, sink: Sink) -> None:
-        """Report the gateway's own fault, if that is news."""
+        """Report the gateway's own fault, and name slips, if that is news."""
+        self._name_slips()
         count = int((self._engine.tables.handlers["off"] != 0).sum())
         if self._place is None or count == self._reported:
             return
         self._reported = count
         self._engine.report(self._place, count > 0, float(count), 0.0, (count,), sink)
+
+    def _name_slips(self) -> None:
+        """Log what the loop has put right, a line for each monitor from outside and kind of slip."""
+        slips = self._engine.tables.handlers["slips"]
+        for k in np.flatnonzero(slips & ~self._named):
+            new, instance = int(slips[k] & ~self._named[k]), self._engine.monitors[k]
+            self._named[k] |= new
+            for slip, text in _PUT_RIGHT.items():
+                if new & slip and instance.monitor.outside:
+                    log.warning("a monitor slips; it goes on", **_who(instance), reason=text)
+
+
+def _who(instance: MonitorInstance) -> dict[str, str]:
+    """Return which monitor it is, for people."""
+    return {"monitor": instance.name, "type": instance.monitor.type, "file": str(instance.monitor.file)}

@@ -103,6 +103,11 @@ class DecodePlan:
         """Return the place of a signal among those decoded of its message."""
         return self.positions[SignalRef(bus, message, signal)]
 
+    def is_multiplexed(self, slot: int) -> bool:
+        """Return whether frames of its message may come without a signal, by its mailbox slot."""
+        first = self.messages["first"][self.slot_message[slot]]
+        return bool(self.signals["parent"][first + self.positions[self.slot_names[slot]]] >= 0)
+
     def message(self, bus: int, name: str) -> int:
         """Return the row of a message."""
         return self._rows[bus, name]

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 import pytest
+from battery_bus import PERIOD_NS, battery_database, voltages
 
-from gateway.bus.frames import empty, put
 from gateway.engine.build import build_engine
 from gateway.engine.events import MONITOR_OFF, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.engine.instances import MonitorInstance
@@ -22,16 +22,6 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
-from gateway.signals.database import load_database
-
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A
-BO_ 256 BATT: 8 A
- SG_ Volts : 0|16@1+ (0.01,0) [0|100] "V" A
-"""
-PERIOD_NS = 1_000_000
 
 
 class State(Record):
@@ -122,9 +112,7 @@ GOOD = Monitor(
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory):
-    path = tmp_path_factory.mktemp("dbc") / "a.dbc"
-    path.write_text(DBC)
-    return load_database([path])
+    return battery_database(tmp_path_factory.mktemp("dbc"))
 
 
 class Rig:
@@ -138,11 +126,8 @@ class Rig:
         self.t_ns, self.told, self.verdicts = 0, [], []
 
     def feed(self, *volts):
-        frames = empty(len(volts))
-        for k, value in enumerate(volts):
-            self.t_ns += PERIOD_NS
-            put(frames, k, self.t_ns, 256, round(100 * value).to_bytes(2, "little") + bytes(6))
-        self.engine.process(frames, self.sink)
+        self.engine.process(voltages(volts, self.t_ns), self.sink)
+        self.t_ns += len(volts) * PERIOD_NS
         return self
 
     def sink(self, events):

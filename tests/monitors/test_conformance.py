@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 import pytest
+from battery_bus import battery_database, voltages
 
-from gateway.bus.frames import empty, put
 from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.engine.instances import MonitorInstance
@@ -26,21 +26,6 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
-from gateway.signals.database import load_database
-
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A
-BO_ 256 BATT: 8 A
- SG_ Volts : 0|16@1+ (0.01,0) [0|100] "V" A
- SG_ Amps : 16|16@1- (0.01,0) [-100|100] "A" A
-BO_ 257 OTHER: 8 A
- SG_ Volts : 0|16@1+ (0.01,0) [0|100] "V" A
-BO_ 258 SAID: 8 A
- SG_ Twice : 0|16@1+ (0.01,0) [0|100] "V" A
- SG_ Half : 16|16@1+ (0.01,0) [0|100] "V" A
-"""
 
 
 class Params(MonitorParams):
@@ -114,24 +99,19 @@ GOOD = Monitor(
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory):
-    path = tmp_path_factory.mktemp("dbc") / "a.dbc"
-    path.write_text(DBC)
-    return load_database([path])
+    return battery_database(tmp_path_factory.mktemp("dbc"))
 
 
 def run(database, *monitors, volts=(10.0, 12.0, 10.0), **signals):
     """Feed the voltages; returns the engine and the ids of the faults that failed."""
     instances = [MonitorInstance(name, monitor, Params(), signals=signals.get(name, {})) for name, monitor in monitors]
     engine = build_engine([(0, database)], instances, [])
-    frames = empty(len(volts))
-    for k, value in enumerate(volts):
-        put(frames, k, (k + 1) * 1_000_000, 256, round(100 * value).to_bytes(2, "little") + bytes(6))
     failed = []
 
     def sink(events):
         failed.extend(engine.faults[int(e["fault"])].id for e in events if e["kind"] == QUALIFIED_FAILED)
 
-    engine.process(frames, sink)
+    engine.process(voltages(volts), sink)
     return engine, failed
 
 
@@ -358,9 +338,7 @@ def test_evidence_is_that_of_the_step_not_of_the_one_before(database):
 
     engine, _ = run(database, ("a", replace(GOOD, step=forgets)), volts=(10.0,))
     assert engine.tables.out[0]["results"][0]["evidence"][0] == 10.0
-    frames = empty(1)
-    put(frames, 0, 5_000_000, 256, (1000).to_bytes(2, "little") + bytes(6))
-    engine.process(frames, lambda _: None)
+    engine.process(voltages([10.0], 4_000_000), lambda _: None)
     assert engine.tables.out[0]["results"][0]["evidence"].tolist() == [0.0] * 8
 
 

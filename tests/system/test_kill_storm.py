@@ -7,54 +7,22 @@ of kills (a tenth of them with the full disk), of which each takes about as long
 import os
 import random
 import signal
-import subprocess
-import threading
 import time
 from contextlib import ExitStack
 
 import can
-import cantools
 import pytest
 from amount import amount
 from full_disk import small_disk
-from processes import GATEWAY, bus
+from kill_storm import Storm, Told, start, write_config
+from processes import bus
 
-from gateway.common.resources import shipped
 from gateway.faults import service
-from gateway.faults.dtc import Dtc
 
 pytestmark = pytest.mark.system
 
 KILLS = int(os.environ.get("GATEWAY_KILLS", "0")) or amount(1000, 20)
 FULL_DISK = max(KILLS // 10, 2)
-MESSAGES = 8
-#: The DTC that says that what is told now is not stored.
-NOT_WRITTEN = "U3000-44"
-MESSAGE = cantools.database.load_file(shipped("dbc/gateway.dbc")).get_message_by_name("GW_DTC")
-
-
-class Told:
-    """What the DTC frames of one run promised: confirmed DTCs, told while the memory was said to be written."""
-
-    def __init__(self):
-        self.promised = {}
-        self.not_written = False
-        self.outages = self.unstored = 0
-
-    def note(self, got):
-        if got is None or got.arbitration_id != MESSAGE.frame_id:
-            return
-        values = MESSAGE.decode(bytes(got.data))
-        dtc = str(Dtc(values["Dtc"]))
-        if dtc == NOT_WRITTEN:
-            failing = bool(values["Status"] & 0x01)
-            self.outages += failing and not self.not_written
-            self.not_written = failing
-        elif values["Status"] & 0x08:
-            if self.not_written:
-                self.unstored += 1
-            else:
-                self.promised[dtc] = values["Occurrence"]
 
 
 def kill_9(tmp_path, memory, kills, rng, disk=None):
@@ -124,75 +92,3 @@ def test_kill_9_with_a_disk_that_fills_up_loses_nothing_that_was_told_as_stored(
     )
     assert promised > 0
     assert unstored > 0, "what could not be stored was told all the same"
-
-
-def start(config, uri, memory, folder):
-    """Start the daemon, and wait until it monitors."""
-    started = subprocess.Popen(
-        [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    line = said_last = ""
-    while "monitoring" not in line or "memory" in line:
-        line = started.stderr.readline()
-        assert line, (said_last, started.wait(5))
-        said_last = line
-    return started
-
-
-DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: Ecu Gateway
-"""
-
-
-def write_config(folder):
-    """Write a configuration: eight messages with alive counters, each judged at once, all DTCs told often."""
-    dbc, toml = DBC, f'[[bus]]\nname = "b"\nuri = "loopback:"\ndatabase = ["{folder}/storm.dbc"]\n'
-    faults = ""
-    for k in range(MESSAGES):
-        dbc += f"BO_ {0x300 + k} M{k}: 8 Ecu\n"
-        dbc += ' SG_ FrameCnt : 0|8@1+ (1,0) [0|255] "" Gateway\n'
-        dbc += ' SG_ Value : 8|16@1+ (0.1,0) [0|6553] "V" Gateway\n'
-        toml += f'[[bus.check]]\nmessage = "M{k}"\ncounter = {{ signal = "FrameCnt" }}\n'
-        for name, dtc in (("counter", f"U01{k:02X}-82"), ("length", f"U02{k:02X}-81")):
-            faults += f'[fault."b.M{k}.{name}"]\ndtc = "{dtc}"\nfreeze_frame = ["M{k}.Value"]\n'
-            faults += "debounce = { failed_after = 1, passed_after = 1, jump_down = true }\n"
-    toml += faults + "[output.dtc_frame]\ncycle_ms = 50.0\nmin_interval_ms = 0\n"
-    toml += "[memory]\nrecording = { before_ms = 20.0, after_ms = 5.0, most_per_fault = 1 }\n"
-    (folder / "storm.dbc").write_text(dbc)
-    (folder / "storm.toml").write_text(toml)
-    return folder / "storm.toml"
-
-
-class Storm(threading.Thread):
-    """Sends frames, of which every fifth has a wrong counter and every fifth is too short."""
-
-    def __init__(self, host, port, seed):
-        super().__init__(daemon=True)
-        self._rng = random.Random(seed)
-        self._bus = can.Bus(interface="socketcand", host=host, port=port, channel="can0")
-        self._ended = threading.Event()
-
-    def run(self):
-        counts = [0] * MESSAGES
-        while not self._ended.wait(0.002):
-            k = self._rng.randrange(MESSAGES)
-            what = self._rng.random()
-            counts[k] += 1 + 3 * (what < 0.2)
-            data = bytes([counts[k] % 256, *self._rng.randbytes(7)])
-            message = data[: 2 if what > 0.8 else 8]
-            self._bus.send(can.Message(arbitration_id=0x300 + k, data=message, is_extended_id=False))
-
-    def __enter__(self):
-        self.start()
-        return self
-
-    def __exit__(self, *_):
-        self._ended.set()
-        self.join(10)
-        self._bus.shutdown()

@@ -44,6 +44,8 @@ def site(tmp_path_factory):
         shutil.copytree(ROOT / "dbc", folder / "dbc")
         text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
         text = text.replace("timeout_ms = 500.0\n", "")  # a sender that is silent after its scenario is no news here
+        # Before and after a scenario nobody tells the speed: no operation cycle then, unless it is forced.
+        text += '[access.reset]\nwhen = [{ signal = "GW_EngineSync.EngineSpeed", max = 0.0 }]\n'
         (folder / "gateway.toml").write_text(text)
         daemons = stack.enter_context(ExitStack())
         daemon = run_daemon(daemons, folder)
@@ -107,6 +109,12 @@ def entries(site):
     return json.loads(gateway("faults", "list", "gateway.toml", "--json", cwd=site.folder).stdout)
 
 
+def interventions(site):
+    """What was asked of the gateway, the newest first."""
+    told = json.loads(gateway("faults", "interventions", "gateway.toml", "--json", cwd=site.folder).stdout)
+    return told[::-1]
+
+
 def faults_of_tester(site):
     with isotp_stack(site.uri, start=False) as stack:
         connection = PythonIsoTpConnection(stack)
@@ -162,6 +170,24 @@ def test_clear_asks_first_and_the_tester_sees_the_same(site):
     assert "No trouble codes" in site.driver.find_element(By.ID, "dtcs").text
     assert entries(site) == []
     assert faults_of_tester(site) == set()
+
+
+def test_what_is_refused_can_be_done_all_the_same_by_who_is_asked_twice(site):
+    site.driver.find_element(By.ID, "cycle").click()
+    dialog, yes = site.driver.find_element(By.ID, "dialog"), site.driver.find_element(By.ID, "dialog-yes")
+    yes.click()
+    wait_for(lambda: text_of(site, "#dialog-yes") == "New cycle all the same")
+    assert "refused (0x22)" in text_of(site, "#dialog-error")
+    assert interventions(site)[0]["nrc"] == 0x22
+    yes.click()
+    wait_for(lambda: not dialog.is_displayed())
+    done = interventions(site)[0]
+    assert done["outcome"] == "done"
+    assert "asked twice" in done["role"]
+    site.driver.find_element(By.ID, "cycle").click()
+    assert text_of(site, "#dialog-yes") == "New cycle", "what was forced once is asked for again the next time"
+    site.driver.find_element(By.ID, "dialog-no").click()
+    assert [text for text in complaints(site.driver) if "409" not in text] == []
 
 
 def test_without_the_control_token_nothing_is_cleared(site):
