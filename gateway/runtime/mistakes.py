@@ -211,7 +211,7 @@ class _Gone:
             self._owners.add(name)
             self._any_owner = self._any_owner or not isinstance(table.get("name"), str)
         elif head == "report":
-            self._owners |= {name for name in _texts(table) if "." not in name}
+            self._owners |= {name for name in texts_in(table) if "." not in name}
         elif head in ("did", "cycle"):
             self._names.add(name if head == "did" else str(place[1]))
         elif head == "fault":
