@@ -119,8 +119,7 @@ def mutated(rng, seeds):
 
 @pytest.fixture
 def rig(tmp_path):
-    rig = Rig(write_config(tmp_path, 6, extra=EXTRA))
-    rig.gateway._listeners.clear()
+    rig = Rig(write_config(tmp_path, 6, extra=EXTRA), heard=False)
     for k in range(4):
         rig.fail(k)
     yield rig

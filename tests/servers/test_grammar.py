@@ -26,8 +26,7 @@ def test_requests_of_a_grammar_while_frames_are_monitored(tmp_path):
     seed = 80
     print(f"seed {seed}")
     rng = random.Random(seed)
-    rig = Rig(write_config(tmp_path, MESSAGES, extra=CONFIG))
-    rig.gateway._listeners.clear()
+    rig = Rig(write_config(tmp_path, MESSAGES, extra=CONFIG), heard=False)
     traffic, grammar = Traffic(rig, rng, 2 * TOTAL + 1000), Grammar(rng)
     rig.wait(300)
     found = 0
