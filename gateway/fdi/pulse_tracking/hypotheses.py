@@ -166,7 +166,8 @@ def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float)
         y: time since the last pulse [us].
 
     Returns:
-        what the pulse cost the best hypothesis [nat].
+        what the pulse cost the best hypothesis [nat]; above :data:`HOPELESS` where nothing explains it: then the
+        hypotheses are those before it.
     """
     cost = plain(tr, pulses, acceleration, y)
     if cost >= 0.0:
@@ -183,7 +184,13 @@ def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float)
     made = 0
     for k in range(tr.count):
         made = branch(tr, tr.banks[first + k], pulses, acceleration, ripple, made)
+    if made == 0:
+        return 2.0 * HOPELESS  # more pulses in one interval than clutter can explain
+    count = tr.count
     least = prune(tr, made)
+    if least > HOPELESS:
+        tr.bank, tr.count = 1 - tr.bank, count
+        return least
     tr.mean_cost += 0.1 * (least - tr.mean_cost)
     chosen = best(tr)
     if chosen.associated == 1 and chosen.missed == 0 and chosen.added == 0:

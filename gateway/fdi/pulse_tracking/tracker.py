@@ -105,6 +105,17 @@ def unanimous(tr: Tracker) -> bool:
 
 
 @kernel
+def keep_best(tr: Tracker) -> None:
+    """Drop all hypotheses but the best; what it holds for missed or added is not decided any more."""
+    h = best(tr)
+    h.cost = 0.0
+    h.missed = 0
+    h.added = 0
+    tr.count = 1
+    tr.open = 0
+
+
+@kernel
 def keep_reported(tr: Tracker) -> None:
     """Drop all hypotheses but one without missed and added pulses, where no pulse for long has told between them.
 

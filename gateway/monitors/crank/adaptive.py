@@ -24,13 +24,14 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import f8s, kernel
-from gateway.monitors.crank import anchor, reversal, waiting
+from gateway.monitors.crank import anchor, noise, reversal, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
     broken_silence,
     decide,
     decided,
+    fall_noisy,
     fall_silent,
     hold_to_gap,
     lose,
@@ -69,6 +70,16 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     expected.
     """
     unwatched(s, c, number, out)
+    if s.burst.count > 0:
+        noise.tell(s.burst, out)
+        search(s, c)
+    _pass_over(s, c, number)
+    waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
+
+
+@kernel
+def _pass_over(s: State, c: Const, number: int) -> None:
+    """Go on by teeth that passed without an interval of their own; the gap has to prove the place again."""
     anchor.skip(s.anchor, c.pulses, number)
     if s.phase == SEARCHING:
         restart(s.search)
@@ -78,7 +89,6 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
         s.index = best(s.tracker).index
         doubt(s)
         s.hole = 1
-    waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
@@ -110,6 +120,9 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         return
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    if s.burst.count > 0:
+        _wait_for_end(s, c, y, out)
+        return
     anchor.note(s.anchor, c.pulses, y)
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out, c.told == 1)
@@ -120,6 +133,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         _seek(s, c, y)
     else:
         period = best(s.tracker).period
+        noise.note(s.burst, s.teeth, y, period)
         silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
         _watch_turning(s, c, y, silent)
         if silent and s.reversal.stood == 1:
@@ -134,6 +148,19 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         wait(s, c, y, out)
     s.y2 = s.y1
     s.y1 = y
+
+
+@kernel
+def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
+    """Wait for the end of a burst; then go on by the time that has passed, or look for the place again."""
+    if noise.goes_on(s.burst, y, out):
+        return
+    number = 0
+    if s.burst.known == 1:
+        number = noise.passed(s.burst, best(s.tracker), s.tracker.pitches, c.pulses)
+    if number == 0:
+        search(s, c)
+    _pass_over(s, c, max(number, 1))
 
 
 @kernel
@@ -248,7 +275,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     before = behind - 1 if behind > 0 else c.pulses - 1
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
     slower = reversal.slower(re, u)
-    stopping = reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u)
+    stopping = reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
     nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
     sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u)
     if slower or stopping or nearly:
@@ -264,7 +291,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
 @kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
-    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y):
+    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, 0.0):
         s.reversal.stood = 1
         restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
@@ -291,7 +318,11 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
     s.residuals[s.teeth % RESIDUALS] = tr.residual
     if cost > HOPELESS or tr.mean_cost > MOST_MEAN_COST:
-        lose(s, c, out, cost)
+        count = noise.crowd(s.burst, s.teeth)
+        if count >= noise.BURST:
+            fall_noisy(s, c, count)
+        else:
+            lose(s, c, out, cost)
         return
     if tr.open > 5 * c.pulses // 2:
         keep_reported(tr)

@@ -186,6 +186,12 @@ def contrasts(an: State, pulses: int) -> int:
 
 
 @kernel
+def least_known(pulses: int) -> int:
+    """Return how many contrasts a turn needs to be judged: half of them, four, or all that a small wheel has."""
+    return max((pulses + 1) // 2, min(4, pulses - 2)) if pulses > 5 else pulses - 2
+
+
+@kernel
 def plain(an: State, pulses: int) -> float:
     """Return S of a wheel without a gap; the contrasts are in ``logs``."""
     total = 0.0
@@ -211,7 +217,7 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
         the shift that is likelier than the present place, HERE or UNDECIDED.
     """
     known = contrasts(an, pulses)
-    if known < 4 or 2 * known < pulses:
+    if known < least_known(pulses):
         return UNDECIDED
     present = squares(an, c, pulses, index, 0)
     first, second, shift = present, 1e9, 0

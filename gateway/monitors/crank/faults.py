@@ -21,7 +21,8 @@ from gateway.monitors.contract import Debounce, Fault, Out
     RELOCATED,
     DAMAGED,
     UNWATCHED,
-) = range(13)
+    NOISE,
+) = range(14)
 #: Those before concern the crankshaft sensor alone.
 CRANK_FAULTS = CAM_CORRELATION
 
@@ -119,6 +120,14 @@ class Unwatched(Record):
     teeth: f8
 
 
+class Noise(Record):
+    """Evidence of a burst of pulses that no tooth made."""
+
+    count: f8 = means("pulses in the burst")
+    tooth: f8 = means("tooth before the burst")
+    speed: f8 = means(unit="rpm")
+
+
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
@@ -133,6 +142,7 @@ class Evidence(Record, overlay=True):
     relocated: Relocated
     damaged: Damaged
     unwatched: Unwatched
+    noise: Noise
 
 
 #: What the parts of the monitor report into.
@@ -237,5 +247,13 @@ FAULTS = (
         labels(Unwatched),
         Debounce(failed_after=1, passed_after=3),
         tested="share of pulses that no frame brought",
+    ),
+    Fault(
+        "noise",
+        "P0335-2F",
+        "a burst of pulses within one tooth: ignition noise, ringing or a loose contact",
+        labels(Noise),
+        _ONCE,
+        tested="pulses in the burst",
     ),
 )

@@ -11,16 +11,18 @@ however long: what it means is for the method to say, by the speed before it.
 from __future__ import annotations
 
 from gateway.jit import kernel
-from gateway.monitors.crank import adaptive, constant_speed, place
+from gateway.monitors.crank import adaptive, constant_speed, noise, place
 from gateway.monitors.crank.faults import Reports
 from gateway.monitors.crank.records import CLASSIC_INTERVALS, Const, Inputs, State
 from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 
 
 @kernel
-def stand(s: State, c: Const) -> None:
-    """The engine stands: synchronisation ends."""
+def stand(s: State, c: Const, out: Reports) -> None:
+    """The engine stands: synchronisation ends, and a burst of pulses that was not told yet is."""
     if c.adaptive == 1:
+        if s.fast.burst.count > 0:
+            noise.tell(s.fast.burst, out)
         place.stand(s.fast, c.fast)
     else:
         constant_speed.search(s.paper)
@@ -81,7 +83,7 @@ def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """Take one interval [us]; none is taken over a standstill."""
     if y * 1e3 >= c.stall_ns:
         s.count = (s.count + 1) % 65536
-        stand(s, c)
+        stand(s, c, out)
         return
     s.count = (s.count + 1) % 65536
     if c.adaptive == 1:
@@ -127,7 +129,7 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
         if frames >= 128 and _stray(s, counter, (counter + 1) % 256):
             return
         if frames >= 128:
-            stand(s, c)
+            stand(s, c, out)
         elif frames > 0:
             number = _missing(s, frames, counter)
             if number > 0:
@@ -143,7 +145,7 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
             _teeth(s, c, number, out)
             number = 0
             s.count = (s.count + 1) % 65536
-            stand(s, c)
+            stand(s, c, out)
             continue
         s.stalls_ns = u.t_ns + c.stall_ns
         s.intervals[number] = period_us(code)
@@ -160,7 +162,7 @@ def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
         if number < 0 and _stray(s, pulses, (pulses + int(u.valid)) % 65536):
             return
         if number < 0:
-            stand(s, c)
+            stand(s, c, out)
         elif number > 0:
             _lost(s, c, number, out)
     s.linked = 1

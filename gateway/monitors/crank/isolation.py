@@ -7,10 +7,10 @@ import numpy as np
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS
 from gateway.fdi.pulse_tracking.motion import Q3
-from gateway.fdi.pulse_tracking.tracker import agreed, best, marginalise_decided, shift
+from gateway.fdi.pulse_tracking.tracker import agreed, best, keep_best, marginalise_decided, shift, unanimous
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import anchor, runout, waiting
+from gateway.monitors.crank import anchor, noise, runout, waiting
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -18,6 +18,7 @@ from gateway.monitors.crank.faults import (
     DOUBLED,
     MISSED,
     NO_GAP,
+    NOISE,
     PULSES_LOST,
     RELOCATED,
     RESIDUALS,
@@ -50,6 +51,8 @@ BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
 LATE = 8
 #: Tooth of the next revolution by which one has to be decided to count.
 DECIDED_BY = 4
+#: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
+UNCLEAN = 3
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -62,6 +65,26 @@ def lose(s: State, c: Const, out: Reports, cost: float) -> None:
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
         s.losses += 1
     search(s, c)
+
+
+@kernel
+def fall_noisy(s: State, c: Const, count: int) -> None:
+    """Doubt the place in a burst of pulses that nothing explains; it is told when it has ended (:mod:`.noise`).
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        count: pulses of the burst so far.
+    """
+    began = s.burst.known == 1 and s.teeth - s.decided <= 2 * TOGETHER
+    known = (s.phase == CONFIRMED or began) and unanimous(s.tracker)
+    if s.phase == CONFIRMED:
+        s.losses += 1
+    keep_best(s.tracker)
+    noise.begin(s.burst, best(s.tracker), count, speed(s, c), known)
+    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.restart(s.anchor)
+    doubt(s)
 
 
 @kernel
@@ -128,6 +151,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
+    s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
     if s.phase == CONFIRMED and s.tracker.took > LATE:
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
@@ -163,9 +187,19 @@ def decide(s: State, c: Const, out: Reports) -> None:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
+        if s.burst_added >= noise.BURST:
+            _tell_noise(s, c, out)
+            return
         s.doubled += added
         if s.doubling == 0:
             _fail(s, c, out, ADDED, s.burst_added, s.burst_tooth if missed == 0 else added_at)
+
+
+@kernel
+def _tell_noise(s: State, c: Const, out: Reports) -> None:
+    """Report a burst whose teeth were counted all the same; a place that is not proven keeps nothing of it."""
+    e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
+    e.count, e.tooth, e.speed = s.burst_added, s.burst_tooth, speed(s, c)
 
 
 @kernel
@@ -311,27 +345,39 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
         share = doubled / c.pulses
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
+    s.unclean = 0 if clean else s.unclean + 1
+    if clean:
+        _note_speed(s, 60e6 / us)
+    elif s.unclean >= UNCLEAN:
+        _note_speed(s, speed(s, c))
     if not clean:
         return
     s.recent_missed = 0
     s.recent_added = 0
-    s.speed_rpm = 60e6 / us
-    s.fastest_rpm = max(s.fastest_rpm, s.speed_rpm)
-    if s.slowest_rpm == 0.0 or s.speed_rpm < s.slowest_rpm:
-        s.slowest_rpm = s.speed_rpm
     for fault in range(CRANK_FAULTS):
         if fault != RUNOUT:
             report(out, fault, False, 0.0, 0.0)
     report(out, RELOCATED, False, 0.0, 0.0)
     report(out, UNWATCHED, False, 0.0, 0.0)
+    report(out, NOISE, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         _judge_wheel(s, c, out)
 
 
 @kernel
+def _note_speed(s: State, rpm: float) -> None:
+    """Note the speed of a revolution [rpm]."""
+    s.speed_rpm = rpm
+    s.fastest_rpm = max(s.fastest_rpm, rpm)
+    if s.slowest_rpm == 0.0 or rpm < s.slowest_rpm:
+        s.slowest_rpm = rpm
+
+
+@kernel
 def _judge_wheel(s: State, c: Const, out: Reports) -> None:
     """Judge the wheel as it was learned: off centre, a tooth out of its place."""
-    amplitude, most = runout.geometry(s.law, s.speed_rpm, s.profile.first, c.runout)
+    learned_rpm = 60e6 / (s.profile.period * c.wheel.whole)
+    amplitude, most = runout.geometry(s.law, learned_rpm, s.profile.first, c.runout)
     r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
     r.amplitude, r.tooth = amplitude, s.profile.worst
     r.speed = s.speed_rpm

@@ -254,7 +254,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
     turns = s.fast.revolutions
     if u.trigger == TIMER:
-        frames.stand(s, c)
+        frames.stand(s, c, out)
     elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:
         _cam(s, c, u, out)  # NaN, while no edge has come, is not >= 0
     elif c.fd == 1:

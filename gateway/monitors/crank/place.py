@@ -11,7 +11,7 @@ from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profil
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor, waiting
+from gateway.monitors.crank import anchor, noise, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
 from gateway.monitors.crank.runout import Law
@@ -92,11 +92,13 @@ class State(Record):
     silent: i4
     silent_us: f8
     hole: i4
+    burst: noise.Burst
     unseen: f8
     decided: i8
     burst_missed: i4
     burst_added: i4
     burst_tooth: i4
+    unclean: i4
     speed_rpm: f8
     slowest_rpm: f8
     fastest_rpm: f8

@@ -48,6 +48,8 @@ GREW = 0.2
 #: Growth that one of the last two intervals has before an engine stands (1.62, less jitter); one that is cranked over
 #: its compressions has 1.3 on a wheel of 12 teeth.
 STEEP = 1.5
+#: Deviation of an edge that is usual [pitch]; how many times what goes beyond it an interval grows by itself.
+USUAL, JITTERS = 0.03, 5.0
 #: Growth from which on an interval is a sudden one, and from the interval before it to the one behind it from which on
 #: it was not a pulse that was missed.
 ABRUPT, SLOWER = 1.6, 1.3
@@ -56,7 +58,7 @@ STOPS = 0.7
 
 
 @kernel
-def stopping(longest: float, span: float, u2: float, u1: float, u: float) -> bool:
+def stopping(longest: float, span: float, u2: float, u1: float, u: float, variance: float) -> bool:
     """Tell whether the latest of three intervals is one over, or just before, a turning point.
 
     Args:
@@ -65,9 +67,11 @@ def stopping(longest: float, span: float, u2: float, u1: float, u: float) -> boo
         u2: the last interval but two, over one pitch [us]; 0: not known.
         u1: the last but one.
         u: the last one.
+        variance: of an edge [pitch^2]; of edges that jitter much, an interval grows by itself.
     """
-    steep = u > STEEP * u1 or u1 > STEEP * u2
-    return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span) * u2 and u2 > 0.0)
+    jitter = JITTERS * max(variance**0.5 - USUAL, 0.0)
+    steep = u > (STEEP + jitter) * u1 or u1 > (STEEP + jitter) * u2
+    return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span + jitter) * u2 and u2 > 0.0)
 
 
 @kernel

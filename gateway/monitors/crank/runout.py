@@ -16,6 +16,8 @@ from gateway.jit import Record, f8, kernel
 
 #: Ripple of the first order that an engine may have at :data:`ALLOWED_RPM`; it falls with the square of the speed.
 ALLOWED, ALLOWED_RPM = 0.14, 850.0
+#: An engine that is slower is cranked: another torque, which says nothing of how that of its firing falls.
+FIRING_RPM = 500.0
 #: Weight of a turn after one more [1].
 FADING = 0.98
 #: Least deviation of x, as a share of its mean, from which the two are told apart, and turns that takes.
@@ -36,7 +38,9 @@ class Law(Record):
 
 @kernel
 def take(law: Law, rpm: float, even: float, odd: float) -> None:
-    """Take the first order of one turn."""
+    """Take the first order of one turn of an engine that fires."""
+    if rpm < FIRING_RPM:
+        return
     x = (ALLOWED_RPM / rpm) ** 2
     law.weight = FADING * law.weight + 1.0
     law.x = FADING * law.x + x
@@ -53,11 +57,13 @@ def geometry(law: Law, rpm: float, amplitude: float, runout: float) -> tuple[flo
 
     Args:
         law: record of Law.
-        rpm: speed now.
+        rpm: speed at which the amplitude was learned.
         amplitude: of the first order, as learned.
         runout: of the wheel that is a fault.
     """
     w = law.weight
+    if w == 0.0:
+        return amplitude, max(runout, ALLOWED * (ALLOWED_RPM / rpm) ** 2)
     x, even, odd = law.x / w, law.even / w, law.odd / w
     variance = law.xx / w - x * x
     if w > TURNS and variance > (SPREAD * x) ** 2:

@@ -102,7 +102,7 @@ def contradicts(wa: Waiting) -> bool:
 def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
     """Return the place that the latest pulse has by the contrasts of the last turn, UNDECIDED or AGAINST."""
     known = anchor.contrasts(an, pulses)
-    if known < 4 or 2 * known < pulses:
+    if known < anchor.least_known(pulses):
         return UNDECIDED
     largest = 0.0
     for k in range(1, pulses - 1):
