@@ -274,10 +274,11 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     behind = s.index - 1 if s.index > 0 else c.pulses - 1
     before = behind - 1 if behind > 0 else c.pulses - 1
     u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
-    slower = reversal.slower(re, u)
-    stopping = reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
+    slower = reversal.slower(re, u, s.tracker.variance)
+    crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # intervals of a burst are no engine's
+    stopping = not crowded and reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
     nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
-    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u)
+    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u, s.tracker.variance)
     if slower or stopping or nearly:
         reversal.begin(re, c.pulses, s.index, y)
     if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
@@ -291,7 +292,7 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
 @kernel
 def _seek(s: State, c: Const, y: float) -> None:
     """Look for the place on the wheel."""
-    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, 0.0):
+    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, s.tracker.variance):
         s.reversal.stood = 1
         restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
@@ -319,7 +320,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     s.residuals[s.teeth % RESIDUALS] = tr.residual
     if cost > HOPELESS or tr.mean_cost > MOST_MEAN_COST:
         count = noise.crowd(s.burst, s.teeth)
-        if count >= noise.BURST:
+        if count >= noise.BURST and s.reversal.stood == 0:
             fall_noisy(s, c, count)
         else:
             lose(s, c, out, cost)

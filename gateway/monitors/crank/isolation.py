@@ -59,8 +59,14 @@ MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
 @kernel
 def lose(s: State, c: Const, out: Reports, cost: float) -> None:
-    """Report that synchronisation is lost, and search."""
-    if s.phase == CONFIRMED:
+    """Report that synchronisation is lost, and search.
+
+    A place that was proven until less than a turn ago, and is doubted by nothing but its pulses, counts as proven, if
+    nothing else has been told of these.
+    """
+    of_late = s.teeth - s.doubted < c.pulses and s.hole == 0 and s.reversal.stood == 0
+    of_late = of_late and s.teeth - s.named > 2 * c.pulses
+    if s.phase == CONFIRMED or of_late:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
         s.losses += 1
@@ -109,6 +115,7 @@ def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int)
         s.held_fault = fault
         _shape(s, c, number, first, s.held)
         return
+    s.named = s.teeth
     _shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
 
 
@@ -155,7 +162,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if s.phase == CONFIRMED and s.tracker.took > LATE:
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
-        search(s, c)
+        lose(s, c, out, s.tracker.mean_cost)
         return
     s.since = 0
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
@@ -187,7 +194,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
-        if s.burst_added >= noise.BURST:
+        if added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST:
             _tell_noise(s, c, out)
             return
         s.doubled += added
@@ -198,6 +205,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _tell_noise(s: State, c: Const, out: Reports) -> None:
     """Report a burst whose teeth were counted all the same; a place that is not proven keeps nothing of it."""
+    s.named = s.teeth
     e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
     e.count, e.tooth, e.speed = s.burst_added, s.burst_tooth, speed(s, c)
 
@@ -343,6 +351,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
     if s.doubling == 1:
         share = doubled / c.pulses
+        s.named = s.teeth
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
     s.unclean = 0 if clean else s.unclean + 1

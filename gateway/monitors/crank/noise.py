@@ -20,8 +20,8 @@ BURST = 4
 SHORT = 0.5
 #: Pulses after which a burst that does not end is told all the same.
 MOST = 256
-#: Pulses that lie so close to the next short interval are of the same burst.
-APART = 2
+#: Pulses behind a crowd, which may be its end.
+BEHIND = 2
 #: Teeth that can be told by the time since the last one, and how far from it one may be [pitch].
 MOST_TEETH_PASSED, NEAR = 10, 0.3
 
@@ -31,7 +31,7 @@ class Burst(Record):
 
     ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``us`` since that tooth,
     ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was proven before it. ``crowd`` pulses
-    that lately came sooner than half a pitch, the latest of them as pulse number ``crowded``.
+    that came sooner than half a pitch, one behind the other, the latest of them as pulse number ``crowded``.
     """
 
     count: i4
@@ -49,14 +49,14 @@ def note(b: Burst, number: int, y: float, period: float) -> None:
     """Note an interval [us] that ends with pulse ``number``, at a time of a pitch [us]."""
     if y >= SHORT * period:
         return
-    b.crowd = b.crowd + 1 if number - b.crowded <= APART else 1
+    b.crowd = b.crowd + 1 if number == b.crowded + 1 else 1
     b.crowded = number
 
 
 @kernel
 def crowd(b: Burst, number: int) -> int:
-    """Return how many pulses up to pulse ``number`` came as a crowd, the one it began at counted."""
-    return int(b.crowd) + 1 if number - b.crowded <= APART else 0
+    """Return how many pulses, just before pulse ``number``, came as a crowd; the one it began at counts."""
+    return int(b.crowd) + 1 if number - b.crowded <= BEHIND else 0
 
 
 @kernel

@@ -18,6 +18,8 @@ from gateway.monitors.crank.runout import Law
 
 #: Synchronisation: none, a place that one more revolution has to prove, proven.
 SEARCHING, TENTATIVE, CONFIRMED = range(3)
+#: Number of a pulse long ago.
+NEVER = -1_000_000
 #: Torsional ripple that an engine may have before it is learned (2 per revolution), and the error of the
 #: pitches at a gap [pitch].
 RIPPLE, GAP_ERROR = 0.05, 0.1
@@ -65,7 +67,8 @@ class State(Record):
     ``suspects`` how often, ``suspect`` the tooth and ``suspect_net`` the pulses missed less those added, ``sure``
     whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
     ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
-    the sensor, ``silent_us`` the period before it.
+    the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
+    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported.
     """
 
     phase: i4
@@ -99,6 +102,8 @@ class State(Record):
     burst_added: i4
     burst_tooth: i4
     unclean: i4
+    doubted: i8
+    named: i8
     speed_rpm: f8
     slowest_rpm: f8
     fastest_rpm: f8
@@ -156,6 +161,8 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     tr.slack[:] = c.slack
     tr.wander = c.unlearned
     s.held_fault = -1
+    s.doubted = NEVER
+    s.named = NEVER
     s.reversal.index = -1
 
 
@@ -172,6 +179,7 @@ def search(s: State, c: Const) -> None:
     if s.phase == CONFIRMED:
         waiting.clear(s.waiting)
     s.phase = SEARCHING
+    s.doubted = NEVER
     s.since = 0
     s.suspects = 0
     s.recurring = 0
@@ -208,6 +216,7 @@ def doubt(s: State) -> None:
     """Ask for one more revolution as a proof of the place on the wheel."""
     if s.phase == CONFIRMED:
         s.phase = TENTATIVE
+        s.doubted = s.teeth
         waiting.clear(s.waiting)
     s.since = 0
     s.suspects = 0

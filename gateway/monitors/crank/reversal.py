@@ -58,6 +58,16 @@ STOPS = 0.7
 
 
 @kernel
+def grown(variance: float) -> float:
+    """Return by what share an interval may grow by itself, where edges jitter more than usual.
+
+    Args:
+        variance: of an edge [pitch^2].
+    """
+    return float(JITTERS * max(variance**0.5 - USUAL, 0.0))
+
+
+@kernel
 def stopping(longest: float, span: float, u2: float, u1: float, u: float, variance: float) -> bool:
     """Tell whether the latest of three intervals is one over, or just before, a turning point.
 
@@ -69,13 +79,13 @@ def stopping(longest: float, span: float, u2: float, u1: float, u: float, varian
         u: the last one.
         variance: of an edge [pitch^2]; of edges that jitter much, an interval grows by itself.
     """
-    jitter = JITTERS * max(variance**0.5 - USUAL, 0.0)
+    jitter = grown(variance)
     steep = u > (STEEP + jitter) * u1 or u1 > (STEEP + jitter) * u2
     return bool(u > longest and steep and u >= u1 > (1.0 + GREW / span + jitter) * u2 and u2 > 0.0)
 
 
 @kernel
-def sudden(re: Reversal, longest: float, u1: float, u: float) -> bool:
+def sudden(re: Reversal, longest: float, u1: float, u: float, variance: float) -> bool:
     """Tell whether an engine so slow that it stops within a pitch may have done so in the latest interval.
 
     It may as well be a pulse missed: the next interval tells (:func:`slower`).
@@ -85,19 +95,20 @@ def sudden(re: Reversal, longest: float, u1: float, u: float) -> bool:
         longest: as of :func:`stopping`.
         u1: the last interval but one, over one pitch [us].
         u: the last one.
+        variance: of an edge [pitch^2].
     """
-    if u <= longest or u1 < STOPS * longest or u < ABRUPT * u1:
+    if u <= longest or u1 < STOPS * longest or u < (ABRUPT + grown(variance)) * u1:
         return False
     re.before = u1
     return True
 
 
 @kernel
-def slower(re: Reversal, u: float) -> bool:
+def slower(re: Reversal, u: float, variance: float) -> bool:
     """Take the interval [us a pitch] behind a sudden one; returns whether the engine is slower than it was before."""
     before = re.before
     re.before = 0.0
-    return bool(u > SLOWER * before > 0.0)
+    return bool(u > (SLOWER + grown(variance)) * before > 0.0)
 
 
 @kernel
