@@ -54,6 +54,8 @@ from gateway.monitors.crank.place import (
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
 MOST_MEAN_COST = 8.0
+#: Least time between two pulses, and of a pitch [us]: a frame may tell of none.
+LEAST_US = 0.1
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
 #: The neighbours of the largest gap, so many on each side, are never taken the short way.
@@ -118,6 +120,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     """
     if s.phase == CONFIRMED and 0 < s.index < c.pulses - 1 and s.profile.ended == 0 and _plain(s, c, y):
         return
+    y = max(y, LEAST_US)
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
     if s.burst.count > 0:
@@ -156,6 +159,7 @@ def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
     if noise.goes_on(s.burst, y, out):
         return
     number = 0
+    s.burst.told = s.teeth
     if s.burst.known == 1:
         number = noise.passed(s.burst, best(s.tracker), s.tracker.pitches, c.pulses)
     if number == 0:
@@ -318,7 +322,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     before = int(s.index)
     cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
     s.residuals[s.teeth % RESIDUALS] = tr.residual
-    if cost > HOPELESS or tr.mean_cost > MOST_MEAN_COST:
+    if not (cost <= HOPELESS and tr.mean_cost <= MOST_MEAN_COST and best(tr).period > LEAST_US):
         count = noise.crowd(s.burst, s.teeth)
         if count >= noise.BURST and s.reversal.stood == 0:
             fall_noisy(s, c, count)

@@ -69,6 +69,21 @@ def _off(a: float, b: float, period: float) -> float:
 
 
 @kernel
+def fits(c: Const, angle: float, level: int) -> bool:
+    """Tell whether an edge of the cam is at a crank angle [deg], tooth 0 at zero, in either half of the cycle.
+
+    Args:
+        c: record of Const.
+        angle: of the edge.
+        level: after it.
+    """
+    for k in range(c.edges):
+        if c.levels[k] == level and abs(_off(angle, (c.angles[k] - c.tooth_0) % 720.0, 360.0)) <= c.tolerance:
+            return True
+    return False
+
+
+@kernel
 def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports) -> None:
     """Take an edge.
 

@@ -22,7 +22,8 @@ from gateway.monitors.contract import Debounce, Fault, Out
     DAMAGED,
     UNWATCHED,
     NOISE,
-) = range(14)
+    TWO_PLACES,
+) = range(15)
 #: Those before concern the crankshaft sensor alone.
 CRANK_FAULTS = CAM_CORRELATION
 
@@ -128,6 +129,14 @@ class Noise(Record):
     speed: f8 = means(unit="rpm")
 
 
+class TwoPlaces(Record):
+    """Evidence of a wheel that has two equal gaps: by one place the one tooth is missing, by the other the other."""
+
+    tooth: f8 = means("tooth missing, if the place is right")
+    other: f8 = means("tooth missing, if the other place is")
+    speed: f8 = means(unit="rpm")
+
+
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
@@ -143,6 +152,7 @@ class Evidence(Record, overlay=True):
     damaged: Damaged
     unwatched: Unwatched
     noise: Noise
+    two_places: TwoPlaces
 
 
 #: What the parts of the monitor report into.
@@ -255,5 +265,13 @@ FAULTS = (
         labels(Noise),
         _ONCE,
         tested="pulses in the burst",
+    ),
+    Fault(
+        "two_places",
+        "P0336-64",
+        "a tooth is missing in each turn, and the wheel fits at two places: which tooth it is cannot be told",
+        labels(TwoPlaces),
+        _ONCE,
+        tested="turns in a row that fit at two places",
     ),
 )

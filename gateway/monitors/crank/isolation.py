@@ -10,7 +10,7 @@ from gateway.fdi.pulse_tracking.motion import Q3
 from gateway.fdi.pulse_tracking.tracker import agreed, best, keep_best, marginalise_decided, shift, unanimous
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import anchor, noise, runout, waiting
+from gateway.monitors.crank import anchor, noise, rival, runout, waiting
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -24,6 +24,7 @@ from gateway.monitors.crank.faults import (
     RESIDUALS,
     RUNOUT,
     SYNC_LOST,
+    TWO_PLACES,
     UNWATCHED,
     Reports,
     Shape,
@@ -194,7 +195,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
-        if added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST:
+        burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
+        if burst or s.teeth - s.burst.told <= TOGETHER:
             _tell_noise(s, c, out)
             return
         s.doubled += added
@@ -206,6 +208,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
 def _tell_noise(s: State, c: Const, out: Reports) -> None:
     """Report a burst whose teeth were counted all the same; a place that is not proven keeps nothing of it."""
     s.named = s.teeth
+    s.burst.told = s.teeth
     e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
     e.count, e.tooth, e.speed = s.burst_added, s.burst_tooth, speed(s, c)
 
@@ -369,6 +372,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     report(out, RELOCATED, False, 0.0, 0.0)
     report(out, UNWATCHED, False, 0.0, 0.0)
     report(out, NOISE, False, 0.0, 0.0)
+    report(out, TWO_PLACES, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         _judge_wheel(s, c, out)
 
@@ -404,7 +408,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     """
     an = s.anchor
     if s.index == 1 and anchor.seen(an, c.anchor, s.y2, s.y1, y):
-        _witness(s, out)
+        _witness(s, c, out)
     elif an.age >= c.pulses + 2:
         an.age = 2
         an.verified = 0
@@ -412,7 +416,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         if found == anchor.HERE:
             an.wins = 0
             an.verified = 1
-            _witness(s, out)
+            _witness(s, c, out)
         elif found > 0:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
@@ -421,13 +425,50 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
 
 
 @kernel
-def _witness(s: State, out: Reports) -> None:
+def _ambiguous(s: State, c: Const, out: Reports) -> bool:
+    """Tell whether the tooth that is missing in each turn leaves another place as likely, and report that."""
+    if s.suspect_net != 1 or not rival.seek(s.rival, c.wheel.nominal, c.pulses, c.repeats, s.suspect):
+        return False
+    waiting.clear(s.waiting)
+    e = report(out, TWO_PLACES, True, 1.0, 1.0).two_places
+    e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
+    return True
+
+
+@kernel
+def settle(s: State, c: Const, out: Reports, other: bool) -> None:
+    """Take one of two places for the right one, as the cam says; the other one goes.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        out: record of Out.
+        other: whether it is the rival.
+    """
+    if other:
+        tooth = rival.place_of(s.rival, c.pulses, s.index)
+        shift(s.tracker, c.pulses, tooth - s.index)
+        s.index = best(s.tracker).index
+        s.held.tooth = s.rival.other
+        profile.forget(s.profile, c.wheel, s.tracker.pitches)
+        anchor.restart(s.anchor)
+    rival.clear(s.rival)
+    s.recurring = 0
+    confirm(s, out)
+
+
+@kernel
+def _witness(s: State, c: Const, out: Reports) -> None:
     """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
     h = best(s.tracker)
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
-    if s.phase == TENTATIVE and told and (s.hole == 1 or s.recurring == 1):
+    if s.phase != TENTATIVE or not told:
+        return
+    if s.recurring == 1 and _ambiguous(s, c, out):
+        return
+    if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
 

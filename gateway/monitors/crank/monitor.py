@@ -27,7 +27,7 @@ from gateway.monitors.contract import (
     Readout,
     Signal,
 )
-from gateway.monitors.crank import cam, constant_speed, frames, place
+from gateway.monitors.crank import cam, constant_speed, frames, isolation, place, rival
 from gateway.monitors.crank.faults import FAULTS, Evidence
 from gateway.monitors.crank.records import (
     CLASSIC_INTERVALS,
@@ -172,25 +172,38 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
+def _degrees(c: Const, f: place.State, tooth: int, delay_us: float) -> float:
+    """Return the crank angle of an edge so long behind a tooth [deg], tooth 0 at zero."""
+    total = 0.0
+    for i in range(tooth):
+        total += c.fast.wheel.nominal[i]
+    total += min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
+    return float(total / c.fast.wheel.whole * 360.0)
+
+
+@kernel
 def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
     s.cam.counter = int(u.cam_counter)
     f = s.fast
-    if not place.proven(f) or s.counted == 0:
+    two = f.phase == place.TENTATIVE and f.rival.other != rival.NONE
+    if not (place.proven(f) or two) or s.counted == 0:
         return
     pulses = c.fast.pulses
     since = frames.wrapped(int(u.cam_pulse) - s.count)
     if abs(since) > pulses:
         return
     at = f.index + since
-    ahead = at // pulses
     tooth = at % pulses
-    total = 0.0
-    for i in range(tooth):
-        total += c.fast.wheel.nominal[i]
-    total += min(u.cam_delay / place.period(f), c.fast.wheel.nominal[tooth])
-    degrees = total / c.fast.wheel.whole * 360.0
-    cam.edge(s.cam, c.cam, degrees, ahead, int(u.cam_level), out)
+    if two:
+        other = (rival.place_of(f.rival, pulses, f.index) + since) % pulses
+        here = cam.fits(c.cam, _degrees(c, f, tooth, u.cam_delay), int(u.cam_level))
+        there = cam.fits(c.cam, _degrees(c, f, other, u.cam_delay), int(u.cam_level))
+        decided = rival.take_edge(f.rival, here, there)
+        if decided > 0:
+            isolation.settle(f, c.fast, out, decided == 2)
+        return
+    cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // pulses, int(u.cam_level), out)
 
 
 @kernel

@@ -31,7 +31,8 @@ class Burst(Record):
 
     ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``us`` since that tooth,
     ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was proven before it. ``crowd`` pulses
-    that came sooner than half a pitch, one behind the other, the latest of them as pulse number ``crowded``.
+    that came sooner than half a pitch, one behind the other, the latest of them as pulse number ``crowded``;
+    ``told`` the pulse at which a burst was last told.
     """
 
     count: i4
@@ -42,6 +43,7 @@ class Burst(Record):
     known: u1
     crowd: i4
     crowded: i8
+    told: i8
 
 
 @kernel

@@ -11,7 +11,7 @@ from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profil
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor, noise, waiting
+from gateway.monitors.crank import anchor, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
 from gateway.monitors.crank.runout import Law
@@ -96,6 +96,7 @@ class State(Record):
     silent_us: f8
     hole: i4
     burst: noise.Burst
+    rival: rival.Rival
     unseen: f8
     decided: i8
     burst_missed: i4
@@ -161,8 +162,10 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     tr.slack[:] = c.slack
     tr.wander = c.unlearned
     s.held_fault = -1
+    s.rival.other = rival.NONE
     s.doubted = NEVER
     s.named = NEVER
+    s.burst.told = NEVER
     s.reversal.index = -1
 
 
@@ -180,6 +183,7 @@ def search(s: State, c: Const) -> None:
         waiting.clear(s.waiting)
     s.phase = SEARCHING
     s.doubted = NEVER
+    rival.clear(s.rival)
     s.since = 0
     s.suspects = 0
     s.recurring = 0

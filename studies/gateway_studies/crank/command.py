@@ -11,6 +11,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
+from gateway_studies.crank import noise
 from gateway_studies.crank import outside as beyond
 from gateway_studies.crank.table import (
     KINDS,
@@ -84,15 +85,32 @@ def _outside_table(rows: list[beyond.Outcome]) -> Table:
     return table
 
 
+def _noise_table(rows: list[noise.Outcome]) -> Table:
+    """Return the bursts, ringing and chatter: what a method made of them over all wheels and speeds."""
+    table = Table(title="Noise: runs with a wrong proven tooth behind it / proven again later than two turns / untold")
+    for name in ("kind", "runs", *noise.METHODS):
+        table.add_column(name, justify="right" if name == "runs" else "left")
+    for kind in noise.KINDS:
+        shown = []
+        for method in noise.METHODS:
+            mine = [row for row in rows if (row.kind, row.method) == (kind, method)]
+            wrong, late, silent = (sum(getattr(row, key) for row in mine) for key in ("wrong", "late", "silent"))
+            shown.append(f"{wrong} / {late} / {silent}")
+        table.add_row(kind, str(sum(row.runs for row in rows if (row.kind, row.method) == (kind, "adaptive"))), *shown)
+    return table
+
+
 def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
     others = beyond.jobs(outside, seed) if outside else []
+    bursts = noise.jobs(outside, seed) if outside else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy) + len(others))
+        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts))
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
         rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
+        disturbed = noise.gauntlet(outside, seed, lambda: bar.advance(task)) if outside else []
     files: list[Path] = []
     if plot is not None:
         from gateway_studies.crank.figures import draw  # noqa: PLC0415 - slow to load
@@ -105,6 +123,7 @@ def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: 
                 "faults": [as_dict(score) for score in scores],
                 "healthy": [as_dict(row) for row in alarms],
                 "outside": [asdict(row) for row in rows],
+                "noise": [asdict(row) for row in disturbed],
                 "files": [str(file) for file in files],
             }
         )
@@ -116,6 +135,8 @@ def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: 
         console.print(_alarm_table(alarms))
     if rows:
         console.print(_outside_table(rows))
+    if disturbed:
+        console.print(_noise_table(disturbed))
     if scores or alarms:
         _explain(console, seed)
     for file in files:
