@@ -161,6 +161,16 @@ def test_check_says_where_trusted_has_no_effect(tmp_path, capsys, author, told):
     assert all(part in text for part, text in zip(told, said, strict=True))
 
 
+def test_a_prepare_that_fails_the_second_time_is_the_author_s_mistake(tmp_path, capsys):
+    slip = '    RUNS.append(1)\n    if len(RUNS) > 2:\n        raise ValueError("once too often")\n'
+    prepare = "    c.low, c.high, c.hysteresis = p.low, p.high, p.hysteresis\n"
+    path = monitor(tmp_path, "fails_later", **{"LOW, HIGH =": "RUNS = []\nLOW, HIGH =", prepare: prepare + slip})
+    assert check(path, schema_wanted=False, json=True) == 2
+    (told,) = json.loads(capsys.readouterr().out)["errors"]
+    assert told["key"].endswith(".prepare")
+    assert told["message"] == "fails: ValueError: once too often"
+
+
 def test_the_example_is_good(tmp_path):
     assert check(monitor(tmp_path, "no_slip"), schema_wanted=False, json=True) == 0
 

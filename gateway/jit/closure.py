@@ -112,6 +112,7 @@ class Closure:
     def __init__(self, function: types.FunctionType) -> None:
         self.kernels: list[types.FunctionType] = []
         self._parts: list[str] = []
+        self._modules: list[types.ModuleType] = []  # that are looked at now
         self._add(function)
         text = "\n".join(self._parts)
         self.digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
@@ -153,10 +154,12 @@ class Closure:
     def _module(self, module: types.ModuleType, used: set[str]) -> str:
         """Return what a function may read of a module: of NumPy and the standard library the name says it."""
         name = module.__name__
-        if name.partition(".")[0] in ("numpy", "math", "cmath", "operator"):
-            return name
+        if name.partition(".")[0] in ("numpy", "math", "cmath", "operator", "numba") or module in self._modules:
+            return name  # a module may contain itself
         scope = vars(module)
-        read = (f"{key}={self._value(scope[key], used)}" for key in sorted(used) if key in scope)
+        self._modules.append(module)
+        read = [f"{key}={self._value(scope[key], used)}" for key in sorted(used) if key in scope]
+        self._modules.pop()
         return f"{name}({','.join(read)})"
 
 

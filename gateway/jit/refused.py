@@ -1,6 +1,6 @@
-"""What compiles, and must not be in a kernel from outside.
+"""What must not be in a kernel from outside: what would stop the process, and what is better told than numba tells it.
 
-Printing can wait for Python's lock for ever; how deep recursion goes nobody knows.
+Printing can wait for Python's lock for ever; how deep recursion goes nobody knows; a kernel allocates nothing.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from types import FunctionType
 from typing import Any, cast
 
+import numpy as np
+
 from gateway.errors import KernelError
 from gateway.jit.closure import Closure
 
@@ -17,6 +19,9 @@ _SAID = {
     "print": "a kernel prints nothing; gateway replay --trace shows each step, NUMBA_DISABLE_JIT=1 runs it as Python",
     "objmode": "a kernel calls no Python",
 }
+_ALLOCATES = "a kernel allocates nothing; an array is a field of the state: Annotated[f8s, 3]"
+_BUILDS = {"BUILD_LIST": "a list", "BUILD_SET": "a set", "BUILD_MAP": "a dict"}
+_MAKERS = ("zeros", "ones", "empty", "full", "array", "arange", "linspace", "zeros_like", "ones_like", "empty_like")
 
 
 def refuse(step: Any) -> None:
@@ -30,13 +35,29 @@ def refuse(step: Any) -> None:
     for function in kernels:
         name, code = function.__qualname__, function.__code__
         for instruction in dis.get_instructions(code):
-            if instruction.argval in _SAID and instruction.opname.startswith("LOAD_GLOBAL"):
-                line = _line(function, instruction.offset)
-                where, what = f"{name} ({code.co_filename}:{line})", str(instruction.argval)
-                raise KernelError(f"{where}: {what}: {_SAID[what]}")
+            told = _told_of(instruction, function)
+            if told:
+                raise KernelError(f"{name} ({code.co_filename}:{_line(function, instruction.offset)}): {told}")
         if _reaches(function, function, calls):
             where = f"{code.co_filename}:{code.co_firstlineno}"
             raise KernelError(f"{name} ({where}) calls itself: recursion has no bound that is known")
+
+
+def _told_of(instruction: dis.Instruction, function: FunctionType) -> str:
+    """Return what is wrong with an instruction; "": nothing."""
+    opname, argval = instruction.opname, instruction.argval
+    if opname in _BUILDS:
+        return f"{_BUILDS[opname]}: {_ALLOCATES}"
+    attribute = opname in ("LOAD_ATTR", "LOAD_METHOD")
+    if argval in _SAID and (opname == "LOAD_GLOBAL" or (attribute and argval == "objmode")):
+        return f"{argval}: {_SAID[argval]}"
+    if (
+        argval in _MAKERS
+        and attribute
+        and any(function.__globals__.get(name) is np for name in function.__code__.co_names)
+    ):
+        return f"{argval}: {_ALLOCATES}"
+    return ""
 
 
 def _line(function: FunctionType, offset: int) -> int:

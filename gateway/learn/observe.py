@@ -25,9 +25,6 @@ from gateway.signals.decode import lookup
 from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 
-#: A message that is away for so long when the log ends had ended before [ns], unless its own gaps are as long.
-GONE_NS = 2_000_000_000
-
 
 @dataclass
 class Seen:

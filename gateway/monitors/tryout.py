@@ -61,18 +61,23 @@ def try_out(monitor: Monitor[Any], params: MonitorParams, seed: int = 1) -> list
     faults = checked_faults(monitor, params)
     found: list[str] = []
     doing = ["nothing"]
+    failed: list[Exception] = []
 
     def work() -> None:
         rng = np.random.default_rng(seed)
         count = monitor.inputs.dtype.itemsize // 8 - 2
-        for kind, values in _kinds(count, rng):
-            doing[0] = kind
-            found.extend(dict.fromkeys(_steps(monitor, params, address, len(faults), kind, values)))
+        try:
+            for kind, values in _kinds(count, rng):
+                doing[0] = kind
+                found.extend(dict.fromkeys(_steps(monitor, params, address, len(faults), kind, values)))
+        except Exception as error:  # prepare() may fail the second time only
+            failed.append(error)
 
-    _records(monitor, params)  # an author's mistake is told here, not in the thread
     thread = threading.Thread(target=work, name="try-out", daemon=True)
     thread.start()
     thread.join(PATIENCE_S)
+    if failed:
+        raise failed[0]
     if thread.is_alive():
         found.append(f"with {doing[0]} inputs a step does not return within {PATIENCE_S:g} s")
     return found

@@ -29,8 +29,6 @@ MOST_CONNECTIONS = 128
 SEND_BYTES = 128 << 10
 #: What reads nothing when the server ends is cut after so long [s]; before uvicorn cancels its task, with a traceback.
 CUT_S = 0.5
-#: How often a server looks for who started it [s].
-PARENT_S = 1.0
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 from gateway.vecu.contract import WHEN, EcuFault
 
 SignalKind = Literal["stuck", "offset", "gain", "drift", "noise", "value", "out_of_range", "sna"]
-MessageKind = Literal["counter", "checksum", "lost", "late", "doubled", "short", "babbling"]
 EcuKind = Literal["bus_off"]
 #: Of these, those that want a size.
 SIZED = ("offset", "gain", "drift", "noise", "value")

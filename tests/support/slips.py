@@ -130,7 +130,11 @@ REFUSED = {
     "a field that is not there": _step("lowets", "s.lowets = 1.0"),
     "print": _step("a kernel prints nothing", "print(u.volts)"),
     "recursion": _step("calls itself", "step(s, c, u, out)"),
-    "memory": _step("cannot be compiled", "many = [u.volts]", "s.lowest = many[0]"),
+    "a list": _step("a list: a kernel allocates nothing", "many = [u.volts]", "s.lowest = many[0]"),
+    "an array": Slip("zeros: a kernel allocates nothing", {
+        FIRST: FIRST + "import numpy as np\n", STEP: "    s.lowest = np.zeros(3)[0]\n" + STEP}),
+    "Python in a kernel": Slip("objmode: a kernel calls no Python", {
+        FIRST: FIRST + "import numba\n", STEP: "    with numba.objmode():\n        s.lowest = 1.0\n" + STEP}),
     "a function of Python's": _step("cannot be compiled", "s.lowest = connect(u.volts)"),
 }  # fmt: skip
 
