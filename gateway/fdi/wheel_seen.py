@@ -1,30 +1,31 @@
 """Which wheel is it? The pulses of a turn and their pitches, estimated from the pulses alone.
 
 An interval is *regular* when it is about as long as those just before it. Each other interval is a *mark*: a gap, or a
-short pitch. Its width is taken against the regular intervals on both sides, in logarithms and on a straight line between
+short pitch. Its width is taken against the regular intervals on both sides, in logarithms, on a straight line between
 them, so that a constant acceleration does not enter::
 
     w_k = ln y_k - ln b_k,      ln b_k = ln b_left + (ln b_right - ln b_left) * place of k between them
 
-A mark is the number of pulses since the last one, and its width. A turn is the smallest number of marks after which both
-come again, :data:`TURNS` times in a row. Its widths are averaged over the turns, and rounded to whole pitches, or to
-halves where no whole one fits. The wheel is claimed only when the rounding is sure: the widths lie near their class, and
-further from the next one than three standard errors. How much regular intervals differ from each other (jitter, ripple,
-acceleration) is measured all the time: what does not exceed three times that is neither a mark nor regular, and the
-count begins anew.
+A mark is the number of pulses since the last one, and its width. A turn is the smallest number of marks after which
+both come again, :data:`TURNS` times in a row. Its widths are averaged over the turns, and rounded to whole pitches, or
+to halves where no whole one fits. The wheel is claimed only when the rounding is sure: the widths lie near their class,
+and further from the next one than three standard errors. How much regular intervals differ from each other (jitter,
+ripple, acceleration) is measured all the time: what does not exceed four times that (:data:`CLEAR`) is neither a mark
+nor regular, and the count begins anew.
 
 So nothing is claimed of an engine that is cranked so unevenly, or accelerates so hard, that its ripple could be a gap;
 and a pulse that is missed or added now and then makes a turn that does not repeat.
 
 What cannot be told from pulses: a wheel of equal parts (``9*1,3`` three times a turn) is seen as one of its parts, its
-smallest repeat. A pattern that repeats after fewer than 4 pulses is no wheel here.
+smallest repeat. A tooth that is missed in each turn is a gap. A pattern that repeats after fewer than 4 pulses is no
+wheel here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, log, sqrt
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,23 +40,31 @@ LEAST_PULSES = 4
 #: Marks that are kept: of three turns, each pulse a mark.
 RING = TURNS * MOST_TEETH
 #: An interval that differs by less than this share from those before it is regular.
-BAND = 0.3
-#: A mark differs by so much from the regular intervals beside it, in logarithms, and by so many times their spread.
-LEAST_MARK, CLEAR = 0.3, 3.0
+BAND = 0.22
+#: A mark differs by so much from the regular intervals beside it, in logarithms, and by so many times their spread;
+#: a regular one by less than the first, or by so many times the spread, up to LEAST_MARK.
+LEAST_MARK, CLEAR = 0.28, 4.0
+REGULAR, USUAL = 0.2, 4.0
+#: What is not clear counts as ripple up to here, in logarithms; beyond, it may be a gap.
+MOST_RIPPLE = 0.5
 #: Two marks are the same when their logarithms differ by so many times the spread, in these bounds.
 SAME, LEAST_SAME, MOST_SAME = 4.0, 0.12, 0.35
 #: Marks in a row after which the engine's speed is looked for anew, and an interval that no gap has [pitch].
 MOST_OPEN, LONGEST = 8, 8.5
-#: Share of the spread that is always assumed, and pulses over which it is averaged.
-LEAST_SPREAD, MEMORY = 0.01, 48.0
+#: Spread that is assumed at least, and while it is not known; pulses over which it is averaged, and that make it known.
+LEAST_SPREAD, UNKNOWN_SPREAD, MEMORY, KNOWN = 0.01, 0.15, 48.0, 6.0
 #: Turns that are averaged at most.
 AVERAGED = 16
-#: A width may be so far from a whole number of pitches, of 1 or 2 and of more; from a half.
-WHOLE, WIDE, HALF = 0.25, 0.35, 0.2
-#: Halves (1.5, 2.5, ...) are told only below this spread.
-EVEN_SPREAD = 0.06
-#: Standard errors between a width and the border of its class.
-ERRORS = 3.0
+#: A width may be so far from a whole number of pitches, of 1 or 2 and of more; from 0.5; from another
+#: half.
+WHOLE, WIDE, SHORT, HALF = 0.25, 0.35, 0.22, 0.15
+#: Halves are told only below this spread: 1.5, and more.
+EVEN_SPREAD, WIDE_SPREAD = 0.06, 0.03
+#: Standard errors, and spreads, between a width and the border of its class.
+ERRORS, SPREADS = 3.0, 1.0
+#: A wheel of fewer pulses can have its pitches from ripple: they have to add up to whole ones, within this share, and
+#: to be so many spreads inside their class.
+COARSE, ADDED, COARSE_SPREADS = 16, 0.1, 2.0
 #: Regular pulses in a row that no gap lies between: then there is none.
 EVEN = 2 * MOST_TEETH
 
@@ -63,12 +72,13 @@ EVEN = 2 * MOST_TEETH
 class Seen(Record):
     """What the pulses have shown.
 
-    ``pitch`` pitch just before [us] (0: none); ``square`` sum of the squared changes in the ``run`` of regular pulses
-    since the last mark; ``variance`` of these changes, a share of the pitch (negative: not known); ``open`` intervals
+    ``pitch`` just before [us] (0: none); ``square`` sum of the squared changes in the ``run`` of regular pulses since
+    the last mark; ``variance`` of these changes, a share of the pitch, and its ``weight`` in pulses; ``open`` intervals
     behind the last regular one, ``intervals``, that the next regular one will measure; ``marks`` in a row, ``steps``
     pulses from mark to mark, ``widths`` their logarithms, the latest at ``(marks - 1) % RING``; ``linked`` whether the
-    latest is the beginning of a step; ``period`` marks of a turn (0: none that repeats), ``matched`` marks in a row that
-    were as those a turn before, with that turn; ``even`` most regular pulses in a row.
+    latest is the beginning of a step; ``period`` marks of a turn (0: none that repeats), ``matched`` marks in a row
+    that were as those a turn before, with that turn; ``even`` most regular pulses in a row; ``draft`` and ``means``
+    are scratch.
 
     Claimed: ``pulses`` of a turn (0: no wheel), their ``pitches``, the last one the largest, ``turns`` in a row that
     showed them (0: the last turn did not), ``total`` in all.
@@ -76,6 +86,7 @@ class Seen(Record):
 
     pitch: f8
     square: f8
+    weight: f8
     run: i8
     open: i4
     linked: i4
@@ -109,7 +120,8 @@ def restart(se: Seen) -> None:
     """Forget all."""
     skip(se)
     se.even = 0
-    se.variance = -1.0
+    se.variance = 0.0
+    se.weight = 0.0
     se.pulses = 0
     se.total = 0
 
@@ -186,10 +198,15 @@ def _unusual(se: Seen, y: float) -> None:
 def _spread(se: Seen) -> float:
     """Return how much regular intervals differ from those before them, with the last run [share of a pitch]."""
     if se.run > 0:
-        fresh = se.square / (se.run * se.pitch * se.pitch)
-        share = 1.0 if se.variance < 0.0 else min(se.run / MEMORY, 1.0)
-        se.variance += share * (fresh - se.variance)
-    return max(sqrt(max(se.variance, 0.0)), LEAST_SPREAD)
+        _vary(se, se.square / (se.run * se.pitch * se.pitch), float(se.run))
+    return UNKNOWN_SPREAD if se.weight < KNOWN else max(sqrt(se.variance), LEAST_SPREAD)
+
+
+@kernel
+def _vary(se: Seen, square: float, pulses: float) -> None:
+    """Take squared changes into the variance: their mean, and of how many pulses."""
+    se.weight = min(se.weight + pulses, MEMORY)
+    se.variance += min(pulses / se.weight, 1.0) * (square - se.variance)
 
 
 @kernel
@@ -199,15 +216,21 @@ def _settle(se: Seen, y: float) -> None:
     left, right = log(se.pitch), log(y)
     for k in range(se.open):
         width = log(se.intervals[k]) - left - (right - left) * (k + 1.0) / (se.open + 1.0)
-        if abs(width) < LEAST_MARK:
+        if abs(width) < min(max(REGULAR, USUAL * spread), LEAST_MARK):
+            change = se.intervals[k] - se.pitch
+            se.square += change * change
             se.run += 1
-        elif abs(width) < CLEAR * spread:
+        elif abs(width) < max(LEAST_MARK, CLEAR * spread):
+            if abs(width) < MOST_RIPPLE:
+                _vary(se, width * width, 1.0)
             se.even = max(se.even, se.run)
             _begin(se)
         else:
             _mark(se, width, min(max(SAME * spread, LEAST_SAME), MOST_SAME), spread)
+    change = y - se.pitch
     se.open = 0
-    se.pitch += 0.5 * (y - se.pitch)
+    se.pitch += 0.5 * change
+    se.square += change * change
     se.run += 1
 
 
@@ -278,7 +301,7 @@ def _turn(se: Seen, spread: float) -> None:
         se.total += parts
     if turns > AVERAGED and turns % AVERAGED != 0:
         return
-    averaged = min(min(turns, AVERAGED), RING // se.period)
+    averaged = min(turns, AVERAGED, RING // se.period)
     _average(se, averaged)
     pulses = _drafted(se, spread, spread / sqrt(averaged))
     if pulses < LEAST_PULSES:
@@ -336,6 +359,13 @@ def _unit(se: Seen, regular: int) -> float:
 
 
 @kernel
+def _near_whole(width: float) -> float:
+    """Return the whole number of pitches that a width is near, 0.0: none."""
+    whole = max(float(np.rint(width)), 1.0)
+    return whole if abs(width - whole) < (WHOLE if whole < 3.0 else WIDE) else 0.0
+
+
+@kernel
 def _rounded(width: float, spread: float, error: float) -> float:
     """Return a width as a wheel has it [pitch]; 0.0: not sure.
 
@@ -344,31 +374,67 @@ def _rounded(width: float, spread: float, error: float) -> float:
         spread: of regular intervals [share of a pitch].
         error: standard error of ln(width).
     """
-    whole = max(float(np.rint(width)), 1.0)
-    border = min(log((whole + 0.5) / width), log(width / (whole - 0.5)))
-    if abs(width - whole) < (WHOLE if whole < 3.0 else WIDE):
-        return whole if border > ERRORS * error else 0.0
+    whole = _near_whole(width)
+    if whole > 0.0:
+        border = min(log((whole + 0.5) / width), log(width / (whole - 0.5)))
+        return whole if border > max(ERRORS * error, SPREADS * spread) else 0.0
     half = np.floor(width) + 0.5
-    if abs(width - half) < HALF and (half < 1.0 or spread < EVEN_SPREAD):
+    if half < 1.0:
+        return float(half) if abs(width - half) < SHORT else 0.0
+    if abs(width - half) < HALF and spread < (EVEN_SPREAD if half < 2.0 else WIDE_SPREAD):
         return float(half)
     return 0.0
 
 
 @kernel
-def _drafted(se: Seen, spread: float, error: float) -> int:
-    """Round the averaged turn into ``draft``, the last pitch the largest; returns the pulses, 0: not sure."""
+def _measured(se: Seen) -> int:
+    """Write the averaged turn into ``draft`` as it was measured [pitch]; returns its pulses."""
     count = _pulses(se)
     unit = _unit(se, count - se.period)
-    regular = _rounded(exp(-unit), spread, error)
+    regular = exp(-unit)
     first = se.marks - se.period
-    at, largest = 0, 0
+    at = 0
     for k in range(se.period):
         for _ in range(se.steps[(first + k) % RING] - 1):
             se.draft[at] = regular
             at += 1
-        se.draft[at] = _rounded(exp(se.means[k] - unit), spread, error)
+        se.draft[at] = exp(se.means[k] - unit)
         at += 1
+    return count
+
+
+@kernel
+def _adds_up(se: Seen, count: int) -> bool:
+    """Tell whether neighbouring pitches of ``draft`` that are no whole ones are a whole number of them together."""
+    first = 0
+    while first < count and _near_whole(se.draft[first]) == 0.0:
+        first += 1
+    if first == count:
+        return False
+    group = 0.0
+    for k in range(1, count + 1):
+        width = se.draft[(first + k) % count]
+        if _near_whole(width) == 0.0:
+            group += width
+        elif group > 0.0:
+            whole = max(float(np.rint(group)), 1.0)
+            if abs(group - whole) > ADDED * whole:
+                return False
+            group = 0.0
+    return True
+
+
+@kernel
+def _drafted(se: Seen, spread: float, error: float) -> int:
+    """Round the averaged turn into ``draft``, the last pitch the largest; returns the pulses, 0: not sure."""
+    count = _measured(se)
+    if count < COARSE:
+        spread *= COARSE_SPREADS
+        if not _adds_up(se, count):
+            return 0
+    largest = 0
     for k in range(count):
+        se.draft[k] = _rounded(se.draft[k], spread, error)
         if se.draft[k] == 0.0:
             return 0
         if se.draft[k] > se.draft[largest]:
@@ -487,6 +553,18 @@ def see(intervals_us: NDArray[np.float64]) -> WheelSeen | None:
     return watched.result
 
 
+def told(seen: WheelSeen | None) -> str:
+    """Return in words what was seen."""
+    return "none that repeats" if seen is None else str(seen)
+
+
+def data(seen: WheelSeen | None) -> dict[str, Any] | None:
+    """Return what was seen for programs; None: nothing that repeats."""
+    if seen is None:
+        return None
+    return {"wheel": seen.wheel, "pulses": len(seen.pitches), "turns": seen.turns, "without_gap": seen.even}
+
+
 def described(pitches: tuple[float, ...]) -> str:
     """Return a wheel as :meth:`Wheel.parse` reads it: ``60-2``, ``36-2-1``, ``12+1``, else its pitches.
 
@@ -494,7 +572,7 @@ def described(pitches: tuple[float, ...]) -> str:
         pitches: shape (P,), of a turn, from any pulse on [pitch].
     """
     turn = round(sum(pitches))
-    gaps = [int(pitch) - 1 for pitch in pitches if pitch > 1]
+    gaps = sorted((int(pitch) - 1 for pitch in pitches if pitch > 1), reverse=True)
     names = ["36-2-2-2", f"{turn}+1"]
     if 1 <= len(gaps) <= 2:
         names += [f"{turn}-{'-'.join(map(str, order))}" for order in (gaps, gaps[::-1])]
@@ -502,8 +580,8 @@ def described(pitches: tuple[float, ...]) -> str:
         if _same(name, pitches):
             return name
     parts: list[str] = []
-    largest = max(range(len(pitches)), key=lambda k: pitches[k])
-    turned = pitches[largest + 1 :] + pitches[: largest + 1]
+    rotations = (pitches[k:] + pitches[:k] for k in range(len(pitches)))
+    turned = min(turned for turned in rotations if turned[-1] == max(pitches))
     first = 0
     for k in range(1, len(turned) + 1):
         if k == len(turned) or turned[k] != turned[first]:
