@@ -14,7 +14,8 @@ ripple, acceleration) is measured all the time: what does not exceed four times 
 nor regular, and the count begins anew.
 
 So nothing is claimed of an engine that is cranked so unevenly, or accelerates so hard, that its ripple could be a gap;
-and a pulse that is missed or added now and then makes a turn that does not repeat.
+and a pulse that is missed or added now and then makes a turn that does not repeat. A wheel that was claimed stays
+until another one has repeated for as long (:data:`STUBBORN`).
 
 What cannot be told from pulses: a wheel of equal parts (``9*1,3`` three times a turn) is seen as one of its parts, its
 smallest repeat. A tooth that is missed in each turn is a gap. A pattern that repeats after fewer than 4 pulses is no
@@ -65,6 +66,10 @@ ERRORS, SPREADS = 3.0, 1.0
 #: A wheel of fewer pulses can have its pitches from ripple: they have to add up to whole ones, within this share, and
 #: to be so many spreads inside their class.
 COARSE, ADDED, COARSE_SPREADS = 16, 0.1, 2.0
+#: Turns in a row behind marks that did not repeat.
+DOUBTED = 5
+#: Turns that another wheel needs in a row to take the place of one that was claimed for as many and more.
+STUBBORN = 8
 #: Regular pulses in a row that no gap lies between: then there is none.
 EVEN = 2 * MOST_TEETH
 
@@ -308,6 +313,9 @@ def _turn(se: Seen, spread: float) -> None:
         return
     parts = _pulses(se) // pulses
     if se.pulses != pulses or not fits(se, se.draft, pulses):
+        least = TURNS if se.marks == se.matched else DOUBTED
+        if turns * parts < max(least, min(se.total, STUBBORN)):
+            return
         se.total = 0
         se.turns = 0
     if se.turns == 0:
