@@ -65,7 +65,7 @@ EVEN_SPREAD, WIDE_SPREAD = 0.06, 0.03
 ERRORS, SPREADS = 3.0, 1.0
 #: A wheel of fewer pulses can have its pitches from ripple: they have to add up to whole ones, within this share, and
 #: to be so many spreads inside their class.
-COARSE, ADDED, COARSE_SPREADS = 16, 0.1, 2.0
+COARSE, ADDED, COARSE_SPREADS = 16, 0.1, 1.5
 #: Turns in a row behind marks that did not repeat.
 DOUBTED = 5
 #: Turns that another wheel needs in a row to take the place of one that was claimed for as many and more.
