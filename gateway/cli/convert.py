@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.cli.present import print_json, say
 from gateway.errors import InputError, InputErrors
+from gateway.fdi.wheel_seen import data, see, told
 from gateway.vecu.crank.capture import read_capture
 from gateway.vecu.crank.tooth_frames import Format, tooth_frames
 
@@ -23,11 +26,13 @@ def convert_teeth(capture: Path, log: Path, *, channel: str, edge: str, frame: s
     frames = tooth_frames(teeth.times_ns, form)
     with open_writer(log) as writer:
         writer.write(frames)
-    facts = {"edges": teeth.edges, "seconds": teeth.duration_s, "frames": len(frames)}
+    seen = see(np.diff(teeth.times_ns) / 1e3)
+    facts = {"edges": teeth.edges, "seconds": teeth.duration_s, "frames": len(frames), "wheel": data(seen)}
     if json:
         print_json(facts)
     else:
         print(f"{capture}: {teeth.edges} {edge} edges in {teeth.duration_s:.3f} s -> {log}: {len(frames)} frames")
+        print(f"wheel seen: {told(seen)}")
     return 0
 
 

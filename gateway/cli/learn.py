@@ -138,6 +138,8 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"{found['faults_named']} of {found['faults_tried']} faults put into these were named")
     if result.conditions:
         print(f"the logs themselves: {', '.join(result.conditions)}")
+    for wheel in found["wheels"]:
+        print(wheel)
     for note in result.learned.notes:
         print(note if len(note) <= 78 else f"{note[:75]}...")
     print(f"{asked.out.with_suffix('.md')}: the evidence. Next: gateway check {asked.out}")

@@ -19,6 +19,7 @@ from gateway.learn.course import Courses
 from gateway.learn.gaps import Gaps
 from gateway.learn.samples import Samples
 from gateway.learn.snapshots import Snapshots
+from gateway.learn.wheels import Teeth
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup
@@ -42,6 +43,7 @@ class Seen:
         samples: frames that were kept.
         ended_s: before the end of a log by so much, at most, it came for the last time [s]; with its time in the log.
         columns: of its signals among all.
+        teeth: what it shows of a trigger wheel; None: it carries no intervals of teeth.
     """
 
     bus: int
@@ -56,6 +58,7 @@ class Seen:
     samples: Samples = field(default_factory=Samples)
     ended_s: float = 0.0
     last_ns: int | None = None
+    teeth: Teeth | None = None
 
 
 @dataclass
@@ -148,7 +151,8 @@ class Observer:
         first = self._last_column
         self._last_column = first + len(signals)
         courses = Courses([no_value(signal) for signal in signals])
-        return Seen(bus, message, signals, slice(first, self._last_column), courses)
+        teeth = Teeth.of(name, [signal.name for signal in signals])
+        return Seen(bus, message, signals, slice(first, self._last_column), courses, teeth=teeth)
 
     def read(self, path: Path, maps: Sequence[str], hold_out: float, progress: Progress) -> None:
         """Read a log, but for a share at its end.
@@ -162,6 +166,8 @@ class Observer:
         for seen in self._made:
             seen.gaps.begin()
             seen.last_ns = None
+            if seen.teeth:
+                seen.teeth.begin()
         for frames, cut in _until(read_even(self._config, path, maps), 1.0 - hold_out, progress, path):
             good = frames[: len(frames) if cut is None else cut]
             if cut is not None and log.cut_ns is None:
@@ -229,6 +235,8 @@ class Observer:
             seen.decoded += decoded
             seen.courses.add(t_ns, values)
             self._snapshots.put(seen.columns, t_ns, values)
+            if seen.teeth:
+                seen.teeth.add(values)
 
     def _end(self, log: LogSeen) -> None:
         for seen in self._made:

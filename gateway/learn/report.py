@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from gateway.fdi.wheel_seen import told
 from gateway.learn.learn import Asked, Result
 from gateway.learn.lines import CHECK, RULE, SIGNAL, inline
 from gateway.learn.trial import Outcome
@@ -34,7 +35,17 @@ def summary(result: Result) -> dict[str, Any]:
         "faults_tried": len(result.outcomes),
         "faults_named": sum(outcome.named for outcome in result.outcomes),
         "kept": result.kept,
+        "wheels": wheels(result),
     }
+
+
+def wheels(result: Result) -> list[str]:
+    """Return which trigger wheel each message of tooth frames shows, one line each."""
+    return [
+        f"{name}: wheel seen: {told(seen.teeth.seen)}"
+        for (_, name), seen in result.observation.seen.items()
+        if seen.teeth
+    ]
 
 
 def data(result: Result) -> dict[str, Any]:
@@ -72,6 +83,7 @@ def markdown(asked: Asked, result: Result) -> str:
         f" {found['checksums']} checksums. {found['signals']} signals with limits, {found['relations']} relations.",
         _silence(result),
         f"The logs themselves: {', '.join(result.conditions)}." if result.conditions else "",
+        *(f"{line}." for line in found["wheels"]),
         *_faults(result),
         *_lines(result),
         *_list("Not in it", result.learned.notes),
