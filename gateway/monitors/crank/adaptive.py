@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gateway.fdi import wheel_seen
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway.fdi.pulse_tracking.branching import MOST_MISSED
@@ -24,7 +25,7 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import f8s, kernel
-from gateway.monitors.crank import anchor, noise, reversal, waiting
+from gateway.monitors.crank import anchor, noise, reversal, waiting, wrong_wheel
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
@@ -72,6 +73,7 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     expected.
     """
     unwatched(s, c, number, out)
+    wheel_seen.skip(s.seen)
     if s.burst.count > 0:
         noise.tell(s.burst, out)
         search(s, c)
@@ -118,7 +120,13 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         y: interval [us].
         out: record of Out.
     """
-    if s.phase == CONFIRMED and 0 < s.index < c.pulses - 1 and s.profile.ended == 0 and _plain(s, c, y):
+    if (
+        s.phase == CONFIRMED
+        and s.looks == 0
+        and 0 < s.index < c.pulses - 1
+        and s.profile.ended == 0
+        and _plain(s, c, y)
+    ):
         return
     y = max(y, LEAST_US)
     s.teeth += 1
@@ -127,6 +135,10 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         _wait_for_end(s, c, y, out)
         return
     anchor.note(s.anchor, c.pulses, y)
+    if s.looks == 1:
+        wrong_wheel.note(s, c, y, out)
+    if s.wrong == 1:
+        return
     if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out, c.told == 1)
         search(s, c)
@@ -184,7 +196,7 @@ def regular(s: State, c: Const, us: f8s, first: int, last: int) -> int:
         how many were taken.
     """
     pr, index = s.profile, int(s.index)
-    if s.phase != CONFIRMED or index < NEAR or pr.ended == 1 or s.reversal.index >= 0:
+    if s.phase != CONFIRMED or s.looks == 1 or index < NEAR or pr.ended == 1 or s.reversal.index >= 0:
         return 0
     last = min(last, first + c.pulses - NEAR - index, first + c.pulses + 1 - s.anchor.age)
     learned = pr.turns > 0

@@ -23,7 +23,8 @@ from gateway.monitors.contract import Debounce, Fault, Out
     UNWATCHED,
     NOISE,
     TWO_PLACES,
-) = range(15)
+    WRONG_WHEEL,
+) = range(16)
 #: Those before concern the crankshaft sensor alone.
 CRANK_FAULTS = CAM_CORRELATION
 
@@ -137,6 +138,14 @@ class TwoPlaces(Record):
     speed: f8 = means(unit="rpm")
 
 
+class WrongWheel(Record):
+    """Evidence of pulses that are of another wheel than the configured one."""
+
+    teeth: f8 = means("pitches of a turn that is seen")
+    pulses: f8 = means("pulses of that turn")
+    gap: f8 = means("largest pitch of that turn", "pitch")
+
+
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
@@ -153,6 +162,7 @@ class Evidence(Record, overlay=True):
     unwatched: Unwatched
     noise: Noise
     two_places: TwoPlaces
+    wrong_wheel: WrongWheel
 
 
 #: What the parts of the monitor report into.
@@ -273,5 +283,13 @@ FAULTS = (
         labels(TwoPlaces),
         _ONCE,
         tested="turns in a row that fit at two places",
+    ),
+    Fault(
+        "wrong_wheel",
+        "P0335-56",
+        "the pulses are of another wheel than the configured one: change `wheel` to the one that is seen",
+        labels(WrongWheel),
+        Debounce(failed_after=1, passed_after=1),
+        tested="turns in a row that showed another wheel",
     ),
 )

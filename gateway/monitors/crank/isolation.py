@@ -10,7 +10,7 @@ from gateway.fdi.pulse_tracking.motion import Q3
 from gateway.fdi.pulse_tracking.tracker import agreed, best, keep_best, marginalise_decided, shift, unanimous
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import anchor, noise, rival, runout, waiting
+from gateway.monitors.crank import anchor, noise, rival, runout, waiting, wrong_wheel
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -26,6 +26,7 @@ from gateway.monitors.crank.faults import (
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
+    WRONG_WHEEL,
     Reports,
     Shape,
 )
@@ -373,6 +374,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     report(out, UNWATCHED, False, 0.0, 0.0)
     report(out, NOISE, False, 0.0, 0.0)
     report(out, TWO_PLACES, False, 0.0, 0.0)
+    report(out, WRONG_WHEEL, False, 0.0, 0.0)
     if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         _judge_wheel(s, c, out)
 
@@ -517,6 +519,8 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     if share > DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
+    elif wrong_wheel.expected(s) and wa.pulses < LONG_PATIENCE * patience:
+        return  # it may be another wheel
     elif waiting.contradicts(wa) or wa.pulses >= LONG_PATIENCE * patience:
         g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
         g.teeth, g.widest = s.teeth, wa.widest

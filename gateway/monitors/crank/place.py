@@ -10,6 +10,7 @@ from gateway.fdi.pulse_tracking.acquisition import Search, restart
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget, harmonics
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
+from gateway.fdi.wheel_seen import Seen, skip
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
 from gateway.monitors.crank import anchor, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
@@ -68,7 +69,9 @@ class State(Record):
     whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
     ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
     the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
-    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported.
+    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported;
+    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), and whether it is a ``wrong``
+    one.
     """
 
     phase: i4
@@ -97,6 +100,9 @@ class State(Record):
     hole: i4
     burst: noise.Burst
     rival: rival.Rival
+    seen: Seen
+    looks: u1
+    wrong: u1
     unseen: f8
     decided: i8
     burst_missed: i4
@@ -162,6 +168,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     tr.slack[:] = c.slack
     tr.wander = c.unlearned
     s.held_fault = -1
+    s.looks = 1
     s.rival.other = rival.NONE
     s.doubted = NEVER
     s.named = NEVER
@@ -182,6 +189,7 @@ def search(s: State, c: Const) -> None:
     if s.phase == CONFIRMED:
         waiting.clear(s.waiting)
     s.phase = SEARCHING
+    s.looks = 1
     s.doubted = NEVER
     rival.clear(s.rival)
     s.since = 0
@@ -209,6 +217,8 @@ def stand(s: State, c: Const) -> None:
     anchor.skip(s.anchor, c.pulses, c.pulses)
     anchor.restart(s.anchor)
     waiting.clear(s.waiting)
+    skip(s.seen)
+    s.wrong = 0
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1

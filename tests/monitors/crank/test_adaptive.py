@@ -19,6 +19,7 @@ from gateway.monitors.crank.faults import (
     REVERSED,
     RUNOUT,
     SYNC_LOST,
+    WRONG_WHEEL,
 )
 from gateway.vecu.crank.kinematics import tooth_times
 
@@ -198,7 +199,8 @@ def test_a_gap_that_never_comes_is_the_wiring_fault_it_is(kind):
 def test_the_wrong_wheel_never_synchronises():
     times, _ = engine("36-1", seconds=1.5)
     result = followed(times, "60-2")
-    assert set(result.fault.tolist()) == {NO_GAP}
+    assert set(result.fault.tolist()) == {WRONG_WHEEL}
+    assert result.count[0] == 36, "pitches of the wheel that is seen"
 
 
 @pytest.mark.parametrize(("amplitude", "found"), [(0.08, True), (0.02, False)])

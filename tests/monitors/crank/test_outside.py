@@ -135,10 +135,11 @@ def test_ripple_that_hides_the_gap_is_not_a_gap_that_is_missing(wheel, order, am
 def test_no_gap_is_told_of_a_wheel_without_one_and_of_another_wheel(wheel):
     other, _ = train("60-2" if wheel != "60-2" else "36-1", 1000.0, 60, [26], [(2, 0.05, 0.0)])
     rng = np.random.default_rng(26)
-    for times in (other, np.cumsum(1000.0 * (1 + 0.05 * np.sin(np.arange(2000) * 0.35)) + rng.normal(0, 10, 2000))):
+    even = np.cumsum(1000.0 * (1 + 0.05 * np.sin(np.arange(2000) * 0.35)) + rng.normal(0, 10, 2000))
+    for times, reason in ((other, "wrong_wheel"), (even, "no_gap")):
         result = follower("adaptive", Wheel.parse(wheel))(times)
-        assert named(result)["no_gap"] >= 1
-        assert FAULTS[result.fault[0]].name == "no_gap"
+        assert named(result)[reason] >= 1
+        assert FAULTS[result.fault[0]].name == reason
         assert result.proven.mean() < 0.01
 
 

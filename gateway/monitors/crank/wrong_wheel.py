@@ -1,0 +1,108 @@
+"""A wheel that is not the configured one: told by the pulses themselves, not as a fault of the sensor.
+
+Until the place is proven and the wheel is seen to be the configured one, each interval goes to
+:mod:`gateway.fdi.wheel_seen` as well. Another wheel is one whose turn has another number of pitches (a wheel of equal
+parts shows one of them). With the same number it may be the configured wheel with a tooth broken off, or a pulse too
+many in its gap. Which of these it is, pulses cannot say; the monitor's other tests name it.
+"""
+
+from __future__ import annotations
+
+from gateway.fdi import wheel_seen
+from gateway.fdi.wheel import MOST_TEETH
+from gateway.jit import kernel
+from gateway.monitors.contract import report
+from gateway.monitors.crank import waiting
+from gateway.monitors.crank.faults import WRONG_WHEEL, Reports
+from gateway.monitors.crank.place import CONFIRMED, SEARCHING, Const, State, search
+
+#: Turns in a row that have to show another wheel, and after which it is told again.
+TURNS, AGAIN = 6, 64
+#: Two pitches are the same within this, and two turns [pitch].
+EQUAL, SAME = 0.4, 0.75
+#: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
+MOST_WAIT = 8 * MOST_TEETH
+#: Teeth that may be missing of the configured wheel.
+MOST_MISSING = 2
+
+
+@kernel
+def note(s: State, c: Const, y: float, out: Reports) -> None:
+    """Note an interval [us] while the wheel is looked at."""
+    before = int(s.seen.turns)
+    wheel_seen.note(s.seen, y)
+    if s.seen.turns != before:
+        _judge(s, c, out)
+
+
+@kernel
+def expected(s: State) -> bool:
+    """Tell whether the pulses have gaps that are counted, so that the wheel may soon be seen."""
+    counted = s.seen.period > 0 or s.waiting.pulses < MOST_WAIT
+    return bool(s.seen.linked == 1 and counted and s.seen.turns < TURNS)
+
+
+@kernel
+def _whole(s: State) -> float:
+    """Return the pitches of a turn that is seen."""
+    total = 0.0
+    for k in range(s.seen.pulses):
+        total += s.seen.pitches[k]
+    return total
+
+
+@kernel
+def _is_left(s: State, c: Const, whole: float) -> bool:
+    """Tell whether what is seen, several times a turn, is the configured wheel without one or two of its teeth.
+
+    Opposite to the gap of 12-1 a tooth broken off leaves what 6-1 shows at twice the speed.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        whole: pitches of the turn that is seen.
+    """
+    parts = int(c.wheel.whole / whole + 0.5)
+    missing = c.pulses - parts * s.seen.pulses
+    if abs(parts * whole - c.wheel.whole) > EQUAL or missing < 1 or missing > MOST_MISSING:
+        return False
+    for first in range(c.pulses):
+        tooth, left, fits = first, missing, True
+        for k in range(parts * s.seen.pulses):
+            span = s.seen.pitches[k % s.seen.pulses] - c.wheel.nominal[tooth]
+            tooth = tooth + 1 if tooth + 1 < c.pulses else 0
+            while span > EQUAL and left > 0:
+                span -= c.wheel.nominal[tooth]
+                tooth = tooth + 1 if tooth + 1 < c.pulses else 0
+                left -= 1
+            if abs(span) > EQUAL:
+                fits = False
+                break
+        if fits:
+            return True
+    return False
+
+
+@kernel
+def _judge(s: State, c: Const, out: Reports) -> None:
+    """Compare the wheel that is seen with the configured one, at the end of a turn."""
+    if wheel_seen.sure(s.seen) == 0:
+        s.wrong = 0
+        return
+    whole = _whole(s)
+    same = abs(whole - c.wheel.whole) < SAME
+    same = same or abs(whole * c.pulses - c.wheel.whole * c.repeats) < EQUAL * c.pulses
+    if same or _is_left(s, c, whole):
+        s.wrong = 0
+        if s.phase == CONFIRMED:
+            s.looks = 0
+        return
+    if s.seen.turns < TURNS or s.reversal.stood == 1:
+        return
+    if s.wrong == 0 or s.seen.turns % AGAIN == 0:
+        e = report(out, WRONG_WHEEL, True, s.seen.turns, TURNS).wrong_wheel
+        e.teeth, e.pulses, e.gap = whole, s.seen.pulses, s.seen.pitches[s.seen.pulses - 1]
+    s.wrong = 1
+    waiting.clear(s.waiting)
+    if s.phase != SEARCHING:
+        search(s, c)
