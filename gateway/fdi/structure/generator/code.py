@@ -26,7 +26,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from gateway.fdi.structure.generator.initial import Initial, find_initial
 from gateway.fdi.structure.generator.propagation import SLOPE, Component, components, depends, sensors, tangents
 from gateway.fdi.structure.generator.realisation import Realisation, Statement
-from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, field_name
+from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, JACOBIAN, field_name
 from gateway.fdi.structure.generator.symbols import Algebra
 from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
@@ -39,8 +39,8 @@ GAIN_DRIVE = "gain_drive_"
 
 #: Fields of STATE for the step of the states: 1 where the sample before has no derivatives; a command's last value.
 DEAD, HELD = "dead_", "held_"
-#: And of states that act on each other: Jacobian; slopes, their change, what is moved; functions of the Jacobian.
-JACOBIAN, SLOPES, HOLD = "jacobian_", "slopes_", "hold_"
+#: And of states that act on each other: slopes, their change, what is moved; functions of the Jacobian.
+SLOPES, HOLD = "slopes_", "hold_"
 
 #: How an expression is written.
 Written = Callable[[Algebra], str]
@@ -210,7 +210,9 @@ class _Writer:
         slopes = {x: reads.get(self.of[der(x)], set()) for x in self.r.integrated}
         moving = frozenset(x for x, mine in slopes.items() if mine & shown_by and not mine & filtered)
         checked = {z for symbol in self.r.residual.free_symbols for z in reads.get(symbol, ())}
-        line = bool(self.r.transformed and checked & (shown_by | {*self.r.integrated}) and not checked & filtered)
+        alone = not (checked - shown_by) & set(self.model.knowns)
+        moves = checked & shown_by or (alone and checked & {*self.r.integrated})
+        line = bool(self.r.transformed and moves and not checked & filtered)
         every = {z for x in moving for z in slopes[x]} | (checked if line else set())
         return moving, line, tuple(z for z in self.model.knowns if z in every - shown_by)
 

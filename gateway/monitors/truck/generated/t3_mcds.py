@@ -14,14 +14,6 @@ from gateway.jit import Record, f8, f8s, kernel
 class State(Record):
     m_f: f8
     d_m_f: f8
-    held_ice_ctrl: f8
-    held_U_em_ctrl: f8
-    held_u_c: f8
-    held_gear: f8
-    held_alpha: f8
-    held_T_b_ctrl: f8
-    held_omega_e_sens: f8
-    held_omega_gb_sens: f8
     filtered_: f8
     last_: f8
     drive_: f8
@@ -94,33 +86,6 @@ def start(s: State, c: Const, u: Any) -> None:
 def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
     s.m_f += dt * s.d_m_f
-    omega_e = s.held_omega_e_sens  # e36
-    p_f = c.Pi_bl*c.k_1*root(c.k_4/c.B)*(c.S**2*c.k_3*omega_e**2 + c.k_2)  # e3
-    T_e = 0.0625*c.B**2*c.N_cyl*c.S*(-p_f - c.p_me0_g + 4.0*c.eta_e_i*s.held_ice_ctrl/(pi*c.B**2*c.N_cyl*c.S))  # e2
-    U_em = s.held_U_em_ctrl  # e7
-    u_gb = interpolate(c.f_3_x, c.f_3_y, s.held_gear)  # e18
-    omega_gb = s.held_omega_gb_sens  # e37
-    omega_mj = omega_gb*u_gb  # e23
-    omega_em = omega_mj*c.u_em  # e16
-    I_em = (U_em - c.k_i*omega_em)/c.R_em  # e8
-    k_a = c.eta_em_0**(sign(I_em))*c.k_i  # e9
-    T_em = I_em*k_a - c.c_em_f*omega_em  # e10
-    T_c = T_e*s.held_u_c  # e12
-    T_mj = T_c + T_em*c.u_em  # e14
-    J_mj = c.J_c + c.J_e + c.J_em*c.u_em**2  # e15
-    J_gb = interpolate(c.f_2_x, c.f_2_y, s.held_gear)  # e17
-    T_gbl = c.T_l0 + c.T_lg*(-s.held_gear + c.n_g) + c.T_lw*omega_mj  # e20
-    eta_gb = ((c.eta_pos) if (T_gbl < T_mj) else (c.eta_neg))  # e19
-    T_gb = eta_gb*u_gb*(-T_gbl + T_mj)  # e21
-    J_tot = u_gb**2*(J_gb + J_mj)  # e22
-    m_v = -s.m_f + c.m_v0  # e24
-    omega_w = omega_gb/c.u_f  # e32
-    T_d = 0.5*c.A_f*c.C_d*omega_w**2*c.r_w**3*c.rho  # e25
-    T_r = max(-c.C_r*c.g*m_v*c.r_w, min(c.c_w*omega_w, c.C_r*c.g*m_v*c.r_w))  # e26
-    T_g = c.g*m_v*c.r_w*sin(s.held_alpha)  # e27
-    T_b = s.held_T_b_ctrl  # e28
-    T_net = -T_b - T_d - T_g + T_gb*c.u_f - T_r  # e29
-    b = -T_net/(J_tot*c.u_f**2 + m_v*c.r_w**2)  # e30, commands held
     omega_e = u.omega_e_sens  # e36
     d_m_f = 0.25*u.ice_ctrl*omega_e/(pi*c.q_LHV)  # e1
     p_f = c.Pi_bl*c.k_1*root(c.k_4/c.B)*(c.S**2*c.k_3*omega_e**2 + c.k_2)  # e3
@@ -149,12 +114,10 @@ def step(s: State, c: Const, u: Any, dt: float) -> float:
     T_b = u.T_b_ctrl  # e28
     T_net = -T_b - T_d - T_g + T_gb*c.u_f - T_r  # e29
     s.d_m_f = d_m_f if isfinite(d_m_f) else 0.0
-    ahead = b - s.drive_ if isfinite(b) and dt > 0.0 else 0.0
     keep = exp(-c.filter_bandwidth * dt)
     b = -T_net/(J_tot*c.u_f**2 + m_v*c.r_w**2)  # e30
     r = (1.0 - keep) / dt * (omega_w - s.last_) if dt > 0.0 else c.filter_bandwidth * (omega_w - s.last_)
     r += keep * s.filtered_ + (1.0 - keep) * s.drive_  # (20)
-    r += (1.0 - (1.0 - keep) / (c.filter_bandwidth * dt)) * ahead if dt > 0.0 else 0.0
     if isfinite(r):
         s.filtered_ = r
         s.last_ = omega_w
@@ -162,12 +125,4 @@ def step(s: State, c: Const, u: Any, dt: float) -> float:
         s.drive_ = b
     else:
         r = nan
-    s.held_ice_ctrl = u.ice_ctrl
-    s.held_U_em_ctrl = u.U_em_ctrl
-    s.held_u_c = u.u_c
-    s.held_gear = u.gear
-    s.held_alpha = u.alpha
-    s.held_T_b_ctrl = u.T_b_ctrl
-    s.held_omega_e_sens = u.omega_e_sens
-    s.held_omega_gb_sens = u.omega_gb_sens
     return float(r)
