@@ -90,6 +90,9 @@ class Found:
         return tables
 
 
+#: A nu, and a J in units of nu, beyond which a residual is not noise: it diverges, drifts, or the log has a fault.
+MOST_NU, MOST_J = 1e12, 1e5
+
 #: Monitor -> residual -> nu.
 Typical = Mapping[str, Mapping[str, float]]
 #: What is summed of each quantity, in this order.
@@ -166,8 +169,38 @@ def typical_of(config: Config, said: Parts) -> Typical:
         mine = [part.arrays[each.name] for part in said.values()]
         if not any(sums[0].any() for sums in mine):
             raise InputError(f'the logs hold nothing that monitor "{each.name}" tests', file=next(iter(said), None))
-        found[each.name] = _typical(each, mine)
+        with np.errstate(all="ignore"):
+            found[each.name] = _typical(each, mine)
+        for residual, nu in found[each.name].items():
+            _refuse_nu(each.name, residual, nu)
     return found
+
+
+def _refuse_nu(monitor: str, residual: str, nu: float) -> None:
+    """Refuse what cannot be the size of a healthy residual.
+
+    Raises:
+        InputError: it is zero, infinite, no number, or beyond all noise.
+    """
+    what = f'monitor "{monitor}": the healthy residual of {residual} has a nu of {nu:.4g}'
+    if nu == 0.0:
+        raise InputError(f"{what}, nothing moves it in these logs: take logs in which its signals move, or other tests")
+    if not nu <= MOST_NU:
+        raise InputError(f"{what}, far from any noise: it diverges; gateway check shows its modes against the period")
+
+
+def _refuse_threshold(row: Quantity) -> None:
+    """Refuse a threshold that would keep a test silent for ever.
+
+    Raises:
+        InputError: it is infinite, no number, or so many nu that the residual is no noise around zero.
+    """
+    if row.residual and row.nu is not None and not row.threshold <= MOST_J:
+        raise InputError(
+            f'monitor "{row.monitor}": {row.name} would need a threshold of {row.threshold:.4g} nu (nu = {row.nu:.4g}),'
+            " far from the noise: its residual drifts or diverges, or the logs have a fault; gateway replay --plot"
+            " shows it, gateway check its modes"
+        )
 
 
 def _opened(config: Config, typical: Typical) -> Config:
@@ -197,6 +230,8 @@ def merged(
     for each in of_kind(config, CusumCalibration):
         mine = [part.arrays[each.name] for part in peaks.values()]
         rows += _rows(each, mine, typical[each.name], margin, floor)
+    for row in rows:
+        _refuse_threshold(row)
     return Found(sum(part.seconds for part in said.values()), tuple(rows), failed_in(said))
 
 

@@ -10,7 +10,7 @@ grow, so that it comes down again when a fault is gone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 
@@ -93,6 +93,8 @@ def nus(residuals: Sequence[str], sums: f8s) -> dict[str, float]:
 def typical(samples: float, total: float, squares: float) -> float:
     """Return nu of healthy residuals: mean and one standard deviation of their moduli, from their sums."""
     mean = total / samples
+    if not squares < inf:
+        return inf
     return float(mean + sqrt(max(squares / samples - mean**2, 0.0)))
 
 

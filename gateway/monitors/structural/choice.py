@@ -19,7 +19,7 @@ from gateway.common.extras import need
 from gateway.errors import InputError, nearest
 from gateway.fdi.structure.analysis import Analysis, analyse
 from gateway.fdi.structure.generator.code import write
-from gateway.fdi.structure.generator.conditioning import begins, forgets, noise_gains
+from gateway.fdi.structure.generator.conditioning import begins, fleeting, forgets, noise_gains
 from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
@@ -262,6 +262,7 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         differentiated=realised.differentiated,
         filtered=bool(realised.transformed),
         noise=tuple(Noise(*one) for one in noise_gains(realised)),
+        fleeting=fleeting(realised),
         measures=code.fault,
         source=code.source,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from gateway.monitors.contract import (
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.structural import decision, filters, identity, kept, records, source, summary
+from gateway.monitors.structural import decision, filters, identity, kept, modes, records, source, summary
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan
@@ -62,6 +63,7 @@ class _Made:
             load_source(test.name, test.source)
         self._module = load_source(model.name, source.module_of(plan, model.knowns))
 
+    @cached_property
     def monitor(self) -> Monitor[Params]:
         """Return the monitor."""
         module, plan = self._module, self.plan
@@ -94,7 +96,7 @@ class _Made:
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
                 Readout((*source.sizes_of(plan), *source.COUNTS)),
-                Warnings(lambda p: summary.warnings(plan, p)),
+                Warnings(lambda p: summary.warnings(self.model, plan, p)),
             ),
         )
 
@@ -245,7 +247,7 @@ def _condition(model: Model, p: Params) -> Program | None:
 
 
 #: Monitors by the names of their plans: the same one for the same model.
-_MONITORS: dict[str, Monitor[Params]] = {}
+_MONITORS: dict[str, _Made] = {}
 
 
 def made(p: Params, folder: Path) -> Monitor[Params]:
@@ -271,9 +273,12 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
 
             plan = choose(model, p)
             kept.write(key, plan)
-        _MONITORS[key] = _Made(model, plan).monitor()
-    _check_names(_MONITORS[key], p, model)
-    return _MONITORS[key]
+        _MONITORS[key] = _Made(model, plan)
+    made_of = _MONITORS[key]
+    monitor = made_of.monitor
+    _check_names(monitor, p, model)
+    modes.refuse_diverging(model, made_of.plan, p)
+    return monitor
 
 
 def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:

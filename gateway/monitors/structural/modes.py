@@ -1,0 +1,157 @@
+"""How fast the states of a residual generator are, and whether its period can follow them.
+
+The generator's own code says what the Jacobian J of its states is (:mod:`gateway.fdi.structure.generator.propagation`):
+it takes one sample, in plain Python, at the configured parameters. A mode lambda of J [1/s] is exp(h lambda) from
+sample to sample, h the period: that is what the step makes of it, exactly. Known variables have values drawn around 1,
+states around where they begin; where J depends on them, the modes are those of some points, and are told as such.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import InputError
+from gateway.fdi.structure.generator.records import JACOBIAN, field_name, fill
+from gateway.fdi.structure.generator.sources import load_source
+from gateway.fdi.structure.model import Model, Quantity
+from gateway.jit import zeros
+from gateway.monitors.structural.params import Params
+from gateway.monitors.structural.plan import Plan, Test
+
+#: Points at which a Jacobian is computed; what of a mode is rounding.
+_POINTS, _ROUNDING = 3, 1e-6
+#: Samples of a turn at which an oscillation is followed.
+_A_TURN = 4.0
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Modes of a generator.
+
+    Attributes:
+        values: of each point, complex [1/s], shape (modes,).
+        linear: they are the same at all points.
+    """
+
+    values: tuple[NDArray[np.complex128], ...]
+    linear: bool
+
+    @property
+    def every(self) -> NDArray[np.complex128]:
+        """Those of all points, shape (modes,) [1/s]."""
+        return np.concatenate(self.values)
+
+    @property
+    def growing(self) -> complex | None:
+        """The mode that grows fastest, if one does so at each point."""
+        worst = [v[np.argmax(v.real)] for v in self.values]
+        grows = [w.real > _ROUNDING * np.abs(v).max() for w, v in zip(worst, self.values, strict=True)]
+        return complex(min(worst, key=lambda w: float(w.real))) if all(grows) else None
+
+
+def _plain(step: Any, scope: dict[str, Any]) -> Any:
+    """Return a kernel as plain Python, calls and all; nothing is moved in it."""
+    function = getattr(step, "py_func", step)
+    names = {name: getattr(value, "py_func", value) for name, value in scope.items()}
+    return types.FunctionType(function.__code__, names | {"advance": lambda *_: None})
+
+
+def modes(model: Model, test: Test, p: Params) -> Modes | None:
+    """Return the modes of a generator at the configured parameters; None: no state acts on one, or there is no number.
+
+    Args:
+        model: the model.
+        test: the generator.
+        p: the parameters of the monitor.
+    """
+    module = load_source(test.name, test.source)
+    fields = [name for name in module.State.dtype.names or () if name.startswith(JACOBIAN)]
+    if not fields:
+        return None
+    step, rng, found = _plain(module.step, vars(module)), np.random.default_rng(1), []
+    begins = {x: p.start.get(x, model.quantities.get(x, Quantity()).value) for x in model.states}
+    for _ in range(_POINTS):
+        s, c = (zeros(1, record.dtype)[0] for record in (module.State, module.Const))
+        start = dict.fromkeys(test.guessed, 0.0) | p.start
+        fill(c, model, values=p.parameters, start=start)
+        for x, begin in begins.items():
+            if field_name(x) in (module.State.dtype.names or ()):
+                s[field_name(x)] = (begin or 1.0) * rng.uniform(0.5, 1.5)
+        u = types.SimpleNamespace(**{field_name(z): float(rng.uniform(0.5, 1.5)) for z in model.knowns})
+        try:
+            with np.errstate(all="ignore"):
+                step(s, c, u, 0.0)
+        except (ArithmeticError, ValueError):
+            continue
+        rows = [row for name in fields for row in np.atleast_2d(np.asarray(s[name]))]
+        square = [row.reshape(math.isqrt(len(row)), -1) for row in rows]
+        found.append((np.concatenate(rows), np.concatenate([np.linalg.eigvals(m) for m in square]).astype(complex)))
+    if not found:
+        return None
+    same = all(np.allclose(rows, found[0][0], rtol=1e-9, atol=0.0) for rows, _ in found)
+    return Modes(tuple(values for _, values in found), same)
+
+
+def _mode(value: complex, h: float) -> str:
+    """Return a mode in words: its rate, its damping where it turns, and what a sample leaves of it."""
+    size = abs(value)
+    if size == 0.0:
+        return "0 (an integral)"
+    damping = f", damping {-value.real / size:.2g}" if value.imag else ""
+    return f"{size:.3g} rad/s{damping} ({math.exp(min(value.real * h, 700.0)):.4g} left a sample)"
+
+
+def in_words(found: Modes, p: Params) -> str:
+    """Return the fastest and the slowest mode against the period."""
+    h, every = p.period_ms / 1e3, found.every
+    fastest, slowest = every[np.argmax(np.abs(every))], every[np.argmax(every.real)]
+    one = abs(fastest - slowest) <= _ROUNDING * abs(fastest) or abs(fastest - slowest.conjugate()) <= 1e-9
+    told = _mode(fastest, h) if one else f"{_mode(fastest, h)}, slowest {_mode(slowest, h)}"
+    return f"{'mode' if one else 'fastest mode'} {told}{'' if found.linear else ', at values around 1 and the start'}"
+
+
+def refuse_diverging(model: Model, plan: Plan, p: Params) -> None:
+    """Refuse a generator whose error grows without end.
+
+    Raises:
+        InputError: one that is linear has a mode that grows; names it, and what helps.
+    """
+    h = p.period_ms / 1e3
+    for test in plan.generators:
+        found = modes(model, test, p)
+        worst = found.growing if found is not None else None
+        if found is None or worst is None or not found.linear:
+            continue
+        raise InputError(
+            f"residual {test.name} (it checks {test.consistency}, by {test.sequence}) diverges: its mode"
+            f" of {worst.real:+.3g} 1/s grows {math.exp(min(worst.real * h, 700.0)):.4g} times a sample of period_ms ="
+            f" {p.period_ms:g}, and as fast a second at any period, for the plant does so itself: take other tests"
+            f' (tests = [...], gateway structure lists them; or causality = "mixed"), or mend the parameters',
+            key="tests",
+            value=test.name,
+        )
+
+
+def warnings(model: Model, plan: Plan, p: Params) -> Iterator[str]:
+    """Yield what the period cannot follow, with one that can."""
+    h = p.period_ms / 1e3
+    for test in plan.tests:
+        found = modes(model, test, p)
+        if found is None:
+            continue
+        if found.growing is not None:
+            yield f"{test.name}: a mode of {found.growing.real:+.3g} 1/s grows at values around 1: it may diverge"
+        turn = min(np.abs(v.imag).max() for v in found.values)
+        if turn * h > math.pi:
+            good = 2e3 * math.pi / _A_TURN / turn
+            yield (
+                f"{test.name}: a mode turns with {turn:.3g} rad/s, more than half a turn a sample of period_ms ="
+                f" {p.period_ms:g}: period_ms = {good:.2g} would follow it"
+            )

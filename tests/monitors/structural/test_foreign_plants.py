@@ -1,0 +1,83 @@
+"""Plants that are hard on a step, from equations and healthy logs alone: modes are told, faults have their names."""
+
+import math
+
+import numpy as np
+import pytest
+from foreign_plants import BUCK, MOTOR, PLANTS, SPRING, configuration, frames_of, run
+from structural_config import named
+
+from gateway.bus.logs import open_writer
+from gateway.calibration.cusum import learn
+from gateway.calibration.file import write
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
+from gateway.errors import InputErrors
+from gateway.jit import COMPILED
+
+compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
+
+
+def calibrated(config, *frames):
+    logs = [config.with_name(f"healthy_{k}.log") for k in range(len(frames))]
+    for path, each in zip(logs, frames, strict=True):
+        writer = open_writer(path)
+        writer.write(each)
+        writer.close()
+    write(config, learn(load_config(config), logs, file=config).tables, "healthy logs")
+
+
+def notes(config):
+    monitor, params = monitor_of(load_config(config).monitor[0])
+    return monitor.notes(params), monitor.warnings(params)
+
+
+def test_modes_are_told_against_the_period(tmp_path):
+    told, _ = notes(configuration(SPRING, tmp_path))
+    assert sum("mode 10 rad/s, damping 0.001 (0.9999 left a sample)" in line for line in told) == 2
+    told, _ = notes(configuration(MOTOR, tmp_path))
+    h, (slow, fast) = 0.01, sorted(abs(np.linalg.eigvals([[-2500, -250], [25, -0.5]])))
+    wanted = f"fastest mode {fast:.3g} rad/s ({math.exp(-h * fast):.4g} left a sample), slowest {slow:.3g} rad/s"
+    assert any(wanted in line for line in told)
+
+
+def test_a_residual_that_diverges_is_refused(tmp_path):
+    """Negative damping: no period helps, and none is promised."""
+    config = configuration(SPRING, tmp_path, "parameters = { d = -0.5 }\n")
+    with pytest.raises(
+        InputErrors, match=r"monitor\[0\].tests = 'e4': residual e4 .*mode of \+0.25 1/s.*period_ms = 10"
+    ):
+        load_config(config)
+
+
+def test_a_mode_beyond_half_a_turn_a_sample_is_told(tmp_path):
+    config = configuration(SPRING, tmp_path, "parameters = { k = 1e6 }\n")
+    _, told = notes(config)
+    assert any("turns with 1e+03 rad/s" in line and "period_ms = 1.6 would follow it" in line for line in told)
+
+
+def test_what_is_seen_only_while_it_changes(tmp_path):
+    """A constant offset of the position has no slope, a constant force no speed."""
+    told, _ = notes(configuration(SPRING, tmp_path))
+    faults = [line for line in told if line.startswith("fault")]
+    assert [line.partition("fires ")[2].partition(";")[0] for line in faults] == [
+        "e4 e5 (only while it changes: e5)", "e3 e4 (only while it changes: e3)", "e3 e5",
+    ]  # fmt: skip
+
+
+@compiled
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["spring", "stiff_motor", "buck"])
+def test_faults_have_their_names(tmp_path, name):
+    plant = PLANTS[name]
+    config = configuration(plant, tmp_path)
+    calibrated(config, *(frames_of(plant, run(plant, plant.seconds, seed)) for seed in (1, 2)))
+    assert named(config, frames_of(plant, run(plant, plant.seconds, 3))) == []
+    for fault in plant.faults:
+        rows = run(plant, plant.seconds, 10, fault, 0.4 * plant.seconds)
+        assert named(config, frames_of(plant, rows))[:1] == [plant.groups.get(fault, fault)], fault
+
+
+def test_the_converter_groups_what_stands_together(tmp_path):
+    told, _ = notes(configuration(BUCK, tmp_path))
+    assert any(line.startswith("fault f_sw ") and "cannot be told from f_RL, f_vin" in line for line in told)

@@ -1,0 +1,324 @@
+"""Plants that are hard on a step: lightly damped, stiff, nonlinear; solved by SciPy, apart from the gateway's code."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from gateway.bus.frames import empty
+
+BEGIN = 10**9
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant: its model as a user writes it, and the same as an ODE.
+
+    ``slopes(t, x, u, p)`` are derivatives, ``commands(rng, seconds)`` times and held values of the commands,
+    ``measured(t, x, u, p)`` what the sensors show, ``faults`` changes of p, ``sensors`` what is added to a sensor.
+    """
+
+    name: str
+    model: str
+    period_s: float
+    p: dict
+    begin: tuple
+    slopes: object
+    commands: object
+    measured: object
+    knowns: tuple
+    noise: tuple
+    faults: dict
+    options: str = ""
+    seconds: float = 60.0
+    groups: dict = field(default_factory=dict)
+
+
+def levels(count, every, low, high):
+    """Commands that jump to a level drawn at random, ``every`` seconds."""
+
+    def drawn(rng, seconds):
+        t = np.arange(0.0, seconds, every)
+        return t, rng.uniform(low, high, (len(t), count))
+
+    return drawn
+
+
+def run(plant, seconds, seed, fault="", onset=0.0):
+    """What the signals are at each sample, shape (samples, knowns); the fault is there from ``onset`` on."""
+    rng = np.random.default_rng(seed)
+    at, u = plant.commands(rng, seconds)
+    times = np.arange(round(seconds / plant.period_s)) * plant.period_s
+    edges = sorted({*at.tolist(), onset, seconds} - {0.0})
+    x, begin, rows = np.array(plant.begin, float), 0.0, []
+    for end in edges:
+        told = u[np.searchsorted(at, begin, side="right") - 1]
+        faulty = bool(fault) and begin >= onset
+        p = plant.p | (plant.faults[fault] if faulty else {})
+        inside = times[(times >= begin - 1e-12) & (times < end - 1e-12)]
+        solved = solve_ivp(
+            plant.slopes, (begin, end), x, "LSODA", np.append(inside, end), args=(told, p), rtol=1e-8, atol=1e-10,
+            max_step=0.5,
+        )  # fmt: skip
+        for t, state in zip(inside, solved.y.T, strict=False):
+            rows.append(plant.measured(t, state, told, p))
+        x, begin = solved.y[:, -1], end
+    rows = np.array(rows)
+    return rows + rng.normal(size=rows.shape) * np.array(plant.noise)
+
+
+def frames_of(plant, rows):
+    """The frames of samples, one float signal each."""
+    count, width = rows.shape
+    frames = empty(count * width)
+    for k in range(width):
+        mine = frames[k::width]
+        mine["t_ns"] = BEGIN + np.round(np.arange(count) * plant.period_s * 1e9).astype(np.int64) + k * 1000
+        mine["can_id"], mine["length"] = 256 + k, 4
+        mine["data"][:, :4] = rows[:, k].astype("<f4").view(np.uint8).reshape(count, 4)
+    return frames
+
+
+def configuration(plant, folder, more=""):
+    """The folder of a user: model, database, configuration; returns the configuration."""
+    (folder / f"{plant.name}.toml").write_text(plant.model)
+    messages = "".join(
+        f'BO_ {256 + k} M{k}: 4 A\n SG_ {z} : 0|32@1- (1,0) [0|0] "" A\n' for k, z in enumerate(plant.knowns)
+    )
+    kinds = "".join(f"SIG_VALTYPE_ {256 + k} {z} : 1;\n" for k, z in enumerate(plant.knowns))
+    (folder / "plant.dbc").write_text(f'VERSION ""\nNS_ :\nBS_:\nBU_: A\n{messages}{kinds}')
+    signals = ", ".join(f'{z} = "M{k}.{z}"' for k, z in enumerate(plant.knowns))
+    path = folder / "gateway.toml"
+    path.write_text(
+        '[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["plant.dbc"]\n'
+        'health = { watched = false }\n[memory]\npath = "faults.sqlite"\n'
+        f'[[monitor]]\nname = "own"\ntype = "structural"\nmodel = "{plant.name}.toml"\nsample = "set"\n'
+        f"period_ms = {plant.period_s * 1e3:g}\n{plant.options}{more}signals = {{ {signals} }}\n"
+    )
+    return path
+
+
+def _spring(_, x, u, p):
+    return [x[1], (u[0] * p["gain"] - p["k"] * x[0] - p["d"] * x[1]) / p["m"]]
+
+
+SPRING = Plant(
+    "spring",
+    """
+[unknown]
+x = { unit = "m" }
+v = { unit = "m/s" }
+F = { unit = "N" }
+[known]
+u = {}
+y = {}
+w = {}
+[fault]
+f_F = { text = "the force" }
+f_y = { text = "the position's sensor" }
+f_w = { text = "the speed's sensor" }
+[parameter]
+m = { value = 1.0 }
+k = { value = 100.0 }
+d = { value = 0.02 }
+[equation.e1]
+relation = "F = u * (1 + f_F)"
+unique = ["F"]
+[equation.e2]
+relation = "m * der(v) = F - k * x - d * v"
+unique = ["der(v)", "F", "x"]
+[equation.e3]
+relation = "der(x) = v"
+unique = ["der(x)", "v"]
+[equation.e4]
+relation = "y = x + f_y"
+unique = ["x"]
+[equation.e5]
+relation = "w = v + f_w"
+unique = ["v"]
+""",
+    0.01,
+    {"m": 1.0, "k": 100.0, "d": 0.02, "gain": 1.0, "y": 0.0, "w": 0.0},
+    (0.0, 0.0),
+    _spring,
+    levels(1, 5.0, -20.0, 20.0),
+    lambda _, x, u, p: (u[0], x[0] + p["y"], x[1] + p["w"]),
+    ("u", "y", "w"),
+    (0.0, 1e-3, 1e-2),
+    {"f_F": {"gain": 0.7}, "f_y": {"y": 0.1}, "f_w": {"w": 0.5}},
+    "start = { x = 0.0, v = 0.0 }\nconfirm_s = 2\n",
+    60.0,
+)
+
+
+def _vin(t):
+    return 24.0 + 0.5 * np.sin(20.0 * t)
+
+
+def _buck(t, x, u, p):
+    return [
+        (p["sw"] * u[0] * _vin(t) - p["R_L"] * x[0] - x[1]) / p["L"],
+        (x[0] - x[1] / p["R"]) / p["C"],
+    ]
+
+
+BUCK = Plant(
+    "buck",
+    """
+[unknown]
+I = { unit = "A" }
+V = { unit = "V" }
+Vin = { unit = "V" }
+D = { unit = "1" }
+[known]
+d = {}
+i = {}
+v = {}
+vin = {}
+[fault]
+f_sw = { text = "the switch" }
+f_RL = { text = "the choke's resistance" }
+f_R = { text = "the load" }
+f_i = { text = "the current's sensor" }
+f_v = { text = "the voltage's sensor" }
+f_vin = { text = "the input voltage's sensor" }
+[parameter]
+L = { value = 2e-3 }
+C = { value = 2e-3 }
+R_L = { value = 0.1 }
+R = { value = 10.0 }
+[equation.e1]
+relation = "D = d * (1 - f_sw)"
+unique = ["D"]
+[equation.e2]
+relation = "L * der(I) = D * Vin - R_L * (1 + f_RL) * I - V"
+unique = ["der(I)", "V", "Vin", "D", "I"]
+[equation.e3]
+relation = "C * der(V) = I - V / R * (1 + f_R)"
+unique = ["der(V)", "I"]
+[equation.e4]
+relation = "i = I + f_i"
+unique = ["I"]
+[equation.e5]
+relation = "v = V + f_v"
+unique = ["V"]
+[equation.e6]
+relation = "vin = Vin + f_vin"
+unique = ["Vin"]
+""",
+    0.001,
+    {"L": 2e-3, "C": 2e-3, "R_L": 0.1, "R": 10.0, "sw": 1.0, "i": 0.0, "v": 0.0, "vin": 0.0},
+    (1.2, 12.0),
+    _buck,
+    levels(1, 0.5, 0.4, 0.6),
+    lambda t, x, u, p: (u[0], x[0] + p["i"], x[1] + p["v"], _vin(t) + p["vin"]),
+    ("d", "i", "v", "vin"),
+    (0.0, 0.02, 0.05, 0.05),
+    {
+        "f_sw": {"sw": 0.9}, "f_RL": {"R_L": 0.6}, "f_R": {"R": 6.0}, "f_i": {"i": 0.4}, "f_v": {"v": 1.0},
+        "f_vin": {"vin": 1.5},
+    },
+    "start = { I = 1.2, V = 12.0 }\nsettle_s = 1\nconfirm_s = 1\n",
+    20.0,
+    {"f_sw": "f_sw_or_f_RL_or_f_vin", "f_RL": "f_sw_or_f_RL_or_f_vin", "f_vin": "f_sw_or_f_RL_or_f_vin"},
+)  # fmt: skip
+
+
+def _motor(_, x, u, p):
+    return [(u[0] - p["R"] * x[0] - p["k"] * x[1]) / p["L"], (p["k"] * x[0] - p["b"] * x[1]) / p["J"]]
+
+
+MOTOR = Plant(
+    "stiff_motor",
+    """
+[unknown]
+I = { unit = "A" }
+omega = { unit = "rad/s" }
+[known]
+u = {}
+i = {}
+w = {}
+[fault]
+f_R = { text = "the winding's resistance" }
+f_b = { text = "the bearing's friction" }
+f_i = { text = "the current's sensor" }
+f_w = { text = "the speed's sensor" }
+[parameter]
+L = { value = 2e-4 }
+R = { value = 0.5 }
+k = { value = 0.05 }
+b = { value = 1e-3 }
+J = { value = 2e-3 }
+[equation.e1]
+relation = "L * der(I) = u - R * (1 + f_R) * I - k * omega"
+unique = ["der(I)", "omega"]
+[equation.e2]
+relation = "J * der(omega) = k * I - b * (1 + f_b) * omega"
+unique = ["der(omega)", "I"]
+[equation.e3]
+relation = "i = I + f_i"
+unique = ["I"]
+[equation.e4]
+relation = "w = omega + f_w"
+unique = ["omega"]
+""",
+    0.01,
+    {"L": 2e-4, "R": 0.5, "k": 0.05, "b": 1e-3, "J": 2e-3, "i": 0.0, "w": 0.0},
+    (0.0, 0.0),
+    _motor,
+    levels(1, 2.0, 6.0, 12.0),
+    lambda _, x, u, p: (u[0], x[0] + p["i"], x[1] + p["w"]),
+    ("u", "i", "w"),
+    (0.0, 0.02, 0.2),
+    {"f_R": {"R": 0.75}, "f_b": {"b": 2e-3}, "f_i": {"i": 1.0}, "f_w": {"w": 8.0}},
+    "start = { I = 0.0, omega = 0.0 }\nsettle_s = 3\nconfirm_s = 2\n",
+    60.0,
+)
+
+
+def _tanks(_, h, u, p):
+    q = [p[f"a{k + 1}"] * np.sqrt(2 * 981.0 * max(h[k], 0.0)) for k in range(4)]
+    u1, u2 = u[0] * p["p1"], u[1] * p["p2"]
+    return [
+        (q[2] - q[0] + 0.7 * 3.33 * u1) / 28.0, (q[3] - q[1] + 0.6 * 3.35 * u2) / 32.0,
+        (0.4 * 3.35 * u2 - q[2]) / 28.0, (0.3 * 3.33 * u1 - q[3]) / 32.0,
+    ]  # fmt: skip
+
+
+def _tank_model():
+    text = "".join(f'h{k} = {{ unit = "cm" }}\nq{k} = {{}}\n' for k in (1, 2, 3, 4)) + "Q1 = {}\nQ2 = {}\n"
+    text = f"[unknown]\n{text}[known]\nu1 = {{}}\nu2 = {{}}\n" + "".join(f"y{k} = {{}}\n" for k in (1, 2, 3, 4))
+    text += "[fault]\nf_1 = {}\nf_2 = {}\nf_3 = {}\nf_4 = {}\nf_p1 = {}\nf_p2 = {}\n"
+    text += "[parameter]\n" + "".join(f"a{k} = {{ value = {0.071 if k in (1, 3) else 0.057} }}\n" for k in (1, 2, 3, 4))
+    flows = {1: "q3 - q1 + 0.7 * Q1", 2: "q4 - q2 + 0.6 * Q2", 3: "0.4 * Q2 - q3", 4: "0.3 * Q1 - q4"}
+    for k, flow in flows.items():
+        size = 28.0 if k in (1, 3) else 32.0
+        text += f'[equation.b{k}]\nrelation = "{size} * der(h{k}) = {flow}"\nunique = ["der(h{k})"]\n'
+        text += f'[equation.o{k}]\nrelation = "q{k} = a{k} * sqrt(1962 * h{k})"\nunique = ["q{k}"]\n'
+        text += f'[equation.s{k}]\nrelation = "y{k} = h{k} + f_{k}"\nunique = ["h{k}"]\n'
+    text += '[equation.p1]\nrelation = "Q1 = 3.33 * (1 - f_p1) * u1"\nunique = ["Q1"]\n'
+    return text + '[equation.p2]\nrelation = "Q2 = 3.35 * (1 - f_p2) * u2"\nunique = ["Q2"]\n'
+
+
+_AREAS = {"a1": 0.071, "a2": 0.057, "a3": 0.071, "a4": 0.057}
+
+TANKS = Plant(
+    "quad",
+    _tank_model(),
+    1.0,
+    _AREAS | {"p1": 1.0, "p2": 1.0, "y1": 0.0, "y2": 0.0, "y3": 0.0, "y4": 0.0},
+    (12.3, 12.8, 1.6, 1.4),
+    _tanks,
+    levels(2, 150.0, 2.7, 3.3),
+    lambda _, h, u, p: (*u, *(h[k] + p[f"y{k + 1}"] for k in range(4))),
+    ("u1", "u2", "y1", "y2", "y3", "y4"),
+    (0.0, 0.0, 0.02, 0.02, 0.02, 0.02),
+    {
+        "f_1": {"y1": 1.0}, "f_2": {"y2": 1.0}, "f_3": {"y3": 0.4}, "f_4": {"y4": 0.4}, "f_p1": {"p1": 0.8},
+        "f_p2": {"p2": 0.8},
+    },
+    "start = { h1 = 12.3, h2 = 12.8, h3 = 1.6, h4 = 1.4 }\nsettle_s = 60\nconfirm_s = 60\n",
+    1800.0,
+)  # fmt: skip
+
+PLANTS = {plant.name: plant for plant in (SPRING, BUCK, MOTOR, TANKS)}
