@@ -13,7 +13,7 @@ from gateway.engine.instances import MonitorInstance
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.contract import FAILED
 from gateway.monitors.crank import MONITOR
-from gateway.monitors.crank.faults import CAM_CORRELATION, CAM_SILENT, FAULTS
+from gateway.monitors.crank.faults import CAM_CORRELATION, CAM_SILENT, FAULTS, MISSED, TWO_PLACES
 from gateway.monitors.crank.monitor import Params
 from gateway.signals.database import load_database
 from gateway.vecu.crank.kinematics import cam_edges
@@ -26,12 +26,16 @@ SPEED = [(0.0, 900.0), (2.0, 2500.0)]
 SECONDS = amount(4.0, 4.0, 1.0)
 
 
-def run(form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=None, tooth_0=0.0):
+def run(
+    form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=None, tooth_0=0.0, wheel="60-2", broken=None
+):
     """Feed an engine with a cam; returns failed faults and (time, angle, cycle known) of EngineSync."""
-    w = Wheel.parse("60-2")
+    w = Wheel.parse(wheel)
     rng = np.random.default_rng(8)
     print("seed 8")
     times = (healthy(w, SPEED, SECONDS, rng, ripple=((2.0, 0.01),), jitter=0.005) * 1e3).astype(np.int64)
+    if broken is not None:
+        times = times[np.arange(len(times)) % w.pulses != broken]
     if drop is not None:
         times = np.delete(times, drop)
     at, levels = cam_edges([((a + shift_deg) % 720, v) for a, v in edges], SPEED, SECONDS)
@@ -44,7 +48,7 @@ def run(form, edges, told, *, drop=None, shift_deg=0.0, lost=0.0, silent_after=N
     monitor = MonitorInstance(
         "crank",
         MONITOR,
-        Params(wheel="60-2", frame=form, cam=told, tooth_0_deg=tooth_0),
+        Params(wheel=wheel, frame=form, cam=told, tooth_0_deg=tooth_0),
         emission=load_database([GATEWAY_DBC]).message("GW_EngineSync"),
     )
     engine = build_engine([(0, load_database([shipped("dbc/crank.dbc")]))], [monitor], [])
@@ -126,3 +130,15 @@ def test_edges_in_both_halves_tell_nothing_and_disturb_nothing():
     failed, _, _, values = run("classic", same, same)
     assert failed == []
     assert not any(v["CycleKnown"] for v in values)
+
+
+@pytest.mark.parametrize("broken", [8, 17, 26])
+def test_the_cam_decides_which_of_two_equal_gaps_is_the_wheels_own(broken):
+    """36-1 with a tooth broken off before the start: proven at the right place, though pulses fit two of them."""
+    failed, times, stamps, values = run("fd", HALF_MOON, HALF_MOON, wheel="36-1", broken=broken)
+    assert CAM_CORRELATION not in failed
+    assert {TWO_PLACES, MISSED} <= set(failed)
+    assert values[-1]["SyncState"] == 2
+    last = int(np.searchsorted(times, stamps[-1] - 354_000, side="right")) - 1
+    teeth = np.delete(np.arange(35), broken)
+    assert values[-1]["ToothIndex"] == teeth[last % 34]

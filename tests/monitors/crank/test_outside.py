@@ -282,6 +282,17 @@ WANTED = {
     "F": ("60-2", {"P0339-1F"}),
     "G": ("60-2", {"P0336-39"}),
 }
+#: The same of a later measuring: a burst in the gap, a wheel of five pulses, a twin that revs up, a tooth broken off
+#: before the start, another wheel.
+WANTED_AGAIN = {
+    "frozen": ("60-2", {"P0335-2F"}),
+    "six": ("6-1", set()),
+    "twin3000nc": ("60-2", set()),
+    "broken36": ("36-1", {"P0336-64"}),
+    "w36as8": ("8-1", {"P0335-56"}),
+    "w24as12": ("12-1", {"P0335-56"}),
+}
+AGAIN = CAPTURES.parent / "outside-2"
 
 
 @pytest.mark.long
@@ -291,3 +302,45 @@ WANTED = {
 def test_captures_of_other_origin(name, form, tmp_path):
     wheel, dtcs = WANTED[name]
     assert set(_replayed(CAPTURES / f"{name}.csv", wheel, form, tmp_path)) == dtcs
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not AGAIN.is_dir(), reason=f"no captures in {AGAIN}")
+@pytest.mark.parametrize("form", ["classic", "fd"])
+@pytest.mark.parametrize("name", WANTED_AGAIN)
+def test_captures_of_a_later_measuring(name, form, tmp_path):
+    wheel, dtcs = WANTED_AGAIN[name]
+    assert set(_replayed(AGAIN / f"{name}.csv", wheel, form, tmp_path)) == dtcs
+
+
+@compiled
+@pytest.mark.parametrize(("text", "least"), [("6-1", 6), ("5-1", 6), ("3+1", 3)])
+def test_wheels_of_four_and_five_pulses_are_followed_and_a_missed_pulse_is_told(text, least):
+    """They had "gap never comes" on each drive. Two speeds, eight missed pulses; 3+1 shows half of them."""
+    wheel = Wheel.parse(text)
+    follow = follower("adaptive", wheel)
+    found = 0
+    for rpm in (600.0, 3000.0):
+        times, teeth = train(text, rpm, 60, [33, int(rpm)], [(2, 0.03, 0.5)])
+        healthy = follow(times)
+        assert not len(healthy.fault)
+        assert healthy.proven[20 * wheel.pulses :].mean() > 0.9
+        assert not len(wrong(healthy, teeth, wheel.repeats))
+        for at in range(30 * wheel.pulses, 30 * wheel.pulses + 4):
+            found += "missed_pulse" in named(follow(np.delete(times, at)))
+    assert found >= least
+
+
+@compiled
+@pytest.mark.parametrize(("rate", "amplitude", "told"), [(1000, 0.09, False), (5000, 0.09, False), (3000, 0.0, True)])
+def test_a_twin_that_revs_up_has_no_runout(rate, amplitude, told):
+    """Order 1 of the torque at idle, then up: its limit is that of the speed at which it was learned."""
+    wheel = Wheel.parse("60-2")
+    rng = np.random.default_rng(34)
+    speed = [(0.0, 900.0), (6.0, 900.0), (6.0 + 2100 / rate, 3000.0), (9.0 + 2100 / rate, 3000.0)]
+    times = tooth_times(wheel, speed, speed[-1][0], jitter=0.01, tooth_error=0.003, rng=rng) / 1e3
+    period = np.gradient(times) * wheel.turn
+    angle = 2 * np.pi * np.arange(len(times)) / wheel.pulses
+    size = amplitude * np.minimum(period / (60e6 / 900), 1.0) ** 2 if amplitude else 0.06
+    moved = times + size * period / (2 * np.pi) * np.sin(angle)
+    assert ("runout" in named(follower("adaptive", wheel)(np.rint(moved)))) == told
