@@ -300,7 +300,10 @@ for name in {names!r}:
     pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
     algebra = {
         f"gateway.fdi.structure.generator.{name}"
-        for name in ("c_code", "code", "conditioning", "initial", "loading", "realisation", "solving", "symbols")
+        for name in (
+            *("c_code", "code", "conditioning", "initial", "loading", "propagation", "realisation", "solving"),
+            "symbols",
+        )
     } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200

@@ -63,11 +63,13 @@ MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 def lose(s: State, c: Const, out: Reports, cost: float) -> None:
     """Report that synchronisation is lost, and search.
 
-    A place that was proven until less than a turn ago, and is doubted by nothing but its pulses, counts as proven, if
-    nothing else has been told of these.
+    A place that was proven until less than two turns ago, and is doubted by nothing but pulses too close for any
+    engine, counts as proven, if nothing else has been told of these; not at the starter's speed, where an engine that
+    turns back has such pulses as well.
     """
-    of_late = s.teeth - s.doubted < c.pulses and s.hole == 0 and s.reversal.stood == 0
-    of_late = of_late and s.teeth - s.named > 2 * c.pulses
+    of_late = s.teeth - s.doubted < 2 * c.pulses and s.hole == 0 and s.reversal.stood == 0
+    of_late = of_late and s.teeth - s.named > 2 * c.pulses and s.teeth - s.burst.crowded < 2 * c.pulses
+    of_late = of_late and s.speed_rpm > runout.FIRING_RPM
     if s.phase == CONFIRMED or of_late:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost

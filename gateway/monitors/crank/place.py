@@ -240,8 +240,12 @@ def doubt(s: State) -> None:
 
 @kernel
 def proven(s: State) -> bool:
-    """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another."""
-    return bool(s.phase == CONFIRMED and unanimous(s.tracker))
+    """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another.
+
+    None is just behind a crowd of pulses, whose end may be yet to come.
+    """
+    crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST
+    return bool(s.phase == CONFIRMED and not crowded and unanimous(s.tracker))
 
 
 @kernel

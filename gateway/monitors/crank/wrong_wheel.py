@@ -2,7 +2,8 @@
 
 Until the place is proven and the wheel is seen to be the configured one, each interval goes to
 :mod:`gateway.fdi.wheel_seen` as well. Another wheel is one whose turn has another number of pitches (a wheel of equal
-parts shows one of them). With the same number it may be the configured wheel with a tooth broken off, or a pulse too
+parts shows one of them) and another number of pulses: ripple can make a gap look one pitch wider, but it makes no
+pulse. With the same number of pitches it may be the configured wheel with a tooth broken off, or a pulse too
 many in its gap. Which of these it is, pulses cannot say; the monitor's other tests name it.
 """
 
@@ -92,6 +93,7 @@ def _judge(s: State, c: Const, out: Reports) -> None:
     whole = _whole(s)
     same = abs(whole - c.wheel.whole) < SAME
     same = same or abs(whole * c.pulses - c.wheel.whole * c.repeats) < EQUAL * c.pulses
+    same = same or s.seen.pulses == c.repeats
     if same or _is_left(s, c, whole):
         s.wrong = 0
         if s.phase == CONFIRMED:

@@ -87,15 +87,15 @@ def _outside_table(rows: list[beyond.Outcome]) -> Table:
 
 def _noise_table(rows: list[noise.Outcome]) -> Table:
     """Return the bursts, ringing and chatter: what a method made of them over all wheels and speeds."""
-    table = Table(title="Noise: runs with a wrong proven tooth behind it / proven again later than two turns / untold")
+    table = Table(title="Noise: runs with a wrong proven tooth / proven after two turns / untold / cranking")
     for name in ("kind", "runs", *noise.METHODS):
         table.add_column(name, justify="right" if name == "runs" else "left")
     for kind in noise.KINDS:
         shown = []
         for method in noise.METHODS:
             mine = [row for row in rows if (row.kind, row.method) == (kind, method)]
-            wrong, late, silent = (sum(getattr(row, key) for row in mine) for key in ("wrong", "late", "silent"))
-            shown.append(f"{wrong} / {late} / {silent}")
+            keys = ("wrong", "late", "silent", "cranking")
+            shown.append(" / ".join(str(sum(getattr(row, key) for row in mine)) for key in keys))
         table.add_row(kind, str(sum(row.runs for row in rows if (row.kind, row.method) == (kind, "adaptive"))), *shown)
     return table
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from gateway.fdi.wheel import Wheel
 from gateway.monitors.crank.faults import RELOCATED
+from gateway.monitors.crank.runout import FIRING_RPM
 from gateway.vecu.crank.kinematics import tooth_times
 from gateway_studies.crank.cases import JITTER, TOOTH_ERROR
 from gateway_studies.crank.follow import Followed, Method, follower
@@ -47,7 +48,8 @@ class Outcome:
         runs: how many.
         wrong: runs with a wrong tooth that was proven, behind the disturbance.
         late: runs proven again later than :data:`GRACE` turns behind it.
-        silent: runs without a report (of the peers: without a loss of synchronisation).
+        silent: runs of an engine that fires, without a report (of the peers: without a loss of synchronisation).
+        cranking: the same at the starter's speed, where a short burst in the gap may be an engine that turns back.
         relocated: runs told as a place that was wrong.
     """
 
@@ -58,6 +60,7 @@ class Outcome:
     wrong: int = 0
     late: int = 0
     silent: int = 0
+    cranking: int = 0
     relocated: int = 0
 
 
@@ -103,7 +106,7 @@ def _follower(method: Method, text: str) -> Callable[[NDArray[np.float64]], Foll
     return follower(method, Wheel.parse(text))
 
 
-def _judge(row: Outcome, found: Followed, teeth: NDArray[np.int64], last: int, wheel: Wheel) -> None:
+def _judge(row: Outcome, found: Followed, teeth: NDArray[np.int64], last: int, wheel: Wheel, rpm: float) -> None:
     """Count one run."""
     real = teeth[1:] >= 0
     right = real & (found.teeth % wheel.repeats == teeth[1:] % wheel.repeats)
@@ -112,7 +115,9 @@ def _judge(row: Outcome, found: Followed, teeth: NDArray[np.int64], last: int, w
     behind = found.proven[last:]
     first = next((k for k in np.flatnonzero(behind) if behind[k : k + wheel.pulses].mean() > PROVEN), len(behind))
     row.late += bool(first > GRACE * wheel.pulses)
-    row.silent += not len(found.fault) if row.method == "adaptive" else found.alarms == 0
+    silent = not len(found.fault) if row.method == "adaptive" else found.alarms == 0
+    row.silent += silent and rpm > FIRING_RPM
+    row.cranking += silent and rpm <= FIRING_RPM
     row.relocated += bool((found.fault == RELOCATED).any())
 
 
@@ -133,7 +138,7 @@ def outcomes(text: str, kind: str, runs: int, seed: int, methods: tuple[Method, 
             rng = np.random.default_rng([seed, WHEELS.index(text), KINDS.index(kind), speed, k])
             times, teeth, last = disturbed(wheel, rpm, kind, rng)
             for method, row in rows.items():
-                _judge(row, _follower(method, text)(times), teeth, last, wheel)
+                _judge(row, _follower(method, text)(times), teeth, last, wheel, rpm)
     return list(rows.values())
 
 
