@@ -6,6 +6,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from gateway.bus.frames import empty
+from gateway.bus.logs import open_writer
+from gateway.calibration.cusum import learn
+from gateway.calibration.file import write
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 
 BEGIN = 10**9
 
@@ -96,6 +101,22 @@ def configuration(plant, folder, more=""):
         f"period_ms = {plant.period_s * 1e3:g}\n{plant.options}{more}signals = {{ {signals} }}\n"
     )
     return path
+
+
+def calibrated(config, *frames):
+    """Calibrate a configuration by healthy drives."""
+    logs = [config.with_name(f"healthy_{k}.log") for k in range(len(frames))]
+    for path, each in zip(logs, frames, strict=True):
+        writer = open_writer(path)
+        writer.write(each)
+        writer.close()
+    write(config, learn(load_config(config), logs, file=config).tables, "healthy logs")
+
+
+def notes(config):
+    """What `gateway check` tells of its monitor, and warns of."""
+    monitor, params = monitor_of(load_config(config).monitor[0])
+    return monitor.notes(params), monitor.warnings(params)
 
 
 def _spring(_, x, u, p):

@@ -22,11 +22,14 @@ from gateway.fdi.structure.generator.records import JACOBIAN, field_name, fill
 from gateway.fdi.structure.generator.sources import load_source
 from gateway.fdi.structure.model import Model, Quantity
 from gateway.jit import zeros
+from gateway.monitors.structural import uncertain
 from gateway.monitors.structural.params import Params
 from gateway.monitors.structural.plan import Plan, Test
 
 #: Points at which a Jacobian is computed; what of a mode is rounding.
 _POINTS, _ROUNDING = 3, 1e-6
+#: Phase by which an oscillation may run away, and still be followed [rad].
+_FAR = 1.0
 #: Samples of a turn at which an oscillation is followed.
 _A_TURN = 4.0
 
@@ -154,4 +157,28 @@ def warnings(model: Model, plan: Plan, p: Params) -> Iterator[str]:
             yield (
                 f"{test.name}: a mode turns with {turn:.3g} rad/s, more than half a turn a sample of period_ms ="
                 f" {p.period_ms:g}: period_ms = {good:.2g} would follow it"
+            )
+
+
+def runs_away(model: Model, plan: Plan, p: Params) -> Iterator[str]:
+    """Yield tests whose oscillation leaves the plant's by more than can be followed, as its frequency is uncertain.
+
+    A mode sigma + i omega forgets in 1 / sigma; a parameter that is off by a share b changes omega by a share of b / 2,
+    as a stiffness or a mass does, so that the phase is off by omega b / (2 sigma) in the end. Above :data:`_FAR` what
+    is off no longer acts on the residual in proportion.
+    """
+    for test in plan.tests:
+        bounds = [
+            one.bound for one in uncertain.slow_of(model, p) if one.kind == "parameter" and uncertain.acts_on(one, test)
+        ]
+        found = modes(model, test, p) if bounds else None
+        if found is None:
+            continue
+        turning = [v for v in found.every if v.imag > 0.0]
+        far = max((v.imag * max(bounds) / (2.0 * max(-v.real, 1e-9 * v.imag)) for v in turning), default=0.0)
+        if far > _FAR:
+            yield (
+                f"{test.name}: with parameters off by {100 * max(bounds):g} % its oscillation runs {min(far, 1e6):.2g}"
+                f" rad away from the plant's before it forgets, which cannot be followed: name the parameters better,"
+                " or take other tests"
             )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gateway.errors import InputError, nearest
+from gateway.fdi.slow.filter import prepare as prepare_slow
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.fdi.structure.generator.sources import load_source
@@ -36,7 +37,18 @@ from gateway.monitors.contract import (
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway.monitors.structural import decision, filters, identity, kept, modes, records, source, summary
+from gateway.monitors.structural import (
+    decision,
+    filters,
+    following,
+    identity,
+    kept,
+    modes,
+    records,
+    source,
+    summary,
+    uncertain,
+)
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan
@@ -52,16 +64,17 @@ class _Made:
     Args:
         model: the model.
         plan: its tests.
+        slow: what may be off.
     """
 
-    def __init__(self, model: Model, plan: Plan) -> None:
-        self.model, self.plan = model, plan
+    def __init__(self, model: Model, plan: Plan, slow: tuple[uncertain.Slow, ...]) -> None:
+        self.model, self.plan, self.slow = model, plan, slow
         if len(model.knowns) > records.MOST_INPUTS:
             text = f"{len(model.knowns)} known variables: a monitor has room for {records.MOST_INPUTS}"
             raise InputError(text, key="model", value=model.name)
         for test in plan.generators:
             load_source(test.name, test.source)
-        self._module = load_source(model.name, source.module_of(plan, model.knowns))
+        self._module = load_source(model.name, source.module_of(plan, model.knowns, slow))
 
     @cached_property
     def monitor(self) -> Monitor[Params]:
@@ -95,7 +108,7 @@ class _Made:
                 ),
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
-                Readout((*source.sizes_of(plan), *source.COUNTS)),
+                Readout((*source.sizes_of(plan), *(one.field for one in self.slow), *source.COUNTS)),
                 Warnings(lambda p: summary.warnings(self.model, plan, p)),
             ),
         )
@@ -192,6 +205,26 @@ class _Made:
             )
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         s.own.found = -1
+        if self.slow:
+            self._fill_slow(p, s, c)
+
+    def _fill_slow(self, p: PartParams, s: Any, c: Any) -> None:
+        """Fill what follows all that may be off, and the models that it moves."""
+        prepare_slow(c.follow.slow, len(self.slow), p.drift_s)
+        c.follow.bound[: len(self.slow)] = [one.bound for one in self.slow]
+        for k, (test, field) in enumerate(zip(self.plan.generators, source.fields_of(self.plan), strict=True)):
+            models = [s[f"model_{k}"]]
+            if k < len(self.plan.tests):
+                fitted = filters.bandwidths(test, p)
+                apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
+                following.prepare(c.follow, k, p.nu.get(test.name, math.inf), apart_s)
+                near = uncertain.neighbours(self.slow, test)
+                models += [s[f"near_{k}"][i] for i in range(len(near))]
+                if near:
+                    c[f"acts_{k}"] = near
+            for model in models:
+                for name in model.dtype.names or ():
+                    model[name] = getattr(c, field)[name]
 
     def _fill_told(self, own: Any, size: int) -> None:
         diagnoses = self.plan.diagnoses
@@ -246,8 +279,8 @@ def _condition(model: Model, p: Params) -> Program | None:
     return program
 
 
-#: Monitors by the names of their plans: the same one for the same model.
-_MONITORS: dict[str, _Made] = {}
+#: Monitors by the names of their plans, and what may be off: the same one for the same model.
+_MONITORS: dict[tuple[str, tuple[uncertain.Slow, ...]], _Made] = {}
 
 
 def made(p: Params, folder: Path) -> Monitor[Params]:
@@ -266,15 +299,16 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     }  # fmt: skip
     key = kept.key_of(path.read_bytes(), asked)
     _condition(model, p)
-    if key not in _MONITORS:
+    slow = uncertain.slow_of(model, p)
+    if (key, slow) not in _MONITORS:
         plan = kept.read(key)
         if plan is None:
             from gateway.monitors.structural.choice import choose  # noqa: PLC0415 - algebra is slow to load
 
             plan = choose(model, p)
             kept.write(key, plan)
-        _MONITORS[key] = _Made(model, plan)
-    made_of = _MONITORS[key]
+        _MONITORS[key, slow] = _Made(model, plan, slow)
+    made_of = _MONITORS[key, slow]
     monitor = made_of.monitor
     _check_names(monitor, p, model)
     modes.refuse_diverging(model, made_of.plan, p)
@@ -305,7 +339,8 @@ def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
         if digest != now[name] and (name in p.nu or name in p.thresholds):
             text = (
                 f"nu and thresholds are of another test of this name, this one is {now[name]}: its equations,"
-                " causality, filter or decision have changed since; gateway calibrate --write finds new ones"
+                " causality, filter, decision or what is uncertain have changed since; gateway calibrate --write finds"
+                " new ones"
             )
             raise InputError(text, key=f"digests.{name}", value=digest)
 

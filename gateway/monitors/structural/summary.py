@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gateway.fdi.structure.model import Model
-from gateway.monitors.structural import modes
+from gateway.monitors.structural import modes, uncertain
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.faults import equations_in_words
 from gateway.monitors.structural.filters import bandwidths
@@ -15,7 +15,16 @@ from gateway.monitors.structural.plan import Plan, Test
 
 def notes(model: Model, plan: Plan, p: Params) -> tuple[str, ...]:
     """Return the tests, and the table of what they tell apart."""
-    return (*_tests(model, plan, p), *_table(model, plan))
+    return (*_tests(model, plan, p), *_uncertain(model, plan, p), *_table(model, plan))
+
+
+def _uncertain(model: Model, plan: Plan, p: Params) -> Iterator[str]:
+    """Yield what may be off, and the tests that follow it."""
+    for one in uncertain.slow_of(model, p):
+        by = [test.name for test in plan.tests if uncertain.acts_on(one, test)]
+        unit = model.quantities[one.name].unit if one.kind == "bias" and one.name in model.quantities else ""
+        size = f"{one.bound:g} {unit}".strip() if one.kind == "bias" else f"{100 * one.bound:g} %"
+        yield f"uncertain: {one.text} by up to {size}; followed by {' '.join(by) or 'no test: it changes none'}"
 
 
 def _tests(model: Model, plan: Plan, p: Params) -> Iterator[str]:
@@ -68,7 +77,7 @@ def warnings(model: Model, plan: Plan, p: Params) -> tuple[str, ...]:
     """Return what is not wrong, but should be known."""
     silent = [test.name for test in plan.tests if test.name not in p.nu or test.name not in p.thresholds]
     unknown = [test.name for test in plan.tests if test.name not in silent and test.name not in p.digests]
-    lines = [*plan.told, *modes.warnings(model, plan, p)]
+    lines = [*plan.told, *modes.warnings(model, plan, p), *modes.runs_away(model, plan, p)]
     if unknown:
         lines.append(
             f"digests: nothing says for which tests nu and thresholds of {', '.join(unknown)} were found, so a change"

@@ -4,32 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from foreign_plants import BUCK, MOTOR, PLANTS, SPRING, configuration, frames_of, run
+from foreign_plants import BUCK, MOTOR, PLANTS, SPRING, calibrated, configuration, frames_of, notes, run
 from structural_config import named
 
-from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
 from gateway.config.load import load_config
-from gateway.config.monitor_types import monitor_of
 from gateway.errors import InputErrors
 from gateway.jit import COMPILED
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
-
-
-def calibrated(config, *frames):
-    logs = [config.with_name(f"healthy_{k}.log") for k in range(len(frames))]
-    for path, each in zip(logs, frames, strict=True):
-        writer = open_writer(path)
-        writer.write(each)
-        writer.close()
-    write(config, learn(load_config(config), logs, file=config).tables, "healthy logs")
-
-
-def notes(config):
-    monitor, params = monitor_of(load_config(config).monitor[0])
-    return monitor.notes(params), monitor.warnings(params)
 
 
 def test_modes_are_told_against_the_period(tmp_path):

@@ -26,7 +26,16 @@ from sympy.printing.pycode import PythonCodePrinter
 from gateway.fdi.structure.generator.initial import Initial, find_initial
 from gateway.fdi.structure.generator.propagation import SLOPE, Component, components, depends, sensors, tangents
 from gateway.fdi.structure.generator.realisation import Realisation, Statement
-from gateway.fdi.structure.generator.records import DIFFERENTIATOR, FILTER, GAIN, JACOBIAN, field_name
+from gateway.fdi.structure.generator.records import (
+    DEAD,
+    DIFFERENTIATOR,
+    FILTER,
+    GAIN,
+    HOLD,
+    JACOBIAN,
+    SLOPES,
+    field_name,
+)
 from gateway.fdi.structure.generator.symbols import Algebra
 from gateway.fdi.structure.model import der
 from gateway.fdi.structure.relation import identifier
@@ -37,10 +46,8 @@ FILTERED, LAST, DRIVE = "filtered_", "last_", "drive_"
 #: Field of STATE for the gain of a fault at the sample before, where the residual is filtered.
 GAIN_DRIVE = "gain_drive_"
 
-#: Fields of STATE for the step of the states: 1 where the sample before has no derivatives; a command's last value.
-DEAD, HELD = "dead_", "held_"
-#: And of states that act on each other: slopes, their change, what is moved; functions of the Jacobian.
-SLOPES, HOLD = "slopes_", "hold_"
+#: Field of STATE for the step of the states: a command's last value.
+HELD = "held_"
 
 #: How an expression is written.
 Written = Callable[[Algebra], str]
