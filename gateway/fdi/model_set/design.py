@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, log
+from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 AGEING_S = 36_000.0
 #: Of offsets of healthy sensors and actuators, and their standard deviation in thresholds.
 OFFSET_S, OFFSET_SIZE = 3600.0, 0.2
+#: Of a sensor's gain: it warms up.
+WARMING_S = 600.0
 #: Standard deviation of a fault that has begun, and of an unknown command, in thresholds; of a gain.
 FAULT_SIZE, COMMAND_SIZE, GAIN_SIZE = 30.0, 100.0, 0.5
 #: What a fault drifts within a root of a second, in thresholds; of a gain.
@@ -56,6 +58,8 @@ class Told:
         actuator: thresholds, shape (m,).
         sensor: thresholds, shape (p,).
         left_out: sensors without which the plant is still observable: they may be at fault in any way.
+        gains: by how much each sensor's gain may be off, a share, shape (p,).
+        biases: and each sensor's offset, shape (p,).
     """
 
     plant: LinearPlant
@@ -67,6 +71,8 @@ class Told:
     actuator: Array
     sensor: Array
     left_out: tuple[int, ...]
+    gains: Array
+    biases: Array
 
 
 def hypotheses(told: Told) -> list[tuple[int, int]]:
@@ -90,7 +96,8 @@ def prepare(c: Const, told: Told) -> None:
     if q > MOST_ENTRIES:
         raise ValueError(f"{q} uncertain entries of a and b; at most {MOST_ENTRIES}: give model_error by entry")
     c.n, c.m, c.p, c.q = n, m, p, q
-    c.total = n + q + 2 * m + p
+    c.gains = bool(told.gains.any())
+    c.total = n + q + 2 * m + p + (p if c.gains else 0)
     _prepare_matrices(c.plant, told)
     given = np.hstack([told.a, told.b])[told.entries.row, told.entries.column]
     # Of an entry that is 0 the bound is all that is known.
@@ -101,15 +108,14 @@ def prepare(c: Const, told: Told) -> None:
     offsets = np.concatenate([told.actuator, told.sensor])
     nothing = np.zeros(m)
     fault = FAULT_SIZE * offsets
-    c.prior[: c.total - n] = (
-        np.concatenate([told.entries.bound, OFFSET_SIZE * told.actuator, nothing, OFFSET_SIZE * told.sensor]) ** 2
-    )
-    c.keep[: c.total - n] = np.repeat(
-        [exp(-period / AGEING_S), exp(-period / OFFSET_S), 1.0, exp(-period / OFFSET_S)], [q, m, m, p]
-    )
+    prior = [told.entries.bound, OFFSET_SIZE * told.actuator, nothing, told.biases, told.gains]
+    c.prior[: c.total - n] = np.concatenate(prior)[: c.total - n] ** 2
+    times = np.repeat([AGEING_S, OFFSET_S, np.inf, OFFSET_S, WARMING_S], [q, m, m, p, p])
+    c.keep[: c.total - n] = np.exp(-period / times)[: c.total - n]
     drifts = [told.noise.faults, GAIN_DRIFT + nothing, DRIFT_SIZE * told.sensor]
-    c.drive[q : c.total - n] = np.concatenate(drifts) ** 2 * period
-    c.free[q : c.total - n] = np.concatenate([fault[:m], GAIN_SIZE + nothing, fault[m:]]) ** 2
+    faults = slice(q, q + 2 * m + p)
+    c.drive[faults] = np.concatenate(drifts) ** 2 * period
+    c.free[faults] = np.concatenate([fault[:m], GAIN_SIZE + nothing, fault[m:]]) ** 2
     c.command[:m] = (COMMAND_SIZE * told.actuator) ** 2
     c.loose = LOOSE
     c.gate = chi2_above(JUMPS, p)

@@ -1,9 +1,10 @@
 """Kalman filters of one linear plant under different hypotheses, each with the plant's own errors as slow states.
 
-State z = [x; theta; a; l; s]: the plant's state; the errors of its uncertain entries; of each actuator an offset a and
-a relative gain l; of each sensor an offset s:
+State z = [x; theta; a; l; s; g]: the plant's state; the errors of its uncertain entries; of each actuator an offset a
+and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its gain g is
+off:
 
-    x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = C x + s + v
+    x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = (1 + diag(g)) C x + s + v
 
 What is slow goes on as exp(-T/tau) of itself plus noise, so that its spread is its bound when nothing tells it. The
 covariance
@@ -42,7 +43,7 @@ from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
 #: Slow states; all states.
-MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + MOST_OUTPUTS
+MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
 MOST = MOST_STATES + MOST_SLOW
 #: Kinds of hypotheses.
 HEALTHY, OFFSET, GAIN, SENSOR, SILENT = range(5)
@@ -62,7 +63,8 @@ SECOND_ORDER = 4.0
 class Const(Record):
     """Constants.
 
-    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones.
+    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones; ``gains``:
+    1: with the sensors' gains.
     ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
     their variance; ``drive``, ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and
     of a jump; ``loose``: share of the latter that a fault which is followed changes by in a sample. ``gate``: of the
@@ -75,6 +77,7 @@ class Const(Record):
     p: i8
     q: i8
     total: i8
+    gains: i8
     plant: matrices.Const
     hypotheses: i8
     kind: Annotated[i8s, MOST_HYPOTHESES]
@@ -225,25 +228,50 @@ def _add_jump(s: State, c: Const, h: int) -> None:
 @kernel
 def _expected(s: State, c: Const, h: int, j: int) -> float:
     """Return what a filter expects of a sensor."""
-    value = s.z[h, c.n + c.q + 2 * c.m + j]
+    place = c.n + c.q + 2 * c.m + j
+    shown = _shown(s, c, h, j)
+    if c.gains == 1:
+        shown *= 1.0 + s.z[h, place + c.p]
+    return float(s.z[h, place] + shown)
+
+
+@kernel
+def _shown(s: State, c: Const, h: int, j: int) -> float:
+    """Return what a sensor would show if it were exact, C x."""
+    value = 0.0
     for i in range(c.n):
         value += c.c[j, i] * s.z[h, i]
     return float(value)
 
 
 @kernel
+def _seen(s: State, c: Const, h: int, j: int) -> float:
+    """Return H of a sensor times the vector in ``gain``."""
+    place = c.n + c.q + 2 * c.m + j
+    by_state = 0.0
+    for i in range(c.n):
+        by_state += c.c[j, i] * s.gain[i]
+    if c.gains == 1:
+        by_state = by_state * (1.0 + s.z[h, place + c.p]) + s.gain[place + c.p] * _shown(s, c, h, j)
+    return float(by_state + s.gain[place])
+
+
+@kernel
 def _show(s: State, c: Const, h: int, j: int) -> float:
     """Put P H' of a sensor into ``gain``; returns H P H' + R."""
     place = c.n + c.q + 2 * c.m + j
+    scale, shown = 1.0, 0.0
+    if c.gains == 1:
+        scale, shown = 1.0 + s.z[h, place + c.p], _shown(s, c, h, j)
     for r in range(c.total):
-        value = s.cov[h, r, place]
+        value = 0.0
         for i in range(c.n):
             value += s.cov[h, r, i] * c.c[j, i]
+        value = value * scale + s.cov[h, r, place]
+        if c.gains == 1:
+            value += s.cov[h, r, place + c.p] * shown
         s.gain[r] = value
-    size = c.r[j] + s.gain[place]
-    for i in range(c.n):
-        size += c.c[j, i] * s.gain[i]
-    return float(size)
+    return float(c.r[j] + _seen(s, c, h, j))
 
 
 @kernel(inlined=False)
@@ -253,10 +281,7 @@ def _squared(s: State, c: Const, h: int) -> float:
     for j in range(p):
         size = _show(s, c, h, j)
         for i in range(j + 1):
-            value = s.gain[c.n + c.q + 2 * c.m + i]
-            for r in range(c.n):
-                value += c.c[i, r] * s.gain[r]
-            s.spread[j, i] = value
+            s.spread[j, i] = _seen(s, c, h, i)
         s.spread[j, j] = s.own[j] = size
     # Cholesky, and L w = e on the way.
     total = 0.0

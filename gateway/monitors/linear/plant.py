@@ -13,6 +13,7 @@ from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors import contract
+from gateway.monitors.accuracy import Accuracy
 from gateway.monitors.contract import Connection, MonitorParams, Signal
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -109,7 +110,19 @@ class Output(StrictModel):
     unit: str | None = Field(None, description="that the database must give; default: any")
     noise: float = Field(gt=0, description="standard deviation of its reading, resolution included")
     threshold: float | None = Field(None, gt=0, description="smallest fault that counts; default 10 noise")
+    accuracy: Accuracy | None = Field(
+        None,
+        description='with model_error: by how much it may be off, as { gain = "0.5 %", bias = "0.1 A" }; without a bias'
+        " that is a fifth of its threshold",
+    )
     dtc: str | None = Field(None, description="default: C1B21-64 and so on")
+
+    @model_validator(mode="after")
+    def _has_its_unit(self) -> Self:
+        bias = None if self.accuracy is None else self.accuracy.bias
+        if bias is not None and self.unit and bias.unit and bias.unit != self.unit:
+            raise ValueError(f'accuracy.bias = "{bias}": its unit is "{self.unit}"')
+        return self
 
     @property
     def limit(self) -> float:

@@ -10,10 +10,10 @@ from pydantic import Field
 from gateway.common.tomlfile import StrictModel
 from gateway.fdi.linear.plant import unobservable
 from gateway.fdi.linear.uncertainty import Entries, entries
-from gateway.fdi.model_set.design import Told, isolable
+from gateway.fdi.model_set.design import OFFSET_SIZE, Told, isolable
 from gateway.fdi.model_set.matrices import MOST_ENTRIES
 from gateway.fdi.pi_bank.design import Noise
-from gateway.monitors.linear.plant import Matrix, PlantParams
+from gateway.monitors.linear.plant import Matrix, Output, PlantParams
 
 
 class ModelError(StrictModel):
@@ -23,6 +23,12 @@ class ModelError(StrictModel):
         0.05, description="relative, of each entry of a but 0 and +-1; or the bound of each entry, in its unit"
     )
     b: float | Matrix = Field(0.05, description="likewise of b")
+
+
+def _bias(part: Output) -> float:
+    """Return the bias that a sensor may have, in its unit."""
+    told = None if part.accuracy is None else part.accuracy.bias
+    return OFFSET_SIZE * part.limit if told is None else told.value
 
 
 class UncertainPlantParams(PlantParams):
@@ -59,6 +65,8 @@ class UncertainPlantParams(PlantParams):
             self.actuator_limits,
             self.sensor_limits,
             isolable(self.plant),
+            np.array([0.0 if part.accuracy is None else part.accuracy.gain or 0.0 for part in self.output]),
+            np.array([_bias(part) for part in self.output]),
         )
 
     @property

@@ -65,7 +65,7 @@ def moves(s: State, c: Const, own: Any, own_const: Any, begins: bool) -> bool:
         s.moved_ns = own.at_ns
         return True
     slow.grow(s.slow, c.slow, own.dt)
-    if own.at_ns - s.moved_ns < own_const.settle_ns or not slow.moved(s.slow, c.slow, FAR):
+    if 10 * (own.at_ns - s.moved_ns) < own_const.settle_ns or not slow.moved(s.slow, c.slow, FAR):
         return False
     slow.relinearise(s.slow, c.slow)
     s.moved_ns = own.at_ns

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, PlainValidator
+from pydantic import Field
 
 from gateway.fdi import cusum
+from gateway.monitors.accuracy import Accuracy, Share
 from gateway.monitors.contract import MonitorParams
 
 #: A number above 0.
@@ -17,60 +16,6 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: Base code of a DTC.
 Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
-
-_PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
-_SIZED = re.compile(r"\s*([0-9.eE+-]+)\s*(\S.*?)?\s*")
-
-
-def _share(value: Any) -> Any:
-    """Return "20 %" as 0.2; all else as it is."""
-    found = _PERCENT.fullmatch(value) if isinstance(value, str) else None
-    if found is None:
-        if isinstance(value, str):
-            raise ValueError('write a share as "5 %", or as 0.05')
-        return value
-    return float(found[1]) / 100.0
-
-
-#: A share of something, above 0 and below 1, or "20 %".
-Share = Annotated[float, BeforeValidator(_share, json_schema_input_type=str | float), Field(gt=0, lt=1)]
-
-
-class Sized(NamedTuple):
-    """A size with its unit, empty if none is told."""
-
-    value: float
-    unit: str
-
-    def __str__(self) -> str:
-        return f"{self.value:g} {self.unit}".strip()
-
-
-def _sized(value: Any) -> Sized:
-    if isinstance(value, Sized):
-        return value
-    found = _SIZED.fullmatch(value if isinstance(value, str) else f"{value}")
-    try:
-        size = float(found[1]) if found is not None else math.nan
-    except ValueError:
-        size = math.nan
-    if isinstance(value, bool) or found is None or not 0.0 < size < math.inf:
-        raise ValueError('write a size above 0 with its unit, as "0.1 V"')
-    return Sized(size, found[2] or "")
-
-
-#: A size above 0 in TOML, "0.1 V" or 0.1.
-SizeText = Annotated[Sized, PlainValidator(_sized, json_schema_input_type=str | float), PlainSerializer(str)]
-
-
-class Sensor(BaseModel):
-    """What a sensor may be off by, of its data sheet."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    gain: Share | None = Field(None, description='of its reading, as "0.5 %"')
-    bias: SizeText | None = Field(None, description='in the unit of the known variable, as "0.1 V"')
-
 
 #: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
 OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
@@ -133,7 +78,7 @@ class Params(MonitorParams):
         description='by how much parameters may be off, as { R = "20 %" }: they are followed, and tests wait as long as'
         " they are not known",
     )
-    sensors: dict[str, Sensor] = Field(
+    sensors: dict[str, Accuracy] = Field(
         default_factory=dict,
         description='by how much sensors may be off, as { i = { gain = "0.5 %", bias = "0.1 A" } }; followed likewise',
     )

@@ -22,8 +22,9 @@ def told(period, *, discrete=False):
     noise = Noise(np.full(3, 0.1), np.full(4, 0.1), np.full(1, 0.01))
     known = entries(A, B, 0.1, 0.1)
     return Told(
-        plant, np.array(A), np.array(B), discrete, noise, known, np.full(1, 0.3), np.full(3, 1.0), isolable(plant)
-    )
+        plant, np.array(A), np.array(B), discrete, noise, known, np.full(1, 0.3), np.full(3, 1.0), isolable(plant),
+        np.zeros(3), np.full(3, 0.2),
+    )  # fmt: skip
 
 
 def at(errors, given):

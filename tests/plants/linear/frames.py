@@ -62,7 +62,7 @@ def decoded(plant, frame):
     return message.decode(bytes(frame["data"][: frame["length"]]))
 
 
-def configuration(folder, plant, a, b, *, kind="pi_bank", extra="", counter=True, name="m"):
+def configuration(folder, plant, a, b, *, kind="pi_bank", extra="", counter=True, name="m", accuracy=""):
     """Write database and configuration; returns the latter's path."""
     (folder / f"{plant.name}.dbc").write_text(database(plant))
 
@@ -88,7 +88,7 @@ def configuration(folder, plant, a, b, *, kind="pi_bank", extra="", counter=True
         told = float(np.hypot(noise, step / np.sqrt(12)))
         lines.append(
             f'[[monitor.output]]\nname = "{part}"\nsignal = "Sens.{part}"\n'
-            f"noise = {told!r}\nthreshold = {float(limit)!r}"
+            f"noise = {told!r}\nthreshold = {float(limit)!r}\n{accuracy}"
         )
     path = folder / f"{plant.name}.toml"
     path.write_text("\n".join(lines) + "\n")

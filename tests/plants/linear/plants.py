@@ -173,12 +173,19 @@ PLANTS = {plant.name: plant for plant in (SERVO, JET, TANKS)}
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: ``part``: input or output; ``kind``: offset, gain, stuck, drift [1/s], noise; from ``at`` [s] on."""
+    """A fault: ``part``: input or output; ``kind``: offset, gain, stuck, drift [1/s], noise; from ``at`` [s] on.
+
+    Warming is none: a gain that goes to ``size`` more within WARM_S.
+    """
 
     part: str
     kind: str
     size: float
     at: float
+
+
+#: Time in which a sensor warms up [s].
+WARM_S = 60.0
 
 
 def _spoil(column, fault, time, rng):
@@ -190,6 +197,8 @@ def _spoil(column, fault, time, rng):
         column[on] += fault.size * (time[on] - fault.at)
     elif fault.kind == "gain":
         column[on] *= fault.size
+    elif fault.kind == "warming":
+        column[on] *= 1 + fault.size * np.minimum((time[on] - fault.at) / WARM_S, 1.0)
     elif fault.kind == "stuck":
         column[on] = column[np.argmax(on)]
     elif fault.kind == "noise":
