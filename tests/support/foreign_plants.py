@@ -342,4 +342,108 @@ TANKS = Plant(
     1800.0,
 )  # fmt: skip
 
-PLANTS = {plant.name: plant for plant in (SPRING, BUCK, MOTOR, TANKS)}
+
+def _turbine(_, x, u, p):
+    rotor, generator, twist, torque = x
+    shaft = p["K"] * twist + p["B"] * (rotor - generator / p["N"])
+    return [
+        (u[1] - shaft - p["Br"] * rotor) / p["Jr"],
+        (p["eta"] * shaft / p["N"] - p["Bg"] * generator - torque) / p["Jg"],
+        rotor - generator / p["N"],
+        p["a"] * (u[0] - torque),
+    ]
+
+
+def _gusts(rng, seconds):
+    """The converter's torque, and a rotor's torque that nearly balances it, new every 10 s."""
+    t = np.arange(0, seconds, 10.0)
+    torque = rng.uniform(14_000, 20_000, len(t))
+    return t, np.stack([torque, (torque + 45.6 * 152.0) * 95 / 0.97 * rng.uniform(0.97, 1.03, len(t))], 1)
+
+
+_SHAFT = {"Jr": 55e6, "Jg": 390.0, "K": 2.7e9, "B": 775.49, "Br": 7.11, "Bg": 45.6, "N": 95.0, "eta": 0.97, "a": 50.0}
+
+#: Odgaard, Stoustrup, Kinnaert: Fault-Tolerant Control of Wind Turbines: A Benchmark Model (2013), its drive train.
+WIND = Plant(
+    "wind",
+    """[unknown]
+wr={}
+wg={}
+th={}
+Tg={}
+Tr={}
+tw={}
+[known]
+uT={}
+uR={}
+r1={}
+r2={}
+g1={}
+g2={}
+tg={}
+[fault]
+f_wr1={}
+f_wr2={}
+f_wg1={}
+f_wg2={}
+f_Tgm={}
+f_conv={}
+f_tr={}
+[parameter]
+Jr={value=55e6}
+Jg={value=390.0}
+K={value=2.7e9}
+B={value=775.49}
+Br={value=7.11}
+Bg={value=45.6}
+N={value=95.0}
+eta={value=0.97}
+a={value=50.0}
+[equation.e1]
+relation="Tr = uR * (1 + f_tr)"
+unique=["Tr"]
+[equation.e2]
+relation="tw = K * th + B * (wr - wg / N)"
+unique=["tw","th"]
+[equation.e3]
+relation="Jr * der(wr) = Tr - tw - Br * wr"
+unique=["der(wr)","Tr","tw"]
+[equation.e4]
+relation="Jg * der(wg) = eta * tw / N - Bg * wg - Tg"
+unique=["der(wg)","tw","Tg"]
+[equation.e5]
+relation="der(th) = wr - wg / N"
+unique=["der(th)","wr","wg"]
+[equation.e6]
+relation="der(Tg) = a * (uT * (1 + f_conv) - Tg)"
+unique=["der(Tg)","Tg"]
+[equation.e7]
+relation="r1 = wr + f_wr1"
+unique=["wr"]
+[equation.e8]
+relation="r2 = wr + f_wr2"
+unique=["wr"]
+[equation.e9]
+relation="g1 = wg + f_wg1"
+unique=["wg"]
+[equation.e10]
+relation="g2 = wg + f_wg2"
+unique=["wg"]
+[equation.e11]
+relation="tg = Tg + f_Tgm"
+unique=["Tg"]
+""",
+    0.01,
+    _SHAFT | {"r1": 0.0, "r2": 0.0, "g1": 0.0, "g2": 0.0, "tg": 0.0},
+    (1.6, 152.0, (17_000 + 45.6 * 152.0) * 95 / 0.97 / 2.7e9, 17_000.0),
+    _turbine,
+    _gusts,
+    lambda _, x, u, p: (*u, x[0] + p["r1"], x[0] + p["r2"], x[1] + p["g1"], x[1] + p["g2"], x[3] + p["tg"]),
+    ("uT", "uR", "r1", "r2", "g1", "g2", "tg"),
+    (0.0, 0.0, 0.0251, 0.0251, 0.0158, 0.0158, 0.9),
+    {"f_wr1": {"r1": 0.2}, "f_wr2": {"r2": 0.2}, "f_wg1": {"g1": 5.0}, "f_wg2": {"g2": 5.0}},
+    "start = { wr = 1.6, wg = 152.0, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n",
+    60.0,
+)
+
+PLANTS = {plant.name: plant for plant in (SPRING, BUCK, MOTOR, TANKS, WIND)}

@@ -18,7 +18,7 @@ from gateway.common import progress
 from gateway.common.extras import need
 from gateway.errors import InputError, nearest
 from gateway.fdi.structure.analysis import Analysis, analyse
-from gateway.fdi.structure.generator.code import write
+from gateway.fdi.structure.generator.code import correctable, write
 from gateway.fdi.structure.generator.conditioning import begins, fleeting, forgets, noise_gains
 from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
@@ -29,6 +29,7 @@ from gateway.fdi.structure.model import Model, Quantity, ResidualChoice, state_o
 from gateway.fdi.structure.selection import fewest_tests, requirements
 from gateway.fdi.structure.sensors import place_sensors
 from gateway.fdi.structure.sequence import shown
+from gateway.monitors.structural import modes, observer
 from gateway.monitors.structural.params import Params
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_TESTS, Noise, Plan, Test
 
@@ -245,12 +246,25 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
             realised = realise(model, choice.equations, choice.consistency, differentiate=differentiate, start=start)
         if guessed == every or _begins(realised):
             break
-    code = write(name or choice.consistency, realised, sized=p.sizes)
+    test = _written(model, p, name, realised, guessed, observed=False)
+    own = p.model_copy(update={"parameters": {}})  # so that the plan does not hang on the values of a configuration
+    if correctable(realised) and observer.wanted(modes.modes(model, test, own)):
+        corrected = _written(model, p, name, realised, guessed, observed=True)
+        if observer.observer_of(model, corrected, own) is not None:
+            return corrected
+    return test
+
+
+def _written(
+    model: Model, p: Params, name: str, realised: Realisation, guessed: tuple[str, ...], *, observed: bool
+) -> Test:
+    """Return a test with its code."""
+    code = write(name or realised.consistency, realised, sized=p.sizes, observed=observed)
     there = {f for e in realised.equations for f in model.by_name[e].faults}
     return Test(
         name=name,
         equations=realised.equations,
-        consistency=choice.consistency,
+        consistency=realised.consistency,
         causality=_causality(realised),
         faults=tuple(f for f in model.faults if f in there),
         sequence=shown(model, realised.steps),
@@ -258,13 +272,14 @@ def _test(model: Model, p: Params, name: str, choice: ResidualChoice) -> Test:
         rates=code.rates,
         unit=_unit(model, realised),
         guessed=guessed,
-        drifting=_drifting(model, realised),
+        drifting=() if observed else _drifting(model, realised),
         differentiated=realised.differentiated,
         filtered=bool(realised.transformed),
         noise=tuple(Noise(*one) for one in noise_gains(realised)),
         fleeting=fleeting(realised),
         measures=code.fault,
         source=code.source,
+        observed=observed,
     )
 
 

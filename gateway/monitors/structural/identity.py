@@ -37,6 +37,8 @@ def digest(model: Model, test: Test, p: Params) -> str:
         f"{filters.filter:.3g}" if test.filtered else "",
         f"{filters.derivative:.3g}" if test.differentiated else "",
     ]
+    if test.observed:
+        said.append(f"observed {p.settle_s:.3g}")
     if p.uncertain or p.sensors:
         said.append(f"{sorted(p.uncertain)} {sorted(p.sensors)} {p.drift_s}")
     return hashlib.blake2b(repr(said).encode(), digest_size=_SIZE).hexdigest()

@@ -26,6 +26,8 @@ from gateway.monitors.structural import uncertain
 from gateway.monitors.structural.params import Params
 from gateway.monitors.structural.plan import Plan, Test
 
+#: Share of a state by which it is moved for a difference.
+_SHARE = 1e-3
 #: Points at which a Jacobian is computed; what of a mode is rounding.
 _POINTS, _ROUNDING = 3, 1e-6
 #: Phase by which an oscillation may run away, and still be followed [rad].
@@ -102,6 +104,59 @@ def modes(model: Model, test: Test, p: Params) -> Modes | None:
     return Modes(tuple(values for _, values in found), same)
 
 
+@dataclass(frozen=True)
+class Linear:
+    """A generator at one point.
+
+    Attributes:
+        states: their fields in its State, n of them.
+        jacobian: of their derivatives by them, shape (n, n) [1/s].
+        residual: its derivatives by them, shape (n,).
+    """
+
+    states: tuple[str, ...]
+    jacobian: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+def linearised(model: Model, test: Test, p: Params) -> Linear | None:
+    """Return a generator's derivatives where its states begin, by differences; None: there is no number.
+
+    Args:
+        model: the model.
+        test: the generator.
+        p: the parameters of the monitor.
+    """
+    module = load_source(test.name, test.source)
+    names = module.State.dtype.names or ()
+    states = tuple(name.removeprefix("d_") for name in names if name.startswith("d_") and name[2:] in names)
+    step = _plain(module.step, vars(module))
+    c = zeros(1, module.Const.dtype)[0]
+    start = dict.fromkeys(test.guessed, 0.0) | p.start
+    fill(c, model, values=p.parameters, start=start)
+    begins = {field_name(x): p.start.get(x, model.quantities.get(x, Quantity()).value) for x in model.states}
+    here = np.array([begins.get(x) or 1.0 for x in states])
+    u = types.SimpleNamespace(**{field_name(z): 1.0 for z in model.knowns})
+
+    def at(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        s = zeros(1, module.State.dtype)[0]
+        for name, value in zip(states, x, strict=True):
+            s[name] = value
+        residual = step(s, c, u, 0.0)
+        return np.array([*(s[f"d_{name}"] for name in states), residual])
+
+    rows = np.empty((len(states) + 1, len(states)))
+    try:
+        with np.errstate(all="ignore"):
+            for k, value in enumerate(here):
+                moved = np.zeros(len(here))
+                moved[k] = _SHARE * max(abs(value), _SHARE)
+                rows[:, k] = (at(here + moved) - at(here - moved)) / (2.0 * moved[k])
+    except (ArithmeticError, ValueError):
+        return None
+    return Linear(states, rows[:-1], rows[-1]) if states and np.isfinite(rows).all() else None
+
+
 def _mode(value: complex, h: float) -> str:
     """Return a mode in words: its rate, its damping where it turns, and what a sample leaves of it."""
     size = abs(value)
@@ -130,7 +185,7 @@ def refuse_diverging(model: Model, plan: Plan, p: Params) -> None:
     for test in plan.generators:
         found = modes(model, test, p)
         worst = found.growing if found is not None else None
-        if found is None or worst is None or not found.linear:
+        if found is None or worst is None or not found.linear or test.observed:
             continue
         raise InputError(
             f"residual {test.name} (it checks {test.consistency}, by {test.sequence}) diverges: its mode"
@@ -149,7 +204,7 @@ def warnings(model: Model, plan: Plan, p: Params) -> Iterator[str]:
         found = modes(model, test, p)
         if found is None:
             continue
-        if found.growing is not None:
+        if found.growing is not None and not test.observed:
             yield f"{test.name}: a mode of {found.growing.real:+.3g} 1/s grows at values around 1: it may diverge"
         turn = min(np.abs(v.imag).max() for v in found.values)
         if turn * h > math.pi:
@@ -167,7 +222,7 @@ def runs_away(model: Model, plan: Plan, p: Params) -> Iterator[str]:
     as a stiffness or a mass does, so that the phase is off by omega b / (2 sigma) in the end. Above :data:`_FAR` what
     is off no longer acts on the residual in proportion.
     """
-    for test in plan.tests:
+    for test in (one for one in plan.tests if not one.observed):
         bounds = [
             one.bound for one in uncertain.slow_of(model, p) if one.kind == "parameter" and uncertain.acts_on(one, test)
         ]

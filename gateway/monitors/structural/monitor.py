@@ -13,7 +13,7 @@ import numpy as np
 from gateway.errors import InputError, nearest
 from gateway.fdi.slow.filter import prepare as prepare_slow
 from gateway.fdi.structure.file import find_model, load_own_model
-from gateway.fdi.structure.generator.records import fill
+from gateway.fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway.fdi.structure.generator.sources import load_source
 from gateway.fdi.structure.incidence import pack
 from gateway.fdi.structure.model import Model
@@ -44,6 +44,7 @@ from gateway.monitors.structural import (
     identity,
     kept,
     modes,
+    observer,
     records,
     source,
     summary,
@@ -51,7 +52,7 @@ from gateway.monitors.structural import (
 )
 from gateway.monitors.structural.faults import faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
-from gateway.monitors.structural.plan import Plan
+from gateway.monitors.structural.plan import Plan, Test
 
 TYPE, API = "structural", 2
 #: Rate at which what has no filter forgets [rad/s].
@@ -203,10 +204,25 @@ class _Made:
                 filter_bandwidth=fitted.filter,
                 derivative_bandwidth=fitted.derivative,
             )
+            if test.observed:
+                self._fill_observer(test, p, getattr(c, field))
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         s.own.found = -1
         if self.slow:
             self._fill_slow(p, s, c)
+
+    def _fill_observer(self, test: Test, p: PartParams, c: Any) -> None:
+        """Fill the gains of a test whose states are corrected.
+
+        Raises:
+            InputError: at these parameters no gain helps.
+        """
+        found = observer.observer_of(self.model, test, p)
+        if found is None:
+            text = f"test {test.name} diverges at these parameters, and no correction of its states helps"
+            raise InputError(text, key="parameters", value=test.name)
+        for name, gain, slope in zip(found.states, found.gain, found.slope, strict=True):
+            c[f"{FEED}{name}"], c[f"{FEED_SLOPE}{name}"] = gain, slope
 
     def _fill_slow(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what follows all that may be off, and the models that it moves."""

@@ -48,6 +48,7 @@ class Test:
         filtered: the residual is filtered by (20), and the gain of what it measures with it.
         noise: how the noise of its known variables reaches the residual.
         fleeting: of the faults, those that it sees only while they change: at rest they leave nothing.
+        observed: its states are corrected by the residual (:mod:`.observer`).
         measures: the fault whose size is minus the residual over the gain that its state shows; empty: none.
         source: its code.
     """
@@ -69,6 +70,7 @@ class Test:
     fleeting: tuple[str, ...]
     measures: str
     source: str
+    observed: bool = False
 
 
 @dataclass(frozen=True)

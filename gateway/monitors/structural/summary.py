@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gateway.fdi.structure.model import Model
-from gateway.monitors.structural import modes, uncertain
+from gateway.monitors.structural import modes, observer, uncertain
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.faults import equations_in_words
 from gateway.monitors.structural.filters import bandwidths
@@ -41,7 +41,11 @@ def _tests(model: Model, plan: Plan, p: Params) -> Iterator[str]:
 
 def _modes(model: Model, test: Test, p: Params) -> str:
     found = modes.modes(model, test, p)
-    return "" if found is None else f"; {modes.in_words(found, p)}"
+    told = "" if found is None else f"; {modes.in_words(found, p)}"
+    seen = observer.observer_of(model, test, p) if test.observed else None
+    if seen is None:
+        return told
+    return f"{told}; corrected by its residual, so that {seen.slowest:.4g} of an error is left a sample"
 
 
 def _table(model: Model, plan: Plan) -> Iterator[str]:

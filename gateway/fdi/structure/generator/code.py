@@ -29,6 +29,8 @@ from gateway.fdi.structure.generator.realisation import Realisation, Statement
 from gateway.fdi.structure.generator.records import (
     DEAD,
     DIFFERENTIATOR,
+    FEED,
+    FEED_SLOPE,
     FILTER,
     GAIN,
     HOLD,
@@ -175,9 +177,10 @@ class Generated:
 
 
 class _Writer:
-    def __init__(self, name: str, realisation: Realisation, *, sized: bool) -> None:
+    def __init__(self, name: str, realisation: Realisation, *, sized: bool, observed: bool) -> None:
         self.name, self.r = name, realisation
-        self.sized = sized and bool(realisation.fault) and realisation.branches == 1
+        self.observed = observed
+        self.sized = sized and bool(realisation.fault) and realisation.branches == 1 and not observed
         self.initial: Initial = find_initial(realisation)
         self.several = realisation.branches > 1
         self.model, self.of = realisation.model, realisation.symbols.of
@@ -445,9 +448,19 @@ class _Writer:
                 lines.append(f"s.{GAIN} = {self.print(self.r.gain)}  # {self.r.fault}")
         held = [f"s.{HELD}{field_name(z)} = u.{field_name(z)}" for z in self.held]
         if not self.several:
-            return [*lines, *held, "return float(r)"]
+            return [*lines, *self.corrected(), *held, "return float(r)"]
         best = ["if not abs(r) >= abs(best) and r == r:", "    best = r  # Remark 1"]
         return ["best = nan", *self.branched([*lines, *best]), *held, "return float(best)"]
+
+    def corrected(self) -> list[str]:
+        """Return the lines that correct the states, and their derivatives, by the residual of this sample."""
+        if not self.observed:
+            return []
+        lines = ["if isfinite(r):"]
+        for x in self.r.integrated:
+            name = field_name(x)
+            lines += [f"    s.{name} += c.{FEED}{name} * r", f"    s.d_{name} += c.{FEED_SLOPE}{name} * r"]
+        return lines
 
     def last(self, x: str) -> str:
         """Return the field with a variable of (20) at the sample before."""
@@ -516,6 +529,8 @@ class _Writer:
             points, field = len(self.model.tables[name].x), field_name(name)
             const += [f"{field}_{axis}: Annotated[f8s, {points}]" for axis in "xy"]
         const += [f"start_{field_name(x)}: f8" for x in self.r.carried]
+        fed = [f"{feed}{field_name(x)}: f8" for x in self.r.integrated for feed in (FEED, FEED_SLOPE)]
+        const += fed if self.observed else []
         const += [f"{FILTER}: f8"] * bool(self.r.transformed)
         const += [f"{DIFFERENTIATOR}: f8"] * bool(self.r.differentiated)
         # A record has a field at least: there are generators without states, and without parameters.
@@ -589,18 +604,24 @@ _KERNELS = {
 _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
 
 
-def write(name: str, realisation: Realisation, *, sized: bool = False) -> Generated:
+def correctable(realisation: Realisation) -> bool:
+    """Tell whether a generator's states can be corrected by its residual: no filter, and one solution."""
+    return not realisation.transformed and not realisation.differentiated and realisation.branches == 1
+
+
+def write(name: str, realisation: Realisation, *, sized: bool = False, observed: bool = False) -> Generated:
     """Write a residual generator as code.
 
     Args:
         name: of it.
         realisation: what it does.
         sized: its state shows the gain of the fault that the residual tells the size of, if there is one.
+        observed: its states are corrected by the residual, by gains in its constants; then it tells no size.
 
     Raises:
         NotSolvableError: its states cannot begin by (24).
     """
-    writer = _Writer(name, realisation, sized=sized)
+    writer = _Writer(name, realisation, sized=sized, observed=observed and correctable(realisation))
     rates = tuple(f"{z}_rate{order}" for z, order in writer.initial.rates)
     fault = realisation.fault if writer.sized else ""
     return Generated(name, writer.module(), realisation, writer.knowns(), rates, realisation.integrated, fault)

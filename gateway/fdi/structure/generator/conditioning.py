@@ -15,7 +15,9 @@ import numpy as np
 import sympy
 
 from gateway.fdi.structure.generator.initial import Initial
+from gateway.fdi.structure.generator.propagation import SLOPE, slope
 from gateway.fdi.structure.generator.realisation import Realisation
+from gateway.fdi.structure.generator.runtime import incline
 from gateway.fdi.structure.generator.symbols import Algebra, Symbols
 from gateway.fdi.structure.model import Quantity, Table, der
 
@@ -31,7 +33,9 @@ class _Numbers:
     def __init__(self, realisation: Realisation) -> None:
         self.realisation, self.of = realisation, realisation.symbols.of
         model = realisation.model
-        self._modules = [{name: _function(table) for name, table in model.tables.items()}, "numpy"]
+        tables = {name: _function(table) for name, table in model.tables.items()}
+        tables |= {f"{SLOPE}{name}": _slope(table) for name, table in model.tables.items()}
+        self._modules = [tables, "numpy"]
         values = {p: model.quantities[p].value for p in model.parameters}
         self._parameters = {self.of[p]: value for p, value in values.items() if value is not None}
 
@@ -48,6 +52,11 @@ class _Numbers:
 
 def _function(table: Table) -> Callable[[float], float]:
     return lambda at: float(np.interp(at, table.x, table.y))
+
+
+def _slope(table: Table) -> Callable[[float], float]:
+    x, y = np.asarray(table.x), np.asarray(table.y)
+    return lambda at: incline(x, y, at)
 
 
 def forgets(realisation: Realisation, states: Sequence[str]) -> bool:
@@ -184,34 +193,41 @@ def fleeting(realisation: Realisation) -> tuple[str, ...]:
         return ()
     left, rng = set(faults), np.random.default_rng(1)
     free = [symbols.of[x] for x in (*model.unknowns, *model.knowns)]
+    rows = [*zero.values(), check]
+    try:
+        slopes = [
+            [numbers.function(slope(row, symbols.of[x])) if row.has(symbols.of[x]) else None for x in names]
+            for row in rows
+            for names in [(*unknowns, *faults)]
+        ]
+    except (ArithmeticError, ValueError, KeyError, TypeError):
+        return ()
     for _ in range(_POINTS):
         point = numbers.drawn(rng, free) | {symbols.of[f]: 0.0 for f in model.faults}
-        left -= _lasting([*zero.values(), check], unknowns, faults, symbols, numbers, point)
+        left -= _lasting(slopes, faults, point)
     return tuple(f for f in faults if f in left)
 
 
 def _lasting(
-    zero: Sequence[Algebra],
-    unknowns: Sequence[str],
+    slopes: Sequence[Sequence[Callable[[Mapping[Algebra, float]], float] | None]],
     faults: Sequence[str],
-    symbols: Symbols,
-    numbers: _Numbers,
     point: dict[Algebra, float],
 ) -> set[str]:
-    """Return the faults that leave something at rest, at one point; all of them where there are no numbers."""
-    names = (*unknowns, *faults)
-    rows = np.zeros((len(zero), len(names)))
+    """Return the faults that leave something at rest, at one point; all of them where there are no numbers.
+
+    Args:
+        slopes: of each relation, the last one is checked, its derivative by each unknown and each fault; None: zero.
+        faults: these faults.
+        point: values of all symbols.
+    """
     try:
         with np.errstate(all="ignore"):
-            for i, expression in enumerate(zero):
-                run = numbers.function(expression)
-                for k, name in enumerate(names):
-                    if expression.has(symbols.of[name]):
-                        rows[i, k] = _difference(run, point, symbols.of[name])
-        count = len(unknowns)
-        moved = np.linalg.solve(rows[:-1, :count], rows[:-1, count:])
+            rows = np.array([[0.0 if one is None else one(point) for one in row] for row in slopes])
+            count = rows.shape[1] - len(faults)
+            size = np.maximum(np.abs(rows[:-1, :count]).max(axis=1, keepdims=True), 1e-300)
+            moved = np.linalg.solve(rows[:-1, :count] / size, rows[:-1, count:] / size)
     except (ArithmeticError, ValueError, KeyError, TypeError, np.linalg.LinAlgError):
         return set(faults)
     direct, by = rows[-1, count:], rows[-1, :count, None] * moved
-    gain, size = np.abs(direct - by.sum(0)), np.abs(direct) + np.abs(by).sum(0)
-    return {f for f, g, most in zip(faults, gain, size, strict=True) if not g <= _NOTHING * most}
+    gain, most = np.abs(direct - by.sum(0)), np.abs(direct) + np.abs(by).sum(0)
+    return {f for f, g, whole in zip(faults, gain, most, strict=True) if not g <= _NOTHING * whole}

@@ -17,6 +17,8 @@ FILTER, DIFFERENTIATOR = "filter_bandwidth", "derivative_bandwidth"
 GAIN = "gain_"
 #: Fields of State for the Jacobian of states that act on each other, before a number: of each such group.
 JACOBIAN = "jacobian_"
+#: Fields of Const for the correction of a state, and of its derivative, by the residual, before the state's name.
+FEED, FEED_SLOPE = "feed_", "feed_slope_"
 #: And of their step: slopes, their change, what is moved; functions of the Jacobian; 1 where there are no derivatives.
 SLOPES, HOLD, DEAD = "slopes_", "hold_", "dead_"
 
