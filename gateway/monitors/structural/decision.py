@@ -7,6 +7,9 @@ another fault fits too. What has a name keeps it until its last test has come do
 Two ways to judge a residual: the CUSUM of what is beyond nu; or, for faults that begin at once, the likelihood ratio
 that its mean has jumped at one of the last samples, against noise of a standard deviation that nu says.
 
+That nothing explains what has fired is told only after :data:`PENDING` times as long as a name: tests of one fault
+fire one after the other, and one that is yet to come may tell it. So one fault has one DTC.
+
 A test that comes down for less than ``confirm_s`` has not come down: one that is up and down by turns, as of a fault
 that is just large enough, does not keep all from being told.
 
@@ -40,6 +43,8 @@ from gateway.monitors.structural.records import (
 
 #: Time between two reports of the same [ns].
 REPEAT_NS = 1_000_000_000
+#: Times of ``confirm_s`` for which nothing may join before what has fired is told as not isolated.
+PENDING = 5
 #: Tests up to which evidence has those that have fired as bits; faults up to which it ranks them with two digits.
 AS_BITS, TWO_DIGITS = 48, 99
 #: Faults that the evidence ranks, with two digits; with three, and tests that it lists.
@@ -256,6 +261,8 @@ def decide(s: State, c: Const, out: Any) -> None:
         for w in range(len(s.basis)):
             s.basis[w] = s.fired[w]
     before = s.found
+    if found == c.told - 1 != before and s.at_ns - s.fired_ns < PENDING * c.confirm_ns:
+        return  # tests of one fault fire one after the other: one that is yet to come may tell it
     if found not in (-1, before) and _empty(s.now):
         return  # all of them are down, at least for now
     if found == before and s.reported_ns != 0 and s.at_ns - s.reported_ns < REPEAT_NS:
