@@ -25,7 +25,7 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import f8s, kernel
-from gateway.monitors.crank import anchor, noise, reversal, waiting, wrong_wheel
+from gateway.monitors.crank import anchor, defects, noise, reversal, waiting, wrong_wheel
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
@@ -321,6 +321,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.since = 0
         s.suspects = 0
         s.recurring = 0
+        defects.clear(s.defects)
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)

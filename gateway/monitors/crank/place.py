@@ -12,7 +12,7 @@ from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.fdi.wheel_seen import Seen, skip
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor, noise, rival, waiting
+from gateway.monitors.crank import anchor, defects, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
 from gateway.monitors.crank.runout import Law
@@ -65,11 +65,13 @@ class State(Record):
     """State.
 
     ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``held`` what a tentative place found,
-    ``suspects`` how often, ``suspect`` the tooth and ``suspect_net`` the pulses missed less those added, ``sure``
-    whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
+    ``suspects`` how often what does not come in each turn, ``defects`` what may, ``recurring`` whether it does;
+    ``refused`` places since one was proven; ``sure`` whether the gap was seen where the place was found; ``hole``
+    frames were lost, and the gap was not seen since;
     ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
     the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
-    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported;
+    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
+    the one at which pulses were last found missed or added;
     ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), and whether it is a ``wrong``
     one.
     """
@@ -80,9 +82,9 @@ class State(Record):
     teeth: i8
     revolutions: i8
     suspects: i4
-    suspect: i4
-    suspect_net: i4
+    defects: defects.Defects
     recurring: u1
+    refused: i4
     sure: u1
     held_fault: i4
     held: Shape
@@ -111,6 +113,7 @@ class State(Record):
     unclean: i4
     doubted: i8
     named: i8
+    uneven: i8
     speed_rpm: f8
     slowest_rpm: f8
     fastest_rpm: f8
@@ -170,8 +173,10 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     s.held_fault = -1
     s.looks = 1
     s.rival.other = rival.NONE
+    s.defects.next = -1
     s.doubted = NEVER
     s.named = NEVER
+    s.uneven = NEVER
     s.burst.told = NEVER
     s.reversal.index = -1
 
@@ -195,6 +200,7 @@ def search(s: State, c: Const) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
+    defects.clear(s.defects)
     s.held_fault = -1
     s.silent = 0
     s.recent_missed = 0
@@ -235,6 +241,7 @@ def doubt(s: State) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
+    defects.clear(s.defects)
     s.profile.clean = 0
 
 
