@@ -276,10 +276,11 @@ def broken_silence(s: State, y: float, out: Reports) -> None:
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. None does while it is
+    filled by a pulse each turn.
     """
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof:
+    if s.since < proof or s.filled == 1:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)

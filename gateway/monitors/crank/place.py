@@ -72,8 +72,8 @@ class State(Record):
     the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
     ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
     the one at which pulses were last found missed or added;
-    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), and whether it is a ``wrong``
-    one.
+    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
+    one, and whether its gap is ``filled`` each turn.
     """
 
     phase: i4
@@ -105,6 +105,7 @@ class State(Record):
     seen: Seen
     looks: u1
     wrong: u1
+    filled: u1
     unseen: f8
     decided: i8
     burst_missed: i4
@@ -225,6 +226,7 @@ def stand(s: State, c: Const) -> None:
     waiting.clear(s.waiting)
     skip(s.seen)
     s.wrong = 0
+    s.filled = 0
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
