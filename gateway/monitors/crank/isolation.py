@@ -543,7 +543,7 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     """Count pulses without a proven place on the wheel, and name the reason in the end.
 
     There may be none: an engine whose ripple hides the gap is no defect, so that only what speaks against the wheel
-    counts, for :data:`LONG_PATIENCE` times as long.
+    counts, for :data:`LONG_PATIENCE` times as long, and for ever while the starter turns it.
     """
     wa = s.waiting
     waiting.note(wa, s.y2, s.y1, y)
@@ -551,13 +551,14 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     patience = PATIENCE * c.pulses + PATIENCE_PULSES
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
-    share = wa.short / wa.pulses
+    share = wa.short / wa.pulses - c.short
+    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM
     if share > DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
     elif wrong_wheel.expected(s) and wa.pulses < LONG_PATIENCE * patience:
         return  # it may be another wheel
-    elif waiting.contradicts(wa) or wa.pulses >= LONG_PATIENCE * patience:
+    elif waiting.contradicts(wa, fires, c.pulses) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
         g.teeth, g.widest = s.teeth, wa.widest
     else:

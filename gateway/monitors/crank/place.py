@@ -30,6 +30,8 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 #: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
 #: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
+#: A pitch that is less than this share of the one before is short: with ripple it may look like a pulse too many.
+SHORT = 0.7
 #: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
 KICK = 2.0
 
@@ -38,7 +40,8 @@ class Const(Record):
     """Constants.
 
     ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
-    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported.
+    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported; ``short`` share of
+    the wheel's own pitches that are much shorter than the one before.
     """
 
     pulses: i4
@@ -53,6 +56,7 @@ class Const(Record):
     longest_us: f8
     turn_us: f8
     told: u1
+    short: f8
     gap: f8
     turning_us: f8
     wheel: LearnedWheel
@@ -154,6 +158,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
     c.longest_us = c.turn_us
     c.gap = pitches.max()
+    c.short = float(np.mean(pitches < SHORT * np.roll(pitches, 1)))
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
     c.logs[:count] = np.log(pitches)

@@ -24,6 +24,8 @@ LEVEL = 0.55
 EVEN = 0.6
 #: Intervals of a turn whose contrast is not known, because a neighbour is not.
 EDGES = 2
+#: Pulses of a turn from which on an engine that the starter turns shows whether it has a gap.
+FEW = 10
 #: What is found of a turn: it cannot be told; an even turn that is not one of this wheel.
 UNDECIDED, AGAINST = -1, -2
 
@@ -70,6 +72,16 @@ def note(wa: Waiting, y2: float, y1: float, y: float) -> None:
 
 
 @kernel
+def turn_us(an: anchor.State, pulses: int) -> float:
+    """Return the time that as many intervals take as a turn has, from those that are known [us]."""
+    total, known = 0.0, 0
+    for k in range(pulses):
+        total += an.intervals[k]
+        known += 1 if an.intervals[k] > 0.0 else 0
+    return total * pulses / known if known > 0 else 0.0
+
+
+@kernel
 def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> None:
     """Look at the last turn, when it is time.
 
@@ -93,9 +105,20 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
 
 
 @kernel
-def contradicts(wa: Waiting) -> bool:
-    """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four."""
-    return bool(wa.same == 0 and 4 * (wa.against + wa.moved) >= 3 * (wa.turns - 1))
+def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
+    """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four.
+
+    At the starter's speed the ripple may be what moves; on a wheel of few pulses nothing is told then.
+
+    Args:
+        wa: record of Waiting.
+        fires: whether the engine is faster than its starter turns it.
+        pulses: of a turn.
+    """
+    if not fires and pulses < FEW:
+        return False
+    against = wa.against + (wa.moved if fires else 0)
+    return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
 
 
 @kernel

@@ -344,3 +344,36 @@ def test_a_twin_that_revs_up_has_no_runout(rate, amplitude, told):
     size = amplitude * np.minimum(period / (60e6 / 900), 1.0) ** 2 if amplitude else 0.06
     moved = times + size * period / (2 * np.pi) * np.sin(angle)
     assert ("runout" in named(follower("adaptive", wheel)(np.rint(moved)))) == told
+
+
+@compiled
+@pytest.mark.parametrize("text", ["4-2", "36-2-1-1", "0.78,0.22,0.78,0.22"])
+def test_wheels_with_pitches_of_their_own_make_no_report(text):
+    """Short pitches are no doubled edges; cranked with ripple, idling, and fast. A missed pulse is told."""
+    print("seed 35")
+    wheel = Wheel.parse(text)
+    follow = follower("adaptive", wheel)
+    for rpm, turns, amplitude in ((250.0, 60, 0.4), (250.0, 60, 0.3), (850.0, 60, 0.08), (5000.0, 60, 0.01)):
+        for phase in range(4):
+            times, teeth = train(text, rpm, turns, [35, phase], [(2, amplitude, phase * np.pi / 2)])
+            result = follow(times)
+            assert named(result) == {}, (rpm, amplitude, phase)
+            assert len(wrong(result, teeth, wheel.repeats)) == 0, (rpm, amplitude, phase)
+    at = 40 * wheel.pulses + 1
+    assert named(follow(np.delete(times, at))) == {"missed_pulse": 1}
+
+
+@compiled
+@pytest.mark.parametrize("order", [2.0, 3.0])
+@pytest.mark.parametrize("text", ["12-1", "12+1"])
+def test_cranking_for_a_minute_with_ripple_that_hides_the_gap_is_no_gap_missing(text, order):
+    """Told after 31 s before; an even wheel, which has none, is told while it is cranked."""
+    print("seed 36")
+    wheel = Wheel.parse(text)
+    for phase in range(4):
+        times, teeth = train(text, 250.0, 250, [36, phase], [(order, 0.4, phase * np.pi / 2)])
+        result = follower("adaptive", wheel)(times)
+        assert named(result) == {}, phase
+        assert len(wrong(result, teeth)) == 0, phase
+    even = tooth_times(Wheel("", (1.0,) * 12), [(0, 250.0)], 12.0, jitter=0.01, rng=np.random.default_rng(36)) / 1e3
+    assert set(named(follower("adaptive", wheel)(even))) == {"no_gap"}
