@@ -82,7 +82,11 @@ def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     variance = max(first / (WINDOW - 2), LEAST_DEVIATION * LEAST_DEVIATION)
     if second - first < 2.0 * ODDS * variance or sqrt(variance) > WORST_DEVIATION:
         return -1
-    if sqrt(variance) > ONE_OFF and _largest(se, logs, period, place, level, slope) > MOST_OF * first:
+    if (
+        period > WINDOW
+        and sqrt(variance) > ONE_OFF
+        and _largest(se, logs, period, place, level, slope) > MOST_OF * first
+    ):
         return -1
     se.period = exp(level + slope * (middle + 0.5))
     se.growth = min(max(-2.0 * slope, -0.3), 0.3)

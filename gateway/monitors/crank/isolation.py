@@ -55,6 +55,8 @@ LATE = 8
 #: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
 #: be like the gap.
 PARTS = 8
+#: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
+SURE = 3
 #: Tooth of the next revolution by which one has to be decided to count.
 DECIDED_BY = 4
 #: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
@@ -170,7 +172,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
         s.refused += 1
-        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses)
+        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= waiting.FEW else 0)
         return
     s.since = 0
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
@@ -465,6 +467,8 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
         return False
     if s.rival.other == rival.NONE:
         return True
+    if s.defects.turns < SURE:
+        return False
     waiting.clear(s.waiting)
     e = report(out, TWO_PLACES, True, 1.0, 1.0).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)

@@ -35,7 +35,8 @@ class Waiting(Record):
 
     ``pulses`` since, how many of them ``short`` (less than half of the one before), ``widest`` interval over its
     neighbours; ``turns`` asked, ``place`` that the last one showed, how many showed the ``same`` place as the one
-    before, how many another one (``moved``), and how many were ``against`` the wheel.
+    before, how many another one (``moved``, of these ``shifted`` in an even turn), and how many were ``against`` the
+    wheel.
     """
 
     pulses: i8
@@ -45,6 +46,7 @@ class Waiting(Record):
     place: i4
     same: i4
     moved: i4
+    shifted: i4
     against: i4
 
 
@@ -58,6 +60,7 @@ def clear(wa: Waiting) -> None:
     wa.place = UNDECIDED
     wa.same = 0
     wa.moved = 0
+    wa.shifted = 0
     wa.against = 0
 
 
@@ -101,6 +104,7 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
             wa.same += 1
         else:
             wa.moved += 1
+            wa.shifted += 1 if _even(an, pulses, anchor.contrasts(an, pulses), _hidden_by(c)) else 0
     wa.place = found
 
 
@@ -108,7 +112,8 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
 def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
     """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four.
 
-    At the starter's speed the ripple may be what moves; on a wheel of few pulses nothing is told then.
+    At the starter's speed only even turns count: the ripple may be what moves. Of a wheel of few pulses nothing is told
+    then.
 
     Args:
         wa: record of Waiting.
@@ -117,7 +122,7 @@ def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
     """
     if not fires and pulses < FEW:
         return False
-    against = wa.against + (wa.moved if fires else 0)
+    against = wa.against + (wa.moved if fires else wa.shifted)
     return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
 
 

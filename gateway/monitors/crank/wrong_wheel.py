@@ -24,8 +24,9 @@ TURNS, AGAIN = 6, 64
 EQUAL, SAME = 0.4, 0.75
 #: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
 MOST_WAIT = 8 * MOST_TEETH
-#: Teeth that may be missing of the configured wheel.
-MOST_MISSING = 2
+#: Teeth that may be missing of the configured wheel: one may be so by chance where all parts of the turn become equal,
+#: two are not (36-1 without a tooth at 120 and at 240 degrees would be what 12-1 shows at three times the speed).
+MOST_MISSING = 1
 #: A pitch from which on it is a gap, that a pulse can fill [pitch].
 LEAST_GAP = 1.3
 
@@ -57,7 +58,7 @@ def _whole(s: State) -> float:
 
 @kernel
 def _is_left(s: State, c: Const, whole: float) -> bool:
-    """Tell whether what is seen, several times a turn, is the configured wheel without one or two of its teeth.
+    """Tell whether what is seen, several times a turn, is the configured wheel without a tooth.
 
     Opposite to the gap of 12-1 a tooth broken off leaves what 6-1 shows at twice the speed.
 

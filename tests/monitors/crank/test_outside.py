@@ -397,3 +397,15 @@ def test_edges_that_jitter_by_a_tenth_below_100_rpm_are_followed(text):
             reversals += result.reversals
     assert np.mean(proven) > 0.75
     assert reversals <= 2
+
+
+@compiled
+@pytest.mark.parametrize(("told", "real"), [("60-2", "30-2"), ("36-1", "12-1"), ("24-1", "8-1")])
+def test_a_wheel_that_comes_twice_in_the_configured_one_is_another_wheel(told, real):
+    """It would be the configured wheel with two teeth broken off just where its parts become equal."""
+    print("seed 38")
+    for rpm in (300.0, 1500.0, 6000.0):
+        times, _ = train(real, rpm, 60, [38, int(rpm)], [(2, 0.05 if rpm < 1000 else 0.01, 1.0)])
+        result = follower("adaptive", Wheel.parse(told))(times)
+        assert set(named(result)) == {"wrong_wheel"}, rpm
+        assert result.proven.mean() < 0.01, rpm
