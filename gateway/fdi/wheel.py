@@ -10,8 +10,13 @@ from pydantic import PlainSerializer, PlainValidator
 
 _SHORT = re.compile(r"(\d+)((?:-\d+){1,2})")
 _ADDED = re.compile(r"(\d+)\+1")
-#: Wheels whose gaps do not lie evenly (Subaru: 13, 16 and 1 teeth between three gaps).
-_KNOWN = {"36-2-2-2": "12*1,3,15*1,3,3"}
+#: Wheels whose gaps do not lie evenly, by their names: Subaru's with 13, 16 and 1 teeth between three gaps,
+#: Mitsubishi's with 11, 11 and 10, and Mazda's four teeth that are 70 and 110 degrees apart.
+_KNOWN = {
+    "36-2-2-2": "12*1,3,15*1,3,3",
+    "36-2-1-1": "10*1,2,10*1,2,9*1,3",
+    "4-2": ",".join(["0.7778,1.2222"] * 2),
+}
 _RUN = re.compile(r"(?:(\d+)\*)?(\d+(?:\.\d+)?)")
 
 #: Teeth that a wheel can have.
@@ -67,7 +72,9 @@ class Wheel:
 
         * ``60-2``: 60 pitches, 2 neighbouring teeth missing.
         * ``36-2-1``: two gaps whose far ends lie half a turn apart (Mitsubishi 4B11 and others).
-        * ``36-2-2-2``: Subaru's, with 13, 16 and 1 teeth between its gaps.
+        * ``36-2-2-2``: Subaru's, with 13, 16 and 1 teeth between its gaps; ``36-2-1-1``: Mitsubishi's, with 11, 11
+          and 10.
+        * ``4-2``: Mazda's, with teeth 70 and 110 degrees apart, twice a turn.
         * ``12+1``: 12 teeth and one more halfway between two of them.
         * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs.
 

@@ -581,7 +581,7 @@ def described(pitches: tuple[float, ...]) -> str:
     """
     turn = round(sum(pitches))
     gaps = sorted((int(pitch) - 1 for pitch in pitches if pitch > 1), reverse=True)
-    names = ["36-2-2-2", f"{turn}+1"]
+    names = ["36-2-2-2", "36-2-1-1", f"{turn}+1"]
     if 1 <= len(gaps) <= 2:
         names += [f"{turn}-{'-'.join(map(str, order))}" for order in (gaps, gaps[::-1])]
     for name in names:

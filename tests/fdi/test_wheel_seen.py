@@ -11,7 +11,22 @@ from gateway.jit import COMPILED, zeros
 from gateway.vecu.crank.kinematics import tooth_times
 
 SEED = 20261125
-NAMED = ("60-2", "36-1", "30-2", "24-1", "12-1", "8-1", "36-2", "36-2-1", "36-2-2-2", "12+1", "6-1", "5-1", "3+1")
+NAMED = (
+    "60-2",
+    "36-1",
+    "30-2",
+    "24-1",
+    "12-1",
+    "8-1",
+    "36-2",
+    "36-2-1",
+    "36-2-2-2",
+    "36-2-1-1",
+    "12+1",
+    "6-1",
+    "5-1",
+    "3+1",
+)
 WHEELS = NAMED if COMPILED else NAMED[4::4]
 
 

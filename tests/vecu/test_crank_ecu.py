@@ -353,6 +353,16 @@ def test_the_gaps_of_36_2_1_lie_as_on_the_real_wheel():
     assert (len(pitches), pitches.index(2.0)) == (33, 16)
 
 
+def test_wheels_whose_gaps_do_not_lie_evenly_are_known_by_name():
+    """Mitsubishi's, as open decoders have it: gaps of 20, 20 and 30 degrees behind 11, 11 and 10 teeth; Mazda's."""
+    pitches = Wheel.parse("36-2-1-1").pitches
+    assert [(k, p) for k, p in enumerate(pitches) if p > 1] == [(10, 2.0), (21, 2.0), (31, 3.0)]
+    assert sum(pitches) == 36.0
+    mazda = Wheel.parse("4-2")
+    assert (mazda.pulses, mazda.repeats) == (4, 2)
+    assert [90 * p for p in mazda.pitches] == pytest.approx([70, 110, 70, 110], abs=0.01)
+
+
 @pytest.mark.parametrize("text", ["", "60", "60-0", "4-3", "x-1", "1,2", "300*1", "36*1", "36-2-2-2-2", "1,1,1,-1"])
 def test_wrong_wheels_are_refused(text):
     with pytest.raises(ValueError, match="wheel|teeth"):

@@ -17,6 +17,8 @@ WINDOW = 8
 LEAST_DEVIATION = 0.05
 #: A fit worse than this is none.
 WORST_DEVIATION = 0.35
+#: A fit worse than this is none where one interval has so much of what is left: a pulse was missed or added there.
+ONE_OFF, MOST_OF = 0.1, 0.55
 #: [nat] of the best place against the second.
 ODDS = 6.0
 
@@ -35,6 +37,12 @@ class Search(Record):
 def restart(se: Search) -> None:
     """Forget the intervals."""
     se.seen = 0
+
+
+@kernel
+def begin_later(se: Search, pulses: int) -> None:
+    """Forget the intervals, and pass over those of so many pulses."""
+    se.seen = -pulses
 
 
 @kernel
@@ -74,7 +82,24 @@ def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     variance = max(first / (WINDOW - 2), LEAST_DEVIATION * LEAST_DEVIATION)
     if second - first < 2.0 * ODDS * variance or sqrt(variance) > WORST_DEVIATION:
         return -1
+    if (
+        period > WINDOW
+        and sqrt(variance) > ONE_OFF
+        and _largest(se, logs, period, place, level, slope) > MOST_OF * first
+    ):
+        return -1
     se.period = exp(level + slope * (middle + 0.5))
     se.growth = min(max(-2.0 * slope, -0.3), 0.3)
     se.variance = first / (WINDOW - 2) / 2.0
     return place + 1 if place + 1 < period else 0
+
+
+@kernel
+def _largest(se: Search, logs: f8s, period: int, place: int, level: float, slope: float) -> float:
+    """Return the largest squared residual at a place [nat^2]."""
+    most, at = 0.0, place
+    for k in range(WINDOW):
+        d = se.logs[(se.seen - 1 - k) % WINDOW] - logs[at] - level - slope * ((WINDOW - 1) / 2 - k)
+        most = max(most, d * d)
+        at = at - 1 if at > 0 else period - 1
+    return most

@@ -25,7 +25,7 @@ from gateway.fdi.pulse_tracking.tracker import (
     transfer_ripple,
 )
 from gateway.jit import f8s, kernel
-from gateway.monitors.crank import anchor, noise, reversal, waiting, wrong_wheel
+from gateway.monitors.crank import anchor, defects, noise, reversal, waiting, wrong_wheel
 from gateway.monitors.crank.faults import RESIDUALS, Reports
 from gateway.monitors.crank.isolation import (
     UNSEEN_PULSES,
@@ -293,8 +293,12 @@ def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
     slower = reversal.slower(re, u, s.tracker.variance)
     crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # intervals of a burst are no engine's
     stopping = not crowded and reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
-    nearly = u > c.slowest_us and best(s.tracker).period > c.slowest_us / ABRUPT
-    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, u1, u, s.tracker.variance)
+    period = best(s.tracker).period
+    jitter = reversal.grown(s.tracker.variance)
+    slow = u > c.slowest_us * (1.0 + jitter) or min(u, period) > c.slowest_us
+    nearly = slow and period > c.slowest_us / ABRUPT
+    steady = max(u1, period) if jitter > 0.0 else u1  # an interval that is short by jitter is no speed
+    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, steady, u, s.tracker.variance)
     if slower or stopping or nearly:
         reversal.begin(re, c.pulses, s.index, y)
     if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
@@ -321,6 +325,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.since = 0
         s.suspects = 0
         s.recurring = 0
+        defects.clear(s.defects)
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)

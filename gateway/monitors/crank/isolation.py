@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.fdi.pulse_tracking import profile
+from gateway.fdi.pulse_tracking.acquisition import begin_later
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS
 from gateway.fdi.pulse_tracking.motion import Q3
-from gateway.fdi.pulse_tracking.tracker import agreed, best, keep_best, marginalise_decided, shift, unanimous
+from gateway.fdi.pulse_tracking.tracker import COARSE, agreed, best, keep_best, marginalise_decided, shift, unanimous
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import anchor, noise, rival, runout, waiting, wrong_wheel
+from gateway.monitors.crank import anchor, defects, noise, rival, runout, waiting, wrong_wheel
 from gateway.monitors.crank.faults import (
     ADDED,
     CRANK_FAULTS,
@@ -51,6 +52,11 @@ RUNOUT_RPM = 800.0
 BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
 #: A decision that took more pulses than this is held until the next gap has proven it.
 LATE = 8
+#: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
+#: be like the gap.
+PARTS = 8
+#: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
+SURE = 3
 #: Tooth of the next revolution by which one has to be decided to count.
 DECIDED_BY = 4
 #: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
@@ -64,12 +70,12 @@ def lose(s: State, c: Const, out: Reports, cost: float) -> None:
     """Report that synchronisation is lost, and search.
 
     A place that was proven until less than two turns ago, and is doubted by nothing but pulses too close for any
-    engine, counts as proven, if nothing else has been told of these; not at the starter's speed, where an engine that
-    turns back has such pulses as well.
+    engine, counts as proven, if nothing else has been told of these (as doubled edges); not at the starter's speed,
+    where an engine that turns back has such pulses as well.
     """
     of_late = s.teeth - s.doubted < 2 * c.pulses and s.hole == 0 and s.reversal.stood == 0
     of_late = of_late and s.teeth - s.named > 2 * c.pulses and s.teeth - s.burst.crowded < 2 * c.pulses
-    of_late = of_late and s.speed_rpm > runout.FIRING_RPM
+    of_late = of_late and s.speed_rpm > runout.FIRING_RPM and s.doubling == 0
     if s.phase == CONFIRMED or of_late:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
@@ -133,24 +139,22 @@ def _beside_gap(c: Const, tooth: int) -> bool:
 def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
     """Tell whether a fault found at a place that is not proven speaks against the place.
 
-    One fault does not: it is held until the place is proven. Nor does the same one a turn later at the same tooth:
-    that is a defect of the wheel or the sensor (a tooth broken off, a pulse too many in each turn), not a wrong
-    place; but beside the gap it is a wrong edge, or a wrong wheel. Two different ones do, unless frames were lost in
-    between, and pulses with them.
+    One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
+    teeth: they are defects of the wheel or the sensor (teeth broken off, pulses too many in each turn), not a wrong
+    place (:mod:`.defects`); but beside the gap it is a wrong edge, or a wrong wheel. Others do, unless frames were lost
+    in between, and pulses with them.
     """
-    turn = c.pulses - net
-    again = (
-        s.suspects > 0
-        and not _beside_gap(c, tooth)
-        and tooth == s.suspect
-        and net == s.suspect_net
-        and abs(s.since - turn) <= 3
-    )
-    s.suspects = 1 if again else s.suspects + 1
-    s.suspect = tooth
-    s.suspect_net = net
-    s.recurring = 1 if again else 0
-    return s.suspects > 1 and s.hole == 0
+    beside = _beside_gap(c, tooth)
+    if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
+        s.suspects += 1
+        s.recurring = 0
+        defects.clear(s.defects)
+        if not beside:
+            defects.take(s.defects, c.pulses, tooth, net, s.teeth)
+        return s.suspects > 1 and s.hole == 0
+    s.suspects = max(s.suspects, 1)
+    s.recurring = 1 if s.defects.turns > 0 else 0
+    return False
 
 
 @kernel
@@ -167,6 +171,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
+        s.refused += 1
+        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= waiting.FEW else 0)
         return
     s.since = 0
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
@@ -175,16 +181,18 @@ def decide(s: State, c: Const, out: Reports) -> None:
         s.sure = 1
         return
     s.corrections += missed - added
+    s.uneven = s.teeth if missed != added else s.uneven
+    own = defects.knows(s.defects, tooth, missed - added)
     missed, added = max(missed, 0), max(added, 0)
-    s.recent_missed += missed
-    s.recent_added += added
+    s.recent_missed += 0 if own else missed
+    s.recent_added += 0 if own else added
     if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
         lose(s, c, out, s.tracker.mean_cost)
         return
     if missed == added:
         # One missed and one too many: an edge far off. Only when it comes again it says that nothing fits (above).
         return
-    if s.teeth - s.decided > TOGETHER:
+    if own or s.teeth - s.decided > TOGETHER:
         s.burst_missed = 0
         s.burst_added = 0
         s.burst_tooth = tooth
@@ -270,10 +278,11 @@ def broken_silence(s: State, y: float, out: Reports) -> None:
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to.
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. None does while it is
+    filled by a pulse each turn.
     """
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof:
+    if s.since < proof or s.filled == 1:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
@@ -283,6 +292,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
 def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
     s.phase = CONFIRMED
+    s.refused = 0
     waiting.clear(s.waiting)
     s.suspects = 0
     s.hole = 0
@@ -409,9 +419,11 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     """Hold the place on the wheel to the gap: behind it when it comes where it is expected, else once a turn.
 
     What frames that were lost had hidden is proven by the gap that comes where it is expected, all hypotheses agreeing.
+    The intervals of a turn in which pulses were missed or added are not those of the wheel, and say nothing of another
+    place.
     """
     an = s.anchor
-    if s.index == 1 and anchor.seen(an, c.anchor, s.y2, s.y1, y):
+    if s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
         _witness(s, c, out)
     elif an.age >= c.pulses + 2:
         an.age = 2
@@ -421,7 +433,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.wins = 0
             an.verified = 1
             _witness(s, c, out)
-        elif found > 0:
+        elif found > 0 and s.teeth - s.uneven > c.pulses:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
             if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
@@ -429,14 +441,38 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
 
 
 @kernel
-def _ambiguous(s: State, c: Const, out: Reports) -> bool:
-    """Tell whether the tooth that is missing in each turn leaves another place as likely, and report that."""
-    if s.suspect_net != 1 or not rival.seek(s.rival, c.wheel.nominal, c.pulses, c.repeats, s.suspect):
+def _told_apart(s: State, c: Const) -> bool:
+    """Tell whether faults of each turn are no noise, and their pulses none that the wheel itself may have there.
+
+    A pulse too many halfway between two teeth is what marks 12+1.
+    """
+    added = defects.missing(s.defects) == 0
+    return bool(s.tracker.variance <= COARSE and not (added and c.anchor.ratio == 0.0))
+
+
+@kernel
+def _laid(s: State, c: Const) -> bool:
+    """Tell whether it is the whole turn, laid onto the wheel, that proves a place at which teeth are missing.
+
+    Not on a wheel whose gap is no mark of its own (12+1).
+    """
+    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0 and defects.missing(s.defects) > 0)
+
+
+@kernel
+def _broken_off(s: State, c: Const, out: Reports) -> bool:
+    """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
+    missing = rival.seek(s.rival, s.anchor, c.wheel, c.repeats, s.index)
+    if missing != defects.missing(s.defects):
+        return False
+    if s.rival.other == rival.NONE:
+        return True
+    if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
     e = report(out, TWO_PLACES, True, 1.0, 1.0).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
-    return True
+    return False
 
 
 @kernel
@@ -450,7 +486,7 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         other: whether it is the rival.
     """
     if other:
-        tooth = rival.place_of(s.rival, c.pulses, s.index)
+        tooth = rival.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
         shift(s.tracker, c.pulses, tooth - s.index)
         s.index = best(s.tracker).index
         s.held.tooth = s.rival.other
@@ -470,7 +506,9 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         s.sure = 1
     if s.phase != TENTATIVE or not told:
         return
-    if s.recurring == 1 and _ambiguous(s, c, out):
+    if s.recurring == 1 and not _told_apart(s, c):
+        return
+    if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
         return
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
@@ -509,7 +547,7 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     """Count pulses without a proven place on the wheel, and name the reason in the end.
 
     There may be none: an engine whose ripple hides the gap is no defect, so that only what speaks against the wheel
-    counts, for :data:`LONG_PATIENCE` times as long.
+    counts, for :data:`LONG_PATIENCE` times as long, and for ever while the starter turns it.
     """
     wa = s.waiting
     waiting.note(wa, s.y2, s.y1, y)
@@ -517,13 +555,14 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     patience = PATIENCE * c.pulses + PATIENCE_PULSES
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
-    share = wa.short / wa.pulses
+    share = wa.short / wa.pulses - c.short
+    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM
     if share > DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
     elif wrong_wheel.expected(s) and wa.pulses < LONG_PATIENCE * patience:
         return  # it may be another wheel
-    elif waiting.contradicts(wa) or wa.pulses >= LONG_PATIENCE * patience:
+    elif waiting.contradicts(wa, fires, c.pulses) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
         g.teeth, g.widest = s.teeth, wa.widest
     else:

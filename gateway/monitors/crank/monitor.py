@@ -196,7 +196,10 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     at = f.index + since
     tooth = at % pulses
     if two:
-        other = (rival.place_of(f.rival, pulses, f.index) + since) % pulses
+        other = rival.place_of(f.rival, c.fast.wheel.nominal, pulses, f.index)
+        if other == rival.NONE:
+            return
+        other = (other + since) % pulses
         here = cam.fits(c.cam, _degrees(c, f, tooth, u.cam_delay), int(u.cam_level))
         there = cam.fits(c.cam, _degrees(c, f, other, u.cam_delay), int(u.cam_level))
         decided = rival.take_edge(f.rival, here, there)

@@ -12,7 +12,7 @@ from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.fdi.wheel_seen import Seen, skip
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor, noise, rival, waiting
+from gateway.monitors.crank import anchor, defects, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
 from gateway.monitors.crank.runout import Law
@@ -30,6 +30,8 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 #: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
 #: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
 BRAKE = 4.0
+#: A pitch that is less than this share of the one before is short: with ripple it may look like a pulse too many.
+SHORT = 0.7
 #: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
 KICK = 2.0
 
@@ -38,7 +40,8 @@ class Const(Record):
     """Constants.
 
     ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
-    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported.
+    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported; ``short`` share of
+    the wheel's own pitches that are much shorter than the one before.
     """
 
     pulses: i4
@@ -53,6 +56,7 @@ class Const(Record):
     longest_us: f8
     turn_us: f8
     told: u1
+    short: f8
     gap: f8
     turning_us: f8
     wheel: LearnedWheel
@@ -65,13 +69,15 @@ class State(Record):
     """State.
 
     ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``held`` what a tentative place found,
-    ``suspects`` how often, ``suspect`` the tooth and ``suspect_net`` the pulses missed less those added, ``sure``
-    whether the gap was seen where the place was found; ``hole`` frames were lost, and the gap was not seen since;
+    ``suspects`` how often what does not come in each turn, ``defects`` what may, ``recurring`` whether it does;
+    ``refused`` places since one was proven; ``sure`` whether the gap was seen where the place was found; ``hole``
+    frames were lost, and the gap was not seen since;
     ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
     the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
-    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported;
-    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), and whether it is a ``wrong``
-    one.
+    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
+    the one at which pulses were last found missed or added;
+    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
+    one, and whether its gap is ``filled`` each turn.
     """
 
     phase: i4
@@ -80,9 +86,9 @@ class State(Record):
     teeth: i8
     revolutions: i8
     suspects: i4
-    suspect: i4
-    suspect_net: i4
+    defects: defects.Defects
     recurring: u1
+    refused: i4
     sure: u1
     held_fault: i4
     held: Shape
@@ -103,6 +109,7 @@ class State(Record):
     seen: Seen
     looks: u1
     wrong: u1
+    filled: u1
     unseen: f8
     decided: i8
     burst_missed: i4
@@ -111,6 +118,7 @@ class State(Record):
     unclean: i4
     doubted: i8
     named: i8
+    uneven: i8
     speed_rpm: f8
     slowest_rpm: f8
     fastest_rpm: f8
@@ -150,6 +158,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
     c.longest_us = c.turn_us
     c.gap = pitches.max()
+    c.short = float(np.mean(pitches < SHORT * np.roll(pitches, 1)))
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
     c.logs[:count] = np.log(pitches)
@@ -170,8 +179,10 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     s.held_fault = -1
     s.looks = 1
     s.rival.other = rival.NONE
+    s.defects.next = -1
     s.doubted = NEVER
     s.named = NEVER
+    s.uneven = NEVER
     s.burst.told = NEVER
     s.reversal.index = -1
 
@@ -195,6 +206,7 @@ def search(s: State, c: Const) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
+    defects.clear(s.defects)
     s.held_fault = -1
     s.silent = 0
     s.recent_missed = 0
@@ -219,6 +231,7 @@ def stand(s: State, c: Const) -> None:
     waiting.clear(s.waiting)
     skip(s.seen)
     s.wrong = 0
+    s.filled = 0
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
@@ -235,6 +248,7 @@ def doubt(s: State) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
+    defects.clear(s.defects)
     s.profile.clean = 0
 
 

@@ -24,6 +24,8 @@ LEVEL = 0.55
 EVEN = 0.6
 #: Intervals of a turn whose contrast is not known, because a neighbour is not.
 EDGES = 2
+#: Pulses of a turn from which on an engine that the starter turns shows whether it has a gap.
+FEW = 10
 #: What is found of a turn: it cannot be told; an even turn that is not one of this wheel.
 UNDECIDED, AGAINST = -1, -2
 
@@ -33,7 +35,8 @@ class Waiting(Record):
 
     ``pulses`` since, how many of them ``short`` (less than half of the one before), ``widest`` interval over its
     neighbours; ``turns`` asked, ``place`` that the last one showed, how many showed the ``same`` place as the one
-    before, how many another one (``moved``), and how many were ``against`` the wheel.
+    before, how many another one (``moved``, of these ``shifted`` in an even turn), and how many were ``against`` the
+    wheel.
     """
 
     pulses: i8
@@ -43,6 +46,7 @@ class Waiting(Record):
     place: i4
     same: i4
     moved: i4
+    shifted: i4
     against: i4
 
 
@@ -56,6 +60,7 @@ def clear(wa: Waiting) -> None:
     wa.place = UNDECIDED
     wa.same = 0
     wa.moved = 0
+    wa.shifted = 0
     wa.against = 0
 
 
@@ -67,6 +72,16 @@ def note(wa: Waiting, y2: float, y1: float, y: float) -> None:
         wa.short += 1
     if y1 > 0.0 and y2 > 0.0:
         wa.widest = max(wa.widest, y1 / sqrt(y * y2))
+
+
+@kernel
+def turn_us(an: anchor.State, pulses: int) -> float:
+    """Return the time that as many intervals take as a turn has, from those that are known [us]."""
+    total, known = 0.0, 0
+    for k in range(pulses):
+        total += an.intervals[k]
+        known += 1 if an.intervals[k] > 0.0 else 0
+    return total * pulses / known if known > 0 else 0.0
 
 
 @kernel
@@ -89,13 +104,26 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
             wa.same += 1
         else:
             wa.moved += 1
+            wa.shifted += 1 if _even(an, pulses, anchor.contrasts(an, pulses), _hidden_by(c)) else 0
     wa.place = found
 
 
 @kernel
-def contradicts(wa: Waiting) -> bool:
-    """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four."""
-    return bool(wa.same == 0 and 4 * (wa.against + wa.moved) >= 3 * (wa.turns - 1))
+def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
+    """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four.
+
+    At the starter's speed only even turns count: the ripple may be what moves. Of a wheel of few pulses nothing is told
+    then.
+
+    Args:
+        wa: record of Waiting.
+        fires: whether the engine is faster than its starter turns it.
+        pulses: of a turn.
+    """
+    if not fires and pulses < FEW:
+        return False
+    against = wa.against + (wa.moved if fires else wa.shifted)
+    return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
 
 
 @kernel

@@ -4,7 +4,8 @@ Until the place is proven and the wheel is seen to be the configured one, each i
 :mod:`gateway.fdi.wheel_seen` as well. Another wheel is one whose turn has another number of pitches (a wheel of equal
 parts shows one of them) and another number of pulses: ripple can make a gap look one pitch wider, but it makes no
 pulse. With the same number of pitches it may be the configured wheel with a tooth broken off, or a pulse too
-many in its gap. Which of these it is, pulses cannot say; the monitor's other tests name it.
+many in its gap. Which of these it is, pulses cannot say; a gap that is filled in each turn is told here as an added
+pulse, and the monitor's other tests name the rest.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from gateway.fdi.wheel import MOST_TEETH
 from gateway.jit import kernel
 from gateway.monitors.contract import report
 from gateway.monitors.crank import waiting
-from gateway.monitors.crank.faults import WRONG_WHEEL, Reports
+from gateway.monitors.crank.faults import ADDED, WRONG_WHEEL, Reports
 from gateway.monitors.crank.place import CONFIRMED, SEARCHING, Const, State, search
 
 #: Turns in a row that have to show another wheel, and after which it is told again.
@@ -23,8 +24,11 @@ TURNS, AGAIN = 6, 64
 EQUAL, SAME = 0.4, 0.75
 #: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
 MOST_WAIT = 8 * MOST_TEETH
-#: Teeth that may be missing of the configured wheel.
-MOST_MISSING = 2
+#: Teeth that may be missing of the configured wheel: one may be so by chance where all parts of the turn become equal,
+#: two are not (36-1 without a tooth at 120 and at 240 degrees would be what 12-1 shows at three times the speed).
+MOST_MISSING = 1
+#: A pitch from which on it is a gap, that a pulse can fill [pitch].
+LEAST_GAP = 1.3
 
 
 @kernel
@@ -54,7 +58,7 @@ def _whole(s: State) -> float:
 
 @kernel
 def _is_left(s: State, c: Const, whole: float) -> bool:
-    """Tell whether what is seen, several times a turn, is the configured wheel without one or two of its teeth.
+    """Tell whether what is seen, several times a turn, is the configured wheel without a tooth.
 
     Opposite to the gap of 12-1 a tooth broken off leaves what 6-1 shows at twice the speed.
 
@@ -85,8 +89,45 @@ def _is_left(s: State, c: Const, whole: float) -> bool:
 
 
 @kernel
+def _filled(s: State, c: Const) -> int:
+    """Return the tooth before the gap in which there is a pulse too many in each turn that is seen, -1: there is none.
+
+    A pulse at a third of the gap of 60-2 leaves what 60-1 shows, and fits before and behind: the largest gap counts.
+    """
+    if s.seen.pulses != c.pulses + 1:
+        return -1
+    for back in range(c.pulses):
+        gap = c.pulses - 1 - back
+        if c.wheel.nominal[gap] < LEAST_GAP:
+            continue
+        for first in range(c.pulses + 1):
+            fits, at = True, first
+            for k in range(c.pulses):
+                span = s.seen.pitches[at]
+                at = at + 1 if at + 1 <= c.pulses else 0
+                if k == gap:
+                    span += s.seen.pitches[at]
+                    at = at + 1 if at + 1 <= c.pulses else 0
+                if abs(span - c.wheel.nominal[k]) > EQUAL:
+                    fits = False
+                    break
+            if fits:
+                return gap
+    return -1
+
+
+@kernel
+def _tell_filled(s: State, c: Const, tooth: int, out: Reports) -> None:
+    """Report the pulse too many in a gap. Meanwhile nothing is proven, and the gap is not told as missing."""
+    e = report(out, ADDED, True, s.seen.turns, TURNS).pulses
+    e.count, e.tooth, e.speed = 1.0, tooth, 60e6 / (s.seen.pitch * c.wheel.whole)
+    waiting.clear(s.waiting)
+
+
+@kernel
 def _judge(s: State, c: Const, out: Reports) -> None:
     """Compare the wheel that is seen with the configured one, at the end of a turn."""
+    s.filled = 0
     if wheel_seen.sure(s.seen) == 0:
         s.wrong = 0
         return
@@ -98,6 +139,11 @@ def _judge(s: State, c: Const, out: Reports) -> None:
         s.wrong = 0
         if s.phase == CONFIRMED:
             s.looks = 0
+        elif s.seen.turns >= TURNS and s.reversal.stood == 0:
+            tooth = _filled(s, c)
+            if tooth >= 0:
+                s.filled = 1
+                _tell_filled(s, c, tooth, out)
         return
     if s.seen.turns < TURNS or s.reversal.stood == 1:
         return

@@ -344,3 +344,68 @@ def test_a_twin_that_revs_up_has_no_runout(rate, amplitude, told):
     size = amplitude * np.minimum(period / (60e6 / 900), 1.0) ** 2 if amplitude else 0.06
     moved = times + size * period / (2 * np.pi) * np.sin(angle)
     assert ("runout" in named(follower("adaptive", wheel)(np.rint(moved)))) == told
+
+
+@compiled
+@pytest.mark.parametrize("text", ["4-2", "36-2-1-1", "0.78,0.22,0.78,0.22"])
+def test_wheels_with_pitches_of_their_own_make_no_report(text):
+    """Short pitches are no doubled edges; cranked with ripple, idling, and fast. A missed pulse is told."""
+    print("seed 35")
+    wheel = Wheel.parse(text)
+    follow = follower("adaptive", wheel)
+    for rpm, turns, amplitude in ((250.0, 60, 0.4), (250.0, 60, 0.3), (850.0, 60, 0.08), (5000.0, 60, 0.01)):
+        for phase in range(4):
+            times, teeth = train(text, rpm, turns, [35, phase], [(2, amplitude, phase * np.pi / 2)])
+            result = follow(times)
+            assert named(result) == {}, (rpm, amplitude, phase)
+            assert len(wrong(result, teeth, wheel.repeats)) == 0, (rpm, amplitude, phase)
+    at = 40 * wheel.pulses + 1
+    assert named(follow(np.delete(times, at))) == {"missed_pulse": 1}
+
+
+@compiled
+@pytest.mark.parametrize("order", [2.0, 3.0])
+@pytest.mark.parametrize("text", ["12-1", "12+1"])
+def test_cranking_for_a_minute_with_ripple_that_hides_the_gap_is_no_gap_missing(text, order):
+    """Told after 31 s before; an even wheel, which has none, is told while it is cranked."""
+    print("seed 36")
+    wheel = Wheel.parse(text)
+    for phase in range(4):
+        times, teeth = train(text, 250.0, 250, [36, phase], [(order, 0.4, phase * np.pi / 2)])
+        result = follower("adaptive", wheel)(times)
+        assert named(result) == {}, phase
+        assert len(wrong(result, teeth)) == 0, phase
+    even = tooth_times(Wheel("", (1.0,) * 12), [(0, 250.0)], 12.0, jitter=0.01, rng=np.random.default_rng(36)) / 1e3
+    assert set(named(follower("adaptive", wheel)(even))) == {"no_gap"}
+
+
+@compiled
+@pytest.mark.parametrize("text", ["36-2", "60-2"])
+def test_edges_that_jitter_by_a_tenth_below_100_rpm_are_followed(text):
+    """An interval that follows a short one is not slow: these were doubted as engines that turn back, turn by turn."""
+    print("seed 37")
+    wheel = Wheel.parse(text)
+    follow = follower("adaptive", wheel)
+    proven, reversals = [], 0
+    for rpm in (45.0, 60.0, 80.0, 100.0):
+        for phase in range(4):
+            times, teeth = train(text, rpm, 40, [37, phase, int(rpm)], [(2, 0.1, phase * np.pi / 2)], jitter=0.1)
+            result = follow(times)
+            assert named(result) == {}, (rpm, phase)
+            assert len(wrong(result, teeth)) == 0, (rpm, phase)
+            proven.append(result.proven.mean())
+            reversals += result.reversals
+    assert np.mean(proven) > 0.75
+    assert reversals <= 2
+
+
+@compiled
+@pytest.mark.parametrize(("told", "real"), [("60-2", "30-2"), ("36-1", "12-1"), ("24-1", "8-1")])
+def test_a_wheel_that_comes_twice_in_the_configured_one_is_another_wheel(told, real):
+    """It would be the configured wheel with two teeth broken off just where its parts become equal."""
+    print("seed 38")
+    for rpm in (300.0, 1500.0, 6000.0):
+        times, _ = train(real, rpm, 60, [38, int(rpm)], [(2, 0.05 if rpm < 1000 else 0.01, 1.0)])
+        result = follower("adaptive", Wheel.parse(told))(times)
+        assert set(named(result)) == {"wrong_wheel"}, rpm
+        assert result.proven.mean() < 0.01, rpm
