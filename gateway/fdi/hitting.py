@@ -7,7 +7,7 @@ begun anew for each new conflict, took 200 times as long to find all of 20 sets;
 Reiter, "A theory of diagnosis from first principles" (1987): the minimal diagnoses are the minimal hitting sets of the
 conflicts (theorem 4.4); his tree branches on the elements of a conflict that is not hit yet (section 4.2). Here each
 set is reached once, since a branch leaves out the elements of the branches before it, and branches are searched best
-first, as de Kleer and Williams, "Diagnosing multiple faults" (1987), do by probability (section 4). No branch is
+first, by probability (de Kleer, "Focusing on probable diagnoses", 1991). No branch is
 pruned that Reiter's tree would keep (Greiner, Smith and Wilkerson 1989 correct its pruning; nothing is pruned by
 other sets here, only where an element of the set itself is needed for no conflict any more).
 
@@ -30,6 +30,8 @@ from typing import NamedTuple
 NEVER = -math.inf
 #: Default of the greatest number of branches that are looked at.
 MOST_STEPS = 4000
+#: An exact weight counts as so many of them.
+_WEIGHED = 4
 
 #: What waits in the queue: a set that is whole, a set that is not, elements that a set may get next.
 _WHOLE, _PART, _NEXT = range(3)
@@ -102,10 +104,10 @@ class HittingSets:
         weights: of each element, a logarithm, 0 at most, shape (elements,).
         prices: of each conflict that is missed, likewise; :data:`NEVER`: it must be hit; None: all must.
         exact: elements and missed conflicts -> weight of a set, if it can be less than the sum of weights and prices.
-        most_steps: branches that are looked at.
+        most_steps: branches that are looked at, and about as much work for exact weights.
 
     Attributes:
-        steps: branches looked at so far.
+        steps: of them so far.
     """
 
     def __init__(
@@ -231,6 +233,7 @@ class HittingSets:
             bound = one.weight
         else:
             bound = self._exact(tuple(sorted(one.elements)), self._names(one.missed))
+            self.steps += _WEIGHED
         if bound > NEVER:
             self._push(bound, _PART if one.left else _WHOLE, one._replace(bound=bound))
 
