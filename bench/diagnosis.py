@@ -61,9 +61,10 @@ def measure(causes: int, signed: float, changes: int, seed: int) -> None:
     second = 1_000_000_000
 
     def tell(k: int, verdict: int, t: int) -> None:
-        by = [link for link in tests[k].links if int(link.component[1:]) in size]
-        gain = by[0].gain if by else 0.0
-        diagnoser.update(f"t{k}", verdict, t, gain * size[int(by[0].component[1:])] + rng.normal() if by else rng.normal())
+        seen = sum(
+            link.gain * size[int(link.component[1:])] for link in tests[k].links if int(link.component[1:]) in size
+        )
+        diagnoser.update(f"t{k}", verdict, t, seen + rng.normal())
 
     for k in range(TESTS):
         tell(k, PASSED, 0)
@@ -78,7 +79,11 @@ def measure(causes: int, signed: float, changes: int, seed: int) -> None:
     times, right = [], 0
     for n in range(changes):
         k, t = int(rng.integers(TESTS)), (3 + n) * second
-        tell(k, PASSED if k < CONFLICTS and diagnoser.state.verdict[k] == FAILED else FAILED if k < CONFLICTS else PASSED, t)
+        tell(
+            k,
+            PASSED if k < CONFLICTS and diagnoser.state.verdict[k] == FAILED else FAILED if k < CONFLICTS else PASSED,
+            t,
+        )
         begun = time.process_time()
         groups = diagnoser.diagnose()
         times.append(time.process_time() - begun)

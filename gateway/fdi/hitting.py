@@ -104,6 +104,7 @@ class HittingSets:
         weights: of each element, a logarithm, 0 at most, shape (elements,).
         prices: of each conflict that is missed, likewise; :data:`NEVER`: it must be hit; None: all must.
         exact: elements and missed conflicts -> weight of a set, if it can be less than the sum of weights and prices.
+        span: sets lighter than the heaviest by more are not looked for.
         most_steps: branches that are looked at, and about as much work for exact weights.
 
     Attributes:
@@ -117,16 +118,16 @@ class HittingSets:
         prices: Sequence[float] | None = None,
         *,
         exact: Callable[[tuple[int, ...], tuple[int, ...]], float] | None = None,
+        span: float = math.inf,
         most_steps: int = MOST_STEPS,
     ) -> None:
         count_ = len(conflicts)
         self._rank = sorted(range(count_), key=lambda k: (conflicts[k].bit_count(), k))  # small ones leave few branches
         self._masks = [conflicts[k] for k in self._rank]
         self._prices = [NEVER if prices is None else prices[k] for k in self._rank]
-        self._weights, self._exact, self._most = weights, exact, most_steps
-        by_weight = sorted(bits(_union(self._masks)), key=lambda e: (-weights[e], e))
-        self._members = [[e for e in by_weight if mask >> e & 1] for mask in self._masks] if count_ else []
-        self._hits = dict.fromkeys(by_weight, 0)
+        self._weights, self._exact, self._span, self._most = weights, exact, span, most_steps
+        self._members = [sorted(bits(mask), key=lambda e: (-weights[e], e)) for mask in self._masks]
+        self._hits: dict[int, int] = dict.fromkeys((e for members in self._members for e in members), 0)
         for k, members in enumerate(self._members):
             for e in members:
                 self._hits[e] |= 1 << k
@@ -160,13 +161,15 @@ class HittingSets:
         start = _Set((), whole, 0, 0, 0, 0, 0.0, self._reach(whole))
         if start.bound > NEVER:
             self._push(start.bound, _PART if whole else _WHOLE, start)
-        while self._queue and self.steps < self._most:
+        least = NEVER
+        while self._queue and self.steps < self._most and -self._queue[0][0] >= least:
             bound, _, _, _, one, at = heappop(self._queue)
             if at >= 0:
                 self._branch(one, at)
             elif one.left:
                 self._open(one)
             else:
+                least = max(least, -bound - self._span)
                 yield HittingSet(tuple(sorted(one.elements)), self._names(one.missed), -bound)
                 continue  # costs no step
             self.steps += 1
@@ -188,13 +191,10 @@ class HittingSets:
         """Look at the first conflict that is left: an element hits it, or it is missed."""
         first = (one.left & -one.left).bit_length() - 1
         self._wait(one, first, 0)
-        if self._prices[first] == NEVER:
-            return
-        left = one.left ^ (1 << first)
-        weight = one.weight + self._prices[first]
-        self._put(
-            one._replace(left=left, out=one.out | self._masks[first], missed=one.missed | 1 << first, weight=weight)
-        )
+        if self._prices[first] > NEVER:
+            left, out, missed = one.left ^ (1 << first), one.out | self._masks[first], one.missed | 1 << first
+            weight = one.weight + self._prices[first]
+            self._put(one.elements, left, out, one.once, one.often, missed, weight, one.bound)
 
     def _wait(self, one: _Set, first: int, at: int) -> None:
         """Have the next element of a conflict wait, from a place among them on."""
@@ -217,29 +217,24 @@ class HittingSets:
         hits = self._hits[element]
         often = one.often | (one.once & hits)
         once = (one.once & ~hits) | (hits & ~one.once & ~one.often)
-        if not all(self._hits[e] & once for e in one.elements):
-            return  # one of them is needed no more
+        for other in one.elements:
+            if not self._hits[other] & once:
+                return  # it is needed no more
         weight = one.weight + self._weights[element]
-        grown = _Set(
-            (*one.elements, element), one.left & ~hits, one.out, once, often, one.missed, weight, one.bound
-        )  # fmt: skip
-        self._put(grown)
+        self._put((*one.elements, element), one.left & ~hits, one.out, once, often, one.missed, weight, one.bound)
 
-    def _put(self, one: _Set) -> None:
+    def _put(
+        self, elements: tuple[int, ...], left: int, out: int, once: int, often: int, missed: int, weight: float,
+        bound: float,
+    ) -> None:  # fmt: skip
         """Put a set into the queue, by what can come of it."""
-        if one.left:
-            bound = min(one.bound, one.weight + self._reach(one.left))
+        if left:
+            bound = min(bound, weight + self._reach(left))
         elif self._exact is None:
-            bound = one.weight
+            bound = weight
         else:
-            bound = self._exact(tuple(sorted(one.elements)), self._names(one.missed))
+            bound = self._exact(tuple(sorted(elements)), self._names(missed))
             self.steps += _WEIGHED
         if bound > NEVER:
-            self._push(bound, _PART if one.left else _WHOLE, one._replace(bound=bound))
-
-
-def _union(masks: Sequence[int]) -> int:
-    union = 0
-    for mask in masks:
-        union |= mask
-    return union
+            one = _Set(elements, left, out, once, often, missed, weight, bound)
+            self._push(bound, _PART if left else _WHOLE, one)

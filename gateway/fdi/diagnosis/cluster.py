@@ -15,9 +15,9 @@ should have, so that its failure is the less probable (w (1 - w)).
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.fdi.diagnosis import sizes
 from gateway.fdi.diagnosis.answer import Against, Size, Wait
@@ -59,6 +59,7 @@ class Cluster:
         self._alarm: Floats = system.false_alarm[places]
         sized = np.isfinite(system.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
+        self._known: dict[int, dict[int, float]] = {}
         self._count_passes()
 
     def _residual_of(self, tests: Ints) -> Floats:
@@ -115,34 +116,32 @@ class Cluster:
         late = self._late(power)
         return np.where(late, power * (1.0 - power), power)
 
-    def _late(self, power: Floats) -> Floats:
+    def _late(self, power: Floats) -> NDArray[np.bool_]:
         sees = power > 0.0
         alone = sees & (sees.sum(axis=1) == 1)[:, None]
         never = np.iinfo(np.int64).max
         begun = np.where(alone, self._since[:, None], never).min(axis=0)
         known = begun < never
         due = np.where(known, begun, 0)[None, :] + self._due[:, None]
-        late: Floats = sees & known & (self._from[:, None] <= due) & (due < self._since[:, None])
+        late: NDArray[np.bool_] = sees & known & (self._from[:, None] <= due) & (due < self._since[:, None])
         return late
 
-    @cached_property
-    def _signed(self) -> list[dict[int, float]]:
-        """Tests that say something of each suspect's size -> gain; those that failed, and those whose pass counts."""
-        found: list[dict[int, float]] = [{} for _ in self.suspects]
-        system = self._system
-        for k in np.flatnonzero(self._sized):
-            for link in system.of_component[self.suspects[k]]:
-                test = int(system.link_test[link])
-                gain = float(system.gain[link])
-                told = math.isfinite(system.noise[test]) and math.isfinite(self._state.residual[test])
-                if told and math.isfinite(gain) and (test in self._row or (int(k), test) in self._counted):
-                    found[k][test] = gain
-        return found
+    def _signed(self, k: int) -> dict[int, float]:
+        """Return tests that say something of a suspect's size -> gain: those that failed, those whose pass counts."""
+        if k not in self._known:
+            self._known[k] = self._look(k) if self._sized[k] else {}
+        return self._known[k]
 
-    @cached_property
-    def _counted(self) -> set[tuple[int, int]]:
+    def _look(self, k: int) -> dict[int, float]:
+        system = self._system
         column, test, _, counts, _, _ = self._passes
-        return set(zip(column[counts].tolist(), test[counts].tolist(), strict=True))
+        mine = slice(*np.searchsorted(column, (k, k + 1)))
+        cleared = set(test[mine][counts[mine]].tolist())
+        links = system.of_component[self.suspects[k]]
+        tests = system.link_test[links]
+        told = np.isfinite(system.gain[links]) & np.isfinite(self._residual_of(tests))
+        pairs = zip(tests[told].tolist(), system.gain[links[told]].tolist(), strict=True)
+        return {t: gain for t, gain in pairs if t in self._row or t in cleared}
 
     def fit(self, suspects: tuple[int, ...]) -> sizes.Fit | None:
         """Return the sizes of the suspects of a set whose gains are known; None: there are none.
@@ -155,10 +154,10 @@ class Cluster:
         system = self._system
         gains: dict[int, list[float]] = {}
         for at, k in enumerate(sized):
-            for test, gain in self._signed[k].items():
+            for test, gain in self._signed(k).items():
                 gains.setdefault(test, [0.0] * len(sized))[at] = gain
         for k in suspects if len(suspects) > 1 else ():
-            known = self._signed[k] if self._sized[k] else {}
+            known = self._signed(k)
             for link in system.of_component[self.suspects[k]]:
                 if int(system.link_test[link]) not in known:
                     gains.pop(int(system.link_test[link]), None)

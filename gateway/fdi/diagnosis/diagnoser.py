@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from gateway.fdi.diagnosis.answer import Group
 from gateway.fdi.diagnosis.cluster import Cluster
 from gateway.fdi.diagnosis.search import Bounds, solve
@@ -105,20 +107,23 @@ class Diagnoser:
     def _parted(self, failed: Sequence[int]) -> list[tuple[int, ...]]:
         """Return failed tests in groups that share no component, each ascending."""
         system = self.system
-        head = {t: t for t in failed}
-
-        def find(t: int) -> int:
-            while head[t] != t:
-                head[t] = head[head[t]]
-                t = head[t]
-            return t
-
-        first: dict[int, int] = {}
-        for t in failed:
-            for component in system.link_component[system.of_test[t]].tolist():
-                a, b = find(first.setdefault(component, t)), find(t)
-                head[max(a, b)] = min(a, b)
+        alone: list[tuple[int, ...]] = [(t,) for t in failed if not len(system.of_test[t])]  # they blame nothing
+        failed = [t for t in failed if len(system.of_test[t])]
+        if not failed:
+            return alone
+        links = np.concatenate([system.of_test[t] for t in failed])
+        starts = np.cumsum([0, *(len(system.of_test[t]) for t in failed[:-1])])
+        components, column = np.unique(system.link_component[links], return_inverse=True)
+        row = np.repeat(np.arange(len(failed)), np.diff([*starts, len(links)]))
+        head = np.arange(len(failed))
+        while True:  # each test takes the least number among those that it shares a component with
+            least = np.full(len(components), len(failed))
+            np.minimum.at(least, column, head[row])
+            now = np.minimum.reduceat(least[column], starts)
+            if (now == head).all():
+                break
+            head = now[now]
         groups: dict[int, list[int]] = {}
-        for t in failed:
-            groups.setdefault(find(t), []).append(t)
-        return [tuple(group) for group in groups.values()]
+        for t, of in zip(failed, head.tolist(), strict=True):
+            groups.setdefault(of, []).append(t)
+        return [*alone, *(tuple(group) for group in groups.values())]

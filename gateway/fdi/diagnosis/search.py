@@ -32,15 +32,12 @@ _SUSPECTED = 0.01
 
 def solve(cluster: Cluster, bounds: Bounds) -> Group:
     """Return the diagnoses of a cluster, likeliest first."""
+    span = -math.log(bounds.least) if bounds.least > 0.0 else math.inf
     search = HittingSets(
-        cluster.conflicts, cluster.weights, cluster.prices, exact=cluster.weight, most_steps=bounds.steps
-    )
-    found: list[HittingSet] = []
-    floor = math.log(bounds.least) if bounds.least > 0.0 else -math.inf
-    for one in search:
-        if found and one.weight < found[0].weight + floor:
-            break
-        found.append(one)
+        cluster.conflicts, cluster.weights.tolist(), cluster.prices, exact=cluster.weight, span=span,
+        most_steps=bounds.steps,
+    )  # fmt: skip
+    found = list(search)
     waiting = search.waiting
     if waiting and search.steps >= bounds.steps:
         near = _near(cluster)

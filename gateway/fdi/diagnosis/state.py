@@ -42,7 +42,7 @@ class State:
             residual: signed, in the unit of its noise; NaN: not known.
         """
         before = int(self.verdict[test])
-        same = math.isnan(residual) and math.isnan(self.residual[test]) or residual == self.residual[test]
+        same = residual == self.residual[test] or (math.isnan(residual) and math.isnan(self.residual[test]))
         self.residual[test] = residual
         if verdict == before:
             renewed = verdict == PASSED and t_ns > self.until[test]

@@ -5,55 +5,14 @@ import math
 import numpy as np
 import pytest
 from amount import amount
+from random_systems import a_system, ran, some_updates
 
-from gateway.fdi.diagnosis.diagnoser import Diagnoser
 from gateway.fdi.diagnosis.search import Bounds
 from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
-from gateway.fdi.diagnosis.system import Component, Link, Test
+from gateway.fdi.diagnosis.system import Component
 
 SEED = 4711
 ALL = Bounds(diagnoses=1 << 20, least=0.0, steps=1 << 30)
-
-
-def a_system(rng, most=16):
-    count = int(rng.integers(1, most + 1))
-    components = [Component(f"c{k}", prior=float(10 ** rng.uniform(-4, -0.5))) for k in range(count)]
-    density = rng.uniform(0.1, 0.6)
-    tests = []
-    for k in range(int(rng.integers(1, 13))):
-        signed = rng.random() < 0.5
-        links = tuple(
-            Link(c.name, float(rng.uniform(0.02, 0.999)), float(rng.normal()) if signed and rng.random() < 0.8 else math.nan)
-            for c in components
-            if rng.random() < density
-        )
-        tests.append(
-            Test(
-                f"t{k}",
-                links,
-                false_alarm=float(10 ** rng.uniform(-5, -1)),
-                delay_s=float(rng.choice([0.0, 1.0, 5.0])),
-                noise=float(rng.uniform(0.1, 2.0)) if signed else math.nan,
-                gain_error=float(rng.choice([0.0, 0.05, 0.3])),
-            )
-        )
-    return components, tests
-
-
-def some_updates(rng, components, tests):
-    """Return updates in order of time; what fails mostly comes of one or two components."""
-    faulty = set(rng.choice(len(components), int(rng.integers(0, 3))).tolist())
-    updates = []
-    for test in tests:
-        t = 0.0
-        for _ in range(int(rng.integers(1, 4))):
-            t += float(rng.choice([0.0, 0.5, 1.0, 5.0]))
-            sees = any(int(link.component[1:]) in faulty for link in test.links)
-            chance = [0.1, 0.1, 0.8] if sees and t > 1 else [0.15, 0.75, 0.1]
-            verdict = int(rng.choice([NOT_TESTED, PASSED, FAILED], p=chance))
-            residual = float(rng.normal() * 3) if rng.random() < 0.8 else math.nan
-            updates.append((test.name, verdict, round(t * 1e9), residual))
-    return sorted(updates, key=lambda one: one[2])
 
 
 # The oracle ----------------------------------------------------------------------------------------------------------
@@ -84,8 +43,10 @@ class Oracle:
         self.single = {name: self.of_component(name) for name in self.components}
 
     def signed(self, test, name):
-        return not math.isnan(test.noise) and not math.isnan(self.now[test.name][4]) and not math.isnan(
-            self.gain.get((test.name, name), math.nan)
+        return (
+            not math.isnan(test.noise)
+            and not math.isnan(self.now[test.name][4])
+            and not math.isnan(self.gain.get((test.name, name), math.nan))
         )
 
     def is_sized(self, name):
@@ -144,9 +105,9 @@ class Oracle:
         for t in self.tests:
             mine = self.sees[t.name] & chosen
             fails = self.now[t.name][0] == FAILED
-            if mine and all(name in sized and self.signed(t, name) for name in mine):
-                if fails or all(self.counts(t, name) for name in mine):
-                    rows.append((t, [self.gain[t.name, name] if name in mine else 0.0 for name in sized]))
+            told = mine and all(name in sized and self.signed(t, name) for name in mine)
+            if told and (fails or all(self.counts(t, name) for name in mine)):
+                rows.append((t, [self.gain[t.name, name] if name in mine else 0.0 for name in sized]))
         if not rows:
             return 1.0
         r = np.array([self.now[t.name][4] for t, _ in rows])
@@ -197,13 +158,6 @@ def combined(groups, names):
     return whole
 
 
-def ran(components, tests, updates, bounds=ALL):
-    diagnoser = Diagnoser(components, tests, bounds)
-    for update in updates:
-        diagnoser.update(*update)
-    return diagnoser
-
-
 def test_all_subsets():
     """Every case: the same sets, with the same probabilities."""
     print("seed", SEED)
@@ -212,7 +166,7 @@ def test_all_subsets():
     for case in range(amount(10_000, 400, 80)):
         components, tests = a_system(rng)
         updates = some_updates(rng, components, tests)
-        diagnoser = ran(components, tests, updates)
+        diagnoser = ran(components, tests, updates, ALL)
         groups = diagnoser.diagnose()
         oracle = Oracle(components, tests, updates)
         assert sorted(t for g in groups for t in g.failed) == [tests.index(t) for t in oracle.failed], case
@@ -237,7 +191,7 @@ def test_a_search_of_usual_bounds_has_what_all_subsets_have():
         components, tests = a_system(rng)
         components = [Component(c.name, prior=c.prior * 0.03) for c in components]
         updates = some_updates(rng, components, tests)
-        every = ran(components, tests, updates).diagnose()
+        every = ran(components, tests, updates, ALL).diagnose()
         few = ran(components, tests, updates, Bounds(diagnoses=4)).diagnose()
         for whole, part in zip(every, few, strict=True):
             for one, other in zip(whole.diagnoses, part.diagnoses, strict=False):
