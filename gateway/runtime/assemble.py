@@ -11,8 +11,11 @@ from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
+from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.engine.depends.derive import dependences
+from gateway.engine.depends.parts import Seen
 from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
@@ -206,6 +209,17 @@ def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
 
 def _unique(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
+
+
+def depends_of(config: Config, parts: Parts) -> dict[str, tuple[Seen, ...]]:
+    """Return what each fault's test sees, the component that it sees best first, by the fault's id.
+
+    Raises:
+        InputError: what a monitor's author says of it is wrong.
+    """
+    buses = [BusInstance(bus.name, bus.health) for bus in config.bus]
+    engine = parts.engine
+    return dependences(engine.faults, parts.databases, engine.monitors, parts.checks, buses)
 
 
 def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: TesterControl) -> Identifiers:

@@ -20,6 +20,7 @@ from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
     Arrivals,
+    Blames,
     Connection,
     CusumCalibration,
     Family,
@@ -37,7 +38,7 @@ from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway.monitors.structural import decision, filters, identity, kept, modes, records, source, summary
-from gateway.monitors.structural.faults import faults_of, names_of, shown
+from gateway.monitors.structural.faults import blames, faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan
 
@@ -82,6 +83,7 @@ class _Made:
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
                 Arrivals(lambda c: c.own.message),
+                Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=tuple((name, name) for name in names),
                     floors={},

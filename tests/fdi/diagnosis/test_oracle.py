@@ -40,6 +40,10 @@ class Oracle:
         self.gain = {(t.name, link.component): link.gain for t in tests for link in t.links}
         self.sees = {t.name: {link.component for link in t.links} for t in tests}
         self.delay = {t.name: round(t.delay_s * 1e9) for t in tests}
+        self.apart = []  # components that failed tests connect
+        for t in self.failed:
+            mine = self.sees[t.name].union(*(one for one in self.apart if one & self.sees[t.name]))
+            self.apart = [one for one in self.apart if not one & mine] + [mine]
         self.single = {name: self.of_component(name) for name in self.components}
 
     def signed(self, test, name):
@@ -95,7 +99,7 @@ class Oracle:
                         power *= 1 - power
                 passes *= 1 - power
             total += math.log(1 - passes)
-        return total + math.log(self.chance(chosen))
+        return total + sum(math.log(self.chance(chosen & apart)) for apart in self.apart)
 
     def chance(self, chosen):
         from scipy.stats import chi2
