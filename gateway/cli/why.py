@@ -40,7 +40,7 @@ def why(config_path: Path | None, fault: str, *, json: bool) -> int:
     lines.print(f"  {definition.description}", hang=2)
     lines.print(f"  {'its failure blames':{_NAME}}{'because':{_WHY}}sees", style="dim")
     for one in depends:
-        name, why_known = one.component.name, f"{one.why:{_WHY}}{100 * one.power:.2g} %"
+        name, why_known = one.component.name, f"{_short(one.why):{_WHY}}{100 * one.power:.2g} %"
         if len(name) < _NAME:
             lines.print(f"  {name:{_NAME}}{why_known}", hang=_NAME + 2)
         else:
@@ -58,6 +58,10 @@ def _found(path: Path, fault: str) -> tuple[FaultDefinition, tuple[Seen, ...]]:
     if definition is None:
         raise InputError(named("no monitor reports this fault; known:", fault, found), key="--why", value=fault)
     return definition, found[fault]
+
+
+def _short(text: str) -> str:
+    return text if len(text) < _WHY else f"{text[: _WHY - 4]}..."
 
 
 def _row(one: Seen) -> dict[str, Any]:

@@ -87,4 +87,4 @@ def _connected(
     for ref in inputs.values():
         yield from network.behind(ref, CONNECTED / max(count, 1))
     own = (m.name, fault) if m.part else (m.name,)
-    yield Seen(component("model", *own), OWN / max(count, 1), "what the monitor takes for granted")
+    yield Seen(component("model", *own), OWN / max(count, 1), "taken for granted")

@@ -23,7 +23,7 @@ class Bounds:
 
     diagnoses: int = 16
     least: float = 1e-6
-    steps: int = 2000
+    steps: int = 1000
 
 
 #: A test can still speak if it sees a component that is as probable as this.
