@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway.engine.depends.parts import Seen
 from gateway.errors import InputError, InputErrors, each_of, named
 from gateway.faults.catalogue import FaultDefinition
-from gateway.runtime.assemble import depends_of, prepare
+from gateway.runtime.assemble import prepare
 
 #: Columns of the name of a component; of how it is known.
 _NAME, _WHY = 42, 28
@@ -51,13 +51,11 @@ def why(config_path: Path | None, fault: str, *, json: bool) -> int:
 
 
 def _found(path: Path, fault: str) -> tuple[FaultDefinition, tuple[Seen, ...]]:
-    config = load_config(path)
-    parts = prepare(config, path)
-    found = depends_of(config, parts)
+    parts = prepare(load_config(path), path)
     definition = parts.catalogue.get(fault)
     if definition is None:
-        raise InputError(named("no monitor reports this fault; known:", fault, found), key="--why", value=fault)
-    return definition, found[fault]
+        raise InputError(named("no monitor reports this fault; known:", fault, parts.depends), key="--why", value=fault)
+    return definition, parts.depends[fault]
 
 
 def _short(text: str) -> str:

@@ -11,7 +11,6 @@ from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
-from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.depends.derive import dependences
@@ -65,6 +64,7 @@ class Parts:
         checks: of messages, in the engine's order.
         notes: what was taken where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
+        depends: fault id -> what its test sees, the component that it sees best first.
     """
 
     databases: tuple[Database, ...]
@@ -79,6 +79,7 @@ class Parts:
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
+    depends: Mapping[str, tuple[Seen, ...]]
 
 
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
@@ -127,6 +128,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.checks,
         resolved.notes,
         resolved.codes,
+        dependences(engine.faults, resolved.databases, resolved.monitors, resolved.checks, resolved.buses),
     )
 
 
@@ -209,17 +211,6 @@ def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
 
 def _unique(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
-
-
-def depends_of(config: Config, parts: Parts) -> dict[str, tuple[Seen, ...]]:
-    """Return what each fault's test sees, the component that it sees best first, by the fault's id.
-
-    Raises:
-        InputError: what a monitor's author says of it is wrong.
-    """
-    buses = [BusInstance(bus.name, bus.health) for bus in config.bus]
-    engine = parts.engine
-    return dependences(engine.faults, parts.databases, engine.monitors, parts.checks, buses)
 
 
 def identifiers_of(config: Config, parts: Parts, memory: FaultMemory, control: TesterControl) -> Identifiers:

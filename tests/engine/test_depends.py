@@ -13,7 +13,7 @@ from gateway.errors import InputError
 from gateway.fdi.diagnosis.system import PRIORS
 from gateway.monitors.contract import Blame, Blames
 from gateway.monitors.registry import MONITORS
-from gateway.runtime.assemble import depends_of, prepare
+from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
 
@@ -26,7 +26,7 @@ CATALOGUES = {"diagnostics_faults.toml"}
 def depends(path):
     config = load_config(path)
     parts = prepare(config, path)
-    return config, parts, depends_of(config, parts)
+    return config, parts, parts.depends
 
 
 @pytest.mark.long

@@ -199,9 +199,10 @@ class Cluster:
         return tuple(sorted(told, key=lambda one: (one.factor, one.test)))
 
     def waiting(self, suspects: set[int]) -> tuple[Wait, ...]:
-        """Return the tests that passed, but not late enough to clear some suspects."""
-        column, test, _, counts, due, _ = self._passes
-        open_ = ~counts & np.isin(column, list(suspects))
+        """Return the tests that passed, but not late enough, and that could clear one of some suspects."""
+        column, test, _, counts, due, links = self._passes
+        strong = self._system.power[links] >= 1.0 - TOLD
+        open_ = ~counts & strong & np.isin(column, list(suspects))
         until: dict[int, int] = {}
         for t, at in zip(test[open_].tolist(), due[open_].tolist(), strict=True):
             until[t] = max(until.get(t, 0), at)

@@ -63,6 +63,14 @@ class Diagnoser:
             self._touched.add(place)
         return changed
 
+    def succeed(self, old: Diagnoser) -> None:
+        """Take over what an earlier one knows of the tests that both have, by their names."""
+        for name, place in self.system.test_place.items():
+            before = old.system.test_place.get(name)
+            if before is not None:
+                self.state.take_over(place, old.state, before)
+                self._touched.add(place)
+
     def diagnose(self) -> tuple[Group, ...]:
         """Return what explains the tests that fail, a group each, in the order of their first tests."""
         if not self._touched:

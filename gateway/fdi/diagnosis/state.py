@@ -32,6 +32,11 @@ class State:
         self.passed_from: NDArray[np.int64] = np.full(tests, NEVER, np.int64)
         self.residual = np.full(tests, math.nan)
 
+    def take_over(self, test: int, other: State, place: int) -> None:
+        """Take over what another state has of a test, at its place there."""
+        for name in ("verdict", "since", "until", "passed_from", "residual"):
+            getattr(self, name)[test] = getattr(other, name)[place]
+
     def update(self, test: int, verdict: int, t_ns: int, residual: float) -> bool:
         """Take a verdict; returns whether anything is another than before.
 

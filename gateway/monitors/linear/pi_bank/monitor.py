@@ -111,7 +111,7 @@ def _blames(p: Params) -> dict[str, list[Blame]]:
     sensors = {part.name: Blame(part.signal) for part in p.output}
     every = [one._replace(share=VAGUE) for one in (*actuators.values(), *sensors.values())]
     # An actuator that does as it is told looks faulty, too, where the command that the bus carries is another one.
-    found = {f"actuator_{part.name}": [actuators[part.name], Blame(part.signal, share=0.3)] for part in p.input}
+    found = {f"actuator_{part.name}": [actuators[part.name], Blame(part.signal, share=0.05)] for part in p.input}
     found |= {f"sensor_{name}": [one] for name, one in sensors.items()}
     return found | {"unexplained": [*every, Blame("model", "model")]}
 
