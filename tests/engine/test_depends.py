@@ -79,7 +79,7 @@ def test_isolation_says_whom_a_fault_blames():
     assert sensor[0].component.name == "signal flight.Aircraft_Sensors.Roll"
     assert not any("Yaw" in one.component.name for one in sensor)
     actuator = found["aircraft.actuator_rudder"]
-    assert actuator[0].component.name == "actuator aircraft.rudder"
+    assert actuator[0].component.name == "actuator flight.Aircraft_Command.Rudder"
     _, _, found = depends(ROOT / "configs/tanks.toml")
     assert names(found["tanks.f_1"])["signal tanks.Sensors.Level1"] == pytest.approx(0.9)
     assert list(names(found["tanks.f_p"])) == ["plant tanks.f_p"]  # the pump, not its command

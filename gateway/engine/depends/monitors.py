@@ -75,8 +75,11 @@ def _blamed(
     m: MonitorInstance, one: Blame, inputs: Mapping[str, SignalRef], network: Network, count: int
 ) -> Iterator[Seen]:
     power = OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
-    if one.kind:
-        yield Seen(component(one.kind, m.name, one.part), power, "isolated by the monitor")
+    ref = inputs.get(one.part)
+    if one.kind and ref is not None:
+        yield Seen(component(one.kind, network.names[ref.bus], ref.message, ref.signal), power, "as the monitor says")
+    elif one.kind:
+        yield Seen(component(one.kind, m.name, one.part), power, "as the monitor says")
     else:
         yield from network.behind(inputs[one.part], power)
 

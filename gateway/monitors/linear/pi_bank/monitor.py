@@ -107,7 +107,7 @@ def _faults(p: Params) -> tuple[Fault, ...]:
 
 def _blames(p: Params) -> dict[str, list[Blame]]:
     """Return what each fault blames: its actuator or sensor; what is not isolated, each of them, and the model."""
-    actuators = {part.name: Blame(part.name, "actuator") for part in p.input}
+    actuators = {part.name: Blame(part.signal, "actuator") for part in p.input}
     sensors = {part.name: Blame(part.signal) for part in p.output}
     every = [one._replace(share=VAGUE) for one in (*actuators.values(), *sensors.values())]
     # An actuator that does as it is told looks faulty, too, where the command that the bus carries is another one.
