@@ -1,11 +1,14 @@
 """Diagnoses of a gateway: one cause where one thing is wrong, none where nothing is, and the same however it is fed."""
 
 import itertools
+import json
 import random
 
 import numpy as np
 import pytest
 
+from gateway.cli.learn import learn_car
+from gateway.cli.replay import replay
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
@@ -109,3 +112,35 @@ def test_it_is_the_same_however_the_frames_come(name, seconds):
             cuts.append(cuts[-1] + rng.randint(1, most))
         pieces = [frames[a:b] for a, b in itertools.pairwise(cuts)]
         assert played(config, frames, pieces) == whole
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """Return the configuration that is learned from the car's drive, and the drive."""
+    folder = tmp_path_factory.mktemp("car")
+    database, log = shipped("examples/car/toyota_rav4.dbc"), shipped("examples/car/drive.log.xz")
+    learn_car(
+        [database, log], out=folder / "car.toml", buses=(), hold_out=0.2, maps=(), pgn=False, seed=1, update=False,
+        force=False, json=True,
+    )  # fmt: skip
+    return folder / "car.toml", log
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("injected", "cause"),
+    [
+        ("offset SPEED.SPEED=40 @20..25", "signal can0.SPEED.SPEED"),
+        ("drop SPEED @20..25", "message can0.SPEED"),
+        ("", None),
+    ],
+)
+def test_of_a_learned_car_the_part_that_is_wrong_is_named(car, tmp_path, capsys, injected, cause):
+    config, log = car
+    capsys.readouterr()
+    faults = [injected] if injected else []
+    replay(log, config, memory=tmp_path / "m.sqlite", injections=faults, json=True, fail_on_dtc=False)
+    told = diagnoses([json.loads(line) for line in capsys.readouterr().out.splitlines()])
+    causes = {tuple(group["cause"]) for event in told for group in event["groups"] if group["cause"]}
+    assert causes == ({(cause,)} if cause else set())
+    assert bool(told) is bool(injected)

@@ -92,6 +92,13 @@ def test_faults_of_one_channel_share_what_they_see_of_it():
     assert sum(one.power for one in own) == pytest.approx(0.9)
 
 
+def test_a_sender_that_stands_for_nobody_is_no_ecu():
+    """Most messages of opendbc's databases have the sender XXX: that they share it means nothing."""
+    network = Network(["can0"], {0: load_database([ROOT / "examples/car/toyota_rav4.dbc"])})
+    assert network.senders(0, "SPEED") == []
+    assert network.senders(0, "no such message") == []
+
+
 # A monitor of a stranger ---------------------------------------------------------------------------------------------
 
 

@@ -18,6 +18,8 @@ CONNECTED = 0.3
 #: Of a fault of the message that carries the value, and of its sender: few of their faults make values wrong that
 #: arrive, and pass all checks.
 OF_MESSAGE, OF_SENDER = 0.3, 0.1
+#: Senders of databases that do not know the sender.
+_NOBODY = ("XXX", "Vector__XXX")
 
 
 class Seen(NamedTuple):
@@ -60,7 +62,7 @@ class Network:
             found = self.databases[bus].message(message).senders
         except InputError:  # of a monitor's own message, from another database
             return []
-        return [component("ecu", self.names[bus], name) for name in found]
+        return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
 
     def message(self, bus: int, message: str) -> Component:
         """Return a message."""
