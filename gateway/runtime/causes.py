@@ -37,6 +37,8 @@ PACE_NS = 100_000_000
 _AGAIN_NS = 100_000_000
 #: ... so often.
 _MOST_LOOKS = 10
+#: So many settings of the wall clock are remembered.
+_MOST_OFFSETS = 8
 #: Causes that an event tells of each group, and tests that would tell them apart.
 _TOLD = 5
 #: Components that nothing else has to do with: what they explain, their own fault says.
@@ -75,19 +77,21 @@ class Causes:
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
         engine.on_pause = self.look
+        self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
     def take(self, events: Events) -> None:
         """Take events of the engine; what they mean is looked at a moment later, with those that come meanwhile."""
-        kinds = events["kind"]
+        kinds, offset_ns = events["kind"], self._note_offset()
         for event in events[(kinds == QUALIFIED_FAILED) | (kinds == QUALIFIED_PASSED)]:
-            fault, t_ns, failed = int(event["fault"]), int(event["t_ns"]), event["kind"] == QUALIFIED_FAILED
-            while (due := self._engine.pause_ns) < t_ns - self._engine.offset_ns:  # of timers in a silence
+            fault, failed = int(event["fault"]), event["kind"] == QUALIFIED_FAILED
+            t_ns = int(event["t_ns"]) - offset_ns
+            while (due := self._engine.pause_ns) < t_ns:  # of timers in a silence
                 self.look(due)
             if fault in self._place:
                 self._diagnoser.update(self._engine.faults[fault].id, FAILED if failed else PASSED, t_ns)
                 self._failing += failed
             if self._failing or self._told:
-                self._engine.pause_ns = min(due, t_ns - self._engine.offset_ns + PACE_NS)
+                self._engine.pause_ns = min(due, t_ns + PACE_NS)
                 self._looks = 0
 
     def look(self, t_ns: int) -> None:
@@ -97,7 +101,7 @@ class Causes:
             t_ns: now, of the engine's time.
         """
         self._engine.pause_ns = NEVER
-        event = self._conclude(self._engine.wall_ns(t_ns))
+        event = self._conclude(t_ns)
         if event is not None:
             self._tell(event)
 
@@ -110,7 +114,7 @@ class Causes:
         """Go on where those of an earlier configuration stop, with the tests that both have."""
         self._diagnoser.succeed(old._diagnoser)
         self._told, self._looks, self._failing = old._told, old._looks, old._failing
-        self._engine.pause_ns = old._engine.pause_ns
+        self._engine.pause_ns, self._offsets = old._engine.pause_ns, old._offsets
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
         self._renew(t_ns)
@@ -121,7 +125,8 @@ class Causes:
         if news == self._told:
             return None
         self._told = news
-        return {"event": "diagnosis", "t_ns": t_ns, "groups": [self._group(group) for group in groups]}
+        told = [self._group(group, t_ns) for group in groups]
+        return {"event": "diagnosis", "t_ns": self._engine.wall_ns(t_ns), "groups": told}
 
     def _renew(self, t_ns: int) -> None:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
@@ -133,9 +138,26 @@ class Causes:
             diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
         for place in self._beside():
             fault = self._tests[place]
-            last = min(int(engine.tables.buckets[fault]["last_ns"]), t_ns)
+            last = min(self._engine_time(int(engine.tables.buckets[fault]["last_ns"])), t_ns)
             if known[place] == PASSED and engine.fault_detection_counter(fault) <= 0:
                 diagnoser.update(diagnoser.system.tests[place].name, PASSED, last)
+
+    def _note_offset(self) -> int:
+        """Note what the wall clock is ahead of the engine's time, since when; returns it [ns]."""
+        offset_ns = self._engine.offset_ns
+        if not self._offsets:
+            self._offsets.append((-NEVER, offset_ns))
+        elif offset_ns != self._offsets[-1][1]:
+            self._offsets.append((self._engine.now_ns, offset_ns))
+            del self._offsets[:-_MOST_OFFSETS]
+        return offset_ns
+
+    def _engine_time(self, wall_ns: int) -> int:
+        """Return the engine's time of a stamp of the wall clock, which may have been set since."""
+        for since_ns, offset_ns in reversed(self._offsets):
+            if since_ns <= wall_ns - offset_ns <= self._engine.now_ns:
+                return wall_ns - offset_ns
+        return -NEVER
 
     def _beside(self) -> list[int]:
         """Return the tests that see a component which a failed test blames."""
@@ -154,7 +176,7 @@ class Causes:
             self._looks += 1
         else:
             return
-        self._engine.pause_ns = due - self._engine.offset_ns
+        self._engine.pause_ns = due
 
     # What is told ----------------------------------------------------------------------------------------------------
 
@@ -169,7 +191,7 @@ class Causes:
             *(tuple(system.components[c].name for c in one.components) for one in ranked),
         )
 
-    def _group(self, group: Group) -> dict[str, Any]:
+    def _group(self, group: Group, t_ns: int) -> dict[str, Any]:
         system = self._diagnoser.system
         tests, components = [t.name for t in system.tests], [c.name for c in system.components]
         cause = group.cause
@@ -189,7 +211,9 @@ class Causes:
                 }
                 for one in group.diagnoses[:_TOLD]
             ],
-            "waits_for": [{"test": tests[w.test], "until_ns": w.until_ns} for w in group.waiting],
+            "waits_for": [
+                {"test": tests[w.test], "for_s": max(round((w.until_ns - t_ns) * 1e-9, 3), 0.0)} for w in group.waiting
+            ],
             "apart_by": [tests[one.test] for one in apart],
         }
 
