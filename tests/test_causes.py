@@ -89,6 +89,23 @@ def test_a_cause_that_is_gone_is_told_as_gone():
     assert diagnoses(played(config, frames))[-1]["groups"] == []
 
 
+def test_a_cleared_fault_has_no_cause_until_it_fails_again():
+    """One timeout comes again 100 ms behind the clear, the other one after 200 ms only."""
+    config, frames = frames_of("signals_faults", 4.9)
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    gateway.feed(silent_from(frames, 3.0))
+    gateway.advance(4_000_000_000)
+    assert diagnoses(events)[-1]["groups"]
+    assert gateway.controls.clear(0xFFFFFF)
+    gateway.advance(4_050_000_000)
+    gateway.advance(4_120_000_000)
+    assert [group["failed"] for group in diagnoses(events)[-1]["groups"]] == [["chassis.WheelSpeeds.timeout"]]
+    gateway.close()
+
+
 @pytest.mark.parametrize("name", ["pedal_healthy", "crank_healthy", "truck_healthy", "tanks_healthy"])
 def test_healthy_plants_have_no_cause(name):
     config, frames = frames_of(name, 10.0)

@@ -105,6 +105,11 @@ class Causes:
         if event is not None:
             self._tell(event)
 
+    def look_soon(self) -> None:
+        """Look at the causes a moment later, if there are any."""
+        if self._told:
+            self._engine.pause_ns = min(self._engine.pause_ns, self._engine.now_ns + PACE_NS)
+
     @property
     def pending(self) -> bool:
         """Whether there may be more to say."""

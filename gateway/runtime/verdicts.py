@@ -93,6 +93,10 @@ class Verdicts:
                 self._outbox.note(monitor_event(event, self._catalogue, self._bus_name(int(event["bus"]))))
         self._causes.take(events)
 
+    def look_again(self) -> None:
+        """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""
+        self._causes.look_soon()
+
     def note_changes(self, changes: Sequence[DtcChange]) -> bool:
         """Keep changes to be told when they are stored; returns whether there are any worth it."""
         told = [change for change in changes if change.concerns_fault]
