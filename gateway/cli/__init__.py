@@ -723,9 +723,17 @@ def check(
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of the configuration and exit.")
     ] = False,
+    why: Annotated[
+        str | None,
+        typer.Option(metavar="FAULT", help="Print what a failure of this fault's test blames, and its pass clears."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Check a configuration and list all its errors."""
+    if why is not None:
+        from gateway.cli.why import why as explain
+
+        raise typer.Exit(explain(config, why, json=json))
     from gateway.cli.check import check as work
 
     raise typer.Exit(work(config, schema_wanted=schema, json=json))

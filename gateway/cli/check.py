@@ -42,21 +42,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         errors = mistakes(path) or each_of(error)
         if not json:
             raise (errors[0] if len(errors) == 1 else InputErrors(errors)) from error
-        print_json(
-            {
-                "ok": False,
-                "errors": [
-                    {
-                        "file": e.file,
-                        "line": e.line,
-                        "key": e.key,
-                        "value": None if e.value is None else str(e.value),
-                        "message": e.message,
-                    }
-                    for e in errors
-                ],
-            }
-        )
+        print_json({"ok": False, "errors": [as_dict(each) for each in errors]})
         return 2
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
@@ -87,6 +73,12 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def as_dict(error: InputError) -> dict[str, Any]:
+    """Return an error as JSON has it."""
+    value = None if error.value is None else str(error.value)
+    return {"file": error.file, "line": error.line, "key": error.key, "value": value, "message": error.message}
 
 
 def _trusted_in_vain(monitor: Monitor[Any]) -> Iterator[str]:

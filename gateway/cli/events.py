@@ -11,6 +11,8 @@ from gateway.cli.present import print_json
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.status import Status
 
+#: Causes that are less probable are not printed.
+LEAST_TOLD = 0.01
 #: Columns of the names of a DTC's parts.
 _LABEL = 10
 
@@ -95,6 +97,18 @@ class EventPrinter:
         from gateway.cli.trace import text_of  # noqa: PLC0415 - few want it
 
         print("\n".join(text_of(event, self.start_ns, self._lines.width)))
+
+    def _on_diagnosis(self, event: dict[str, Any]) -> None:
+        for group in event["groups"]:
+            mark = "cause" if group["cause"] else "not isolated"
+            self._lines.print(f"{self._time(event)}  {mark}  of {', '.join(group['failed'])}", mark=mark, colour="bold")
+            for one in group["causes"]:
+                if one["probability"] >= LEAST_TOLD:
+                    self._part(f"{100 * one['probability']:.3g} %", " and ".join(one["components"]) or "false alarm")
+            if group["waits_for"]:
+                self._part("waits", f"for {', '.join(one['test'] for one in group['waits_for'][:3])}")
+            if group["apart_by"] and not group["cause"]:
+                self._part("apart by", ", ".join(group["apart_by"][:3]))
 
     def _on_clear(self, event: dict[str, Any]) -> None:
         gone = ", ".join(event["faults"]) or "no entry was there"

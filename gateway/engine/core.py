@@ -34,6 +34,11 @@ class Engine:
     """The compiled tables with the loop over them; made by :func:`gateway.engine.build.build_engine`.
 
     Not thread-safe: one thread feeds it.
+
+    Attributes:
+        pause_ns: time at which frames before it have been handled, and none from it on, and ``on_pause`` is called with
+            it; NEVER: there is none. The sink may set it, and what is called.
+        on_pause: takes that time.
     """
 
     def __init__(
@@ -61,6 +66,8 @@ class Engine:
         self._outbox = np.asarray(tables.outbox)
         self._ranks = self._outbox["rank"]
         self._run: Callable[..., int] = self._first_run
+        self.pause_ns = NEVER
+        self.on_pause: Callable[[int], None] = lambda t_ns: None
         self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
 
     def state_of(self, monitor: int) -> Any:
@@ -120,6 +127,8 @@ class Engine:
         start, count = 0, len(frames)
         if not count and until_ns == NEVER:
             return _NO_FRAMES
+        if self.pause_ns < NEVER:
+            return self._in_parts(frames, sink, until_ns)
         if not frames.flags.carray:
             frames = copied(frames)  # the loop is compiled for one kind of array
         sent = []
@@ -131,6 +140,31 @@ class Engine:
                 sent.append(self._sent())
             if start >= count and (until_ns == NEVER or self._clock[self._now] >= until_ns):
                 return joined(sent) if sent else _NO_FRAMES
+            if self.pause_ns < NEVER:  # asked for by the sink
+                return joined([*sent, self._in_parts(frames[start:], sink, until_ns)])
+
+    def _in_parts(self, frames: Frames, sink: Sink, until_ns: int) -> Frames:
+        """Feed a batch as :meth:`process` does, and call :attr:`on_pause` when it is time for it."""
+        start, count, sent = 0, len(frames), []
+        if not frames.flags.carray:
+            frames = copied(frames)
+        while True:
+            pause = self.pause_ns
+            stop = max(start, int(np.searchsorted(frames["t_ns"], pause)))
+            paused = stop < count or (until_ns < NEVER and pause <= until_ns)
+            target = pause if paused else until_ns
+            start = self._run(frames[:stop], start, target)
+            self._drain(sink)
+            sent.append(self._sent())
+            if self.pause_ns != pause or start < stop or (target < NEVER and self._clock[self._now] < target):
+                continue
+            if not paused:
+                return joined(sent)
+            self._pause()
+
+    def _pause(self) -> None:
+        pause, self.pause_ns = self.pause_ns, NEVER
+        self.on_pause(pause)
 
     def advance(self, t_ns: int, sink: Sink) -> Frames:
         """Let time pass without a frame, so that timers can run; returns what the monitors send.
@@ -141,6 +175,8 @@ class Engine:
         """
         self._run(_NO_FRAMES, 0, t_ns)
         self._drain(sink)
+        while self.pause_ns <= t_ns:
+            self._pause()
         return self._sent()
 
     @property

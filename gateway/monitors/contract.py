@@ -460,9 +460,41 @@ class Arrivals:
     of: Callable[[Any], Any]
 
 
+#: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
+VAGUE = 0.1
+
+
+class Blame(NamedTuple):
+    """A part that may be at fault when a test fails.
+
+    Attributes:
+        part: the name of a connected signal, as ``connect`` has it; or with a kind a name of the monitor's own.
+        kind: of a part that is no signal: "actuator", "plant", "supply", "model", ...; "": it is a signal. With the
+            name of a signal it is what that signal commands or measures, the same for all monitors.
+        share: how likely the test fails if this part alone is at fault, against a part that it is there for, 0 to 1.
+    """
+
+    part: str
+    kind: str = ""
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Blames:
+    """What the isolation of a monitor knows of the parts at fault (``gateway check --why``).
+
+    Attributes:
+        of: parameters -> name of a fault -> the parts that its failure blames. A fault that is not named blames all
+            that is connected, as those of a monitor that says nothing do.
+    """
+
+    of: Callable[[Any], Mapping[str, Sequence[Blame]]]
+
+
 #: Something that a monitor can do beside monitoring; at most one of each class.
 Capability = (
     Arrivals
+    | Blames
     | Calibration
     | CusumCalibration
     | Notes
@@ -476,6 +508,7 @@ Capability = (
 C = TypeVar(
     "C",
     Arrivals,
+    Blames,
     Calibration,
     CusumCalibration,
     Notes,

@@ -26,6 +26,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
+from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.interventions import Interventions
@@ -133,6 +134,7 @@ class Gateway:
         names = [bus.name for bus in self.config.bus]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
+        self._causes = Causes(self.engine, self._parts.depends, self._parts.checks, self._outbox.note)
         self._verdicts = Verdicts(
             self.config,
             self._parts,
@@ -142,6 +144,7 @@ class Gateway:
             self._outbox,
             self._off,
             self._doubts,
+            self._causes,
         )
         judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
@@ -197,6 +200,7 @@ class Gateway:
         self.memory.succeed(old.memory)
         self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
+        self._causes.succeed(old._causes)
         self._meter.succeed(old._meter)
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
@@ -239,6 +243,8 @@ class Gateway:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
         self._proofs.look()
+        if self._causes.pending:
+            self._causes.look(t_ns)
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
@@ -342,7 +348,7 @@ class Gateway:
         """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
         if not (self._outbox.empty and self._idle):
             return -1
-        return min(self.engine.due_ns, self.servers.next_ns)
+        return min(self.engine.due_ns, self.servers.next_ns, self.engine.pause_ns)
 
     @property
     def databases(self) -> Sequence[Database]:

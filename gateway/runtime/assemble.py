@@ -13,6 +13,8 @@ from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.engine.depends.derive import dependences
+from gateway.engine.depends.parts import Seen
 from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
@@ -62,6 +64,7 @@ class Parts:
         checks: of messages, in the engine's order.
         notes: what was taken where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
+        depends: fault id -> what its test sees, the component that it sees best first.
     """
 
     databases: tuple[Database, ...]
@@ -76,6 +79,7 @@ class Parts:
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
+    depends: Mapping[str, tuple[Seen, ...]]
 
 
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
@@ -124,6 +128,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.checks,
         resolved.notes,
         resolved.codes,
+        dependences(engine.faults, resolved.databases, resolved.monitors, resolved.checks, resolved.buses),
     )
 
 

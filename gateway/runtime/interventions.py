@@ -68,6 +68,7 @@ class Interventions:
         gone = sorted(self._entries.intersection(cleared))
         t_ns = self._engine.wall_ns(self._engine.now_ns)
         self._outbox.tell(clear_event(t_ns, gone))
+        self._verdicts.look_again()
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""

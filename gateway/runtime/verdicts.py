@@ -24,6 +24,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts
+from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
@@ -45,6 +46,7 @@ class Verdicts:
         outbox: takes what is to be told.
         off: monitors that are switched off.
         doubts: rules that no frame passes.
+        causes: what explains the faults.
 
     Attributes:
         count: events until now.
@@ -60,10 +62,12 @@ class Verdicts:
         outbox: Outbox,
         off: SwitchedOff,
         doubts: Doubts,
+        causes: Causes,
     ) -> None:
         self._config, self._parts, self._engine, self._catalogue = config, parts, parts.engine, parts.catalogue
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
+        self._causes = causes
         self._index = {definition.id: k for k, definition in enumerate(parts.catalogue)}
         self.count = 0
 
@@ -87,6 +91,11 @@ class Verdicts:
             told = self.note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
                 self._outbox.note(monitor_event(event, self._catalogue, self._bus_name(int(event["bus"]))))
+        self._causes.take(events)
+
+    def look_again(self) -> None:
+        """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""
+        self._causes.look_soon()
 
     def note_changes(self, changes: Sequence[DtcChange]) -> bool:
         """Keep changes to be told when they are stored; returns whether there are any worth it."""

@@ -3,8 +3,12 @@
 import importlib
 import json
 
+import pytest
+
 from gateway.cli.check import check
+from gateway.cli.why import why
 from gateway.common.resources import shipped
+from gateway.errors import InputError
 
 check_module = importlib.import_module("gateway.cli.check")
 
@@ -57,3 +61,27 @@ def test_a_structural_monitor_tells_what_will_run(tmp_path, capsys):
     assert "P1B11-64  motor.f_b: the bearing's friction" in said
     assert check(path, schema_wanted=False, json=True) == 0
     assert len(json.loads(capsys.readouterr().out)["told"]["motor"]) == 8
+
+
+def test_why_says_what_a_fault_depends_on_in_80_columns(capsys):
+    path = shipped("configs/steering.toml")
+    assert why(path, "steering.angles", json=False) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0] == "steering.angles  C1A04-62"
+    assert any(line.split()[:2] == ["signal", "chassis.SAS_Angle.Delta_S"] for line in lines)
+    assert any(line.split()[:2] == ["ecu", "chassis.SAS"] for line in lines)
+    assert why(path, "steering.angles", json=True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["fault"], told["dtc"]) == ("steering.angles", "C1A04-62")
+    assert {"component", "kind", "power", "why"} == set(told["depends"][0])
+
+
+def test_why_of_a_fault_that_is_not_there_names_near_ones(capsys):
+    path = shipped("configs/steering.toml")
+    with pytest.raises(InputError, match=r"no monitor reports this fault.*did you mean steering.angles") as error:
+        why(path, "steering.angle", json=False)
+    assert (error.value.key, error.value.value) == ("--why", "steering.angle")
+    assert why(path, "steering.angle", json=True) == 2
+    (told,) = json.loads(capsys.readouterr().out)["errors"]
+    assert told["key"] == "--why"

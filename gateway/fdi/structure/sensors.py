@@ -3,8 +3,8 @@
 More sensors never make a fault of the model harder to find: what is asked is monotone, so that all minimal sets follow
 from counterexamples. A set that is not enough is grown until one sensor more would be enough; what is then left out
 must contain a sensor of every set that is enough. The minimal sets that hit all those are tried in turn, until each of
-them is enough (Berge's transversals, one counterexample at a time). It does not matter whether the model has too few
-equations somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
+them is enough (:mod:`gateway.fdi.hitting`, one counterexample at a time). It does not matter whether the model has too
+few equations somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
 
 A sensor that can fail itself adds a fault that must be found too. That is not monotone, so the minimal sets for the
 model's own faults are grown, smallest first; a second sensor of the same variable may be what is needed.
@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.hitting import grown_by
 from gateway.fdi.structure.isolability import isolability_of_model
 from gateway.fdi.structure.model import Equation, Model
 
@@ -56,9 +57,7 @@ def minimal_sets(
             if name not in grown and not enough(frozenset(grown | {name})):
                 grown.add(name)
         missing = [name for name in candidates if name not in grown]
-        kept = [s for s in hitting if not s.isdisjoint(missing)]
-        more = [s | {name} for s in hitting if s.isdisjoint(missing) for name in missing]
-        hitting = kept + [s for s in dict.fromkeys(more) if not any(k <= s for k in kept)]
+        hitting = grown_by(hitting, missing)
         if len(hitting) > limit:
             raise ValueError(_TOO_MANY.format(limit))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, TypeAlias
 
 from gateway.jit import Record, f8, f8s, labels, means
-from gateway.monitors.contract import Debounce, Fault, Out
+from gateway.monitors.contract import Blame, Debounce, Fault, Out
 
 (
     MISSED,
@@ -293,3 +293,20 @@ FAULTS = (
         tested="turns in a row that showed another wheel",
     ),
 )
+
+_SENSOR, _CAM = Blame("crankshaft sensor", "sensor"), Blame("cam sensor", "sensor")
+_WHEEL = Blame("wheel", "plant")
+
+#: What each fault blames. Lost frames are not named: their sender and all before it may be at fault.
+BLAMES = {
+    **{fault.name: (_SENSOR,) for fault in FAULTS[:CRANK_FAULTS] if fault.name != "reversed"},
+    "reversed": (Blame("engine", "plant"),),
+    "runout": (_WHEEL,),
+    "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.2)),
+    "cam_silent": (_CAM,),
+    "relocated": (_SENSOR,),
+    "damaged_tooth": (_WHEEL,),
+    "noise": (_SENSOR,),
+    "two_places": (_WHEEL,),
+    "wrong_wheel": (_WHEEL, Blame("wheel configured", "model")),
+}

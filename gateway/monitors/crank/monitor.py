@@ -17,6 +17,7 @@ from gateway.fdi.wheel import WheelText
 from gateway.jit import kernel
 from gateway.monitors.contract import (
     TIMER,
+    Blames,
     Connection,
     Emission,
     Fault,
@@ -28,7 +29,7 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway.monitors.crank import cam, constant_speed, frames, isolation, place, rival
-from gateway.monitors.crank.faults import FAULTS, Evidence
+from gateway.monitors.crank.faults import BLAMES, FAULTS, Evidence
 from gateway.monitors.crank.records import (
     CLASSIC_INTERVALS,
     MOST_INTERVALS,
@@ -305,6 +306,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=_emits,
     capabilities=(
+        Blames(lambda _: BLAMES),
         Notes(_facts),
         Readout(
             (

@@ -33,7 +33,19 @@ from gateway.fdi.model_set.design import COMMAND_SIZE
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.fdi.quantiles import chi2_above, normal_above
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
-from gateway.monitors.contract import TIMER, Arrivals, Debounce, Fault, Monitor, Out, Readout, Refinement, report
+from gateway.monitors.contract import (
+    TIMER,
+    Arrivals,
+    Blame,
+    Blames,
+    Debounce,
+    Fault,
+    Monitor,
+    Out,
+    Readout,
+    Refinement,
+    report,
+)
 from gateway.monitors.linear import plant as linear_plant
 from gateway.monitors.linear.plant import COMMAND, FINDING, MOST_MISSING, SETTLING, Inputs
 from gateway.monitors.linear.refine import found, wanted
@@ -190,6 +202,14 @@ def _faults(p: Params) -> tuple[Fault, ...]:
             )
         )
     return tuple(found)
+
+
+def _blames(p: Params) -> dict[str, list[Blame]]:
+    """Return what each fault blames: all sensors and actuators, for an observer isolates none; and the model."""
+    parts = [Blame(part.signal, share=0.3) for part in p.output]
+    parts += [Blame(part.signal, "actuator", 0.3) for part in p.input]
+    parts += [Blame(part.signal, share=0.05) for part in p.input]
+    return {fault.name: [*parts, Blame("model", "model")] for fault in _faults(p)}
 
 
 def _prepare(p: Params, s: State, c: Const) -> None:
@@ -362,6 +382,7 @@ MONITOR = Monitor(
     faults=_faults,
     capabilities=(
         Arrivals(lambda c: c.sampling.message),
+        Blames(_blames),
         Readout(("nis", "missing", "restarts", "commands_lost", "untested", "reason")),
         Refinement(wanted, found),
     ),

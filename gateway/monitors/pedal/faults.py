@@ -6,7 +6,7 @@ from typing import Annotated
 
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.jit import Record, f8, f8s, labels, means
-from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 from gateway.monitors.pedal.params import PRESETS, Params
 
 #: Faults of a channel, by their place; channel i's begin at ``i * PER_CHANNEL``.
@@ -141,3 +141,16 @@ def faults(p: Params) -> tuple[Fault, ...]:
         name, _, text, debounce, tested = _SUPPLY
         found.append(Fault(name, codes[name], text, labels(SupplyEvidence), debounce, tested=tested))
     return tuple(found)
+
+
+def blames(p: Params) -> dict[str, list[Blame]]:
+    """Return what each fault blames: a channel its sensor, what concerns all of them each sensor, or their supply."""
+    every = [Blame(channel.signal, share=0.5 if len(p.channels) == 2 else VAGUE) for channel in p.channels]
+    supply = [Blame("supply", "supply")]
+    found = {
+        f"channel_{i + 1}_{name}": [Blame(channel.signal)]
+        for i, channel in enumerate(p.channels)
+        for name, *_ in (*_CHANNEL, *([_DRIFTS] if len(p.channels) == MOST_CHANNELS else []))
+    }
+    found |= dict.fromkeys(("correlation", "drift", "invalid"), every)
+    return found | dict.fromkeys(("jump", "supply") if p.tells_supply else ("jump",), supply)

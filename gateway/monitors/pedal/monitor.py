@@ -18,10 +18,20 @@ from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import kernel
-from gateway.monitors.contract import TIMER, Connection, Emission, Monitor, Out, Readout, SensorCalibration, Signal
+from gateway.monitors.contract import (
+    TIMER,
+    Blames,
+    Connection,
+    Emission,
+    Monitor,
+    Out,
+    Readout,
+    SensorCalibration,
+    Signal,
+)
 from gateway.monitors.pedal import acquaintance, diagnosis, measured
 from gateway.monitors.pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
-from gateway.monitors.pedal.faults import Evidence, faults
+from gateway.monitors.pedal.faults import Evidence, blames, faults
 from gateway.monitors.pedal.params import BEND, PRESETS, VOTERS, PairParams, Params, TripleParams
 from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
 
@@ -211,7 +221,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(Readout(_SHOWN), SensorCalibration(lambda p: p.period_ms, measured.found)),
+        capabilities=(Blames(blames), Readout(_SHOWN), SensorCalibration(lambda p: p.period_ms, measured.found)),
     )
 
 

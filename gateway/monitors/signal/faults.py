@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.monitors.contract import MAX_RESULTS, Debounce, Fault
+from gateway.monitors.contract import MAX_RESULTS, Blame, Debounce, Fault
 from gateway.monitors.signal.params import MOST_SIGNALS, PartParams, Watched
 
 BELOW, ABOVE, LOW, HIGH, GRADIENT, STUCK, INVALID, UNDEFINED, ALL_ONES, NOISE, MISSING = range(11)
@@ -81,3 +81,16 @@ def faults(p: PartParams) -> tuple[Fault, ...]:
                 )
             )
     return tuple(found)
+
+
+def blames(p: PartParams) -> dict[str, list[Blame]]:
+    """Return what each fault blames: its signal; one that is held against another signal, that one a little, too."""
+    found = {}
+    for watched in p.watched:
+        own = watched.limits.signal
+        asked = watched.limits.stuck
+        other = None if asked is None else asked.during or asked.moving
+        for kind in kinds_of(watched):
+            beside = [Blame(other, share=0.2)] if kind == STUCK and other not in (None, own) else []
+            found[f"{watched.name}.{KINDS[kind][0]}"] = [Blame(own), *beside]
+    return found

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gateway.jit import kernel
-from gateway.monitors.contract import Connection, Fault, Monitor, Out, Parts, Signal, report
+from gateway.monitors.contract import Blames, Connection, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.signal.faults import (
     ABOVE,
     ALL_ONES,
@@ -32,6 +32,7 @@ from gateway.monitors.signal.faults import (
     NOISE,
     STUCK,
     UNDEFINED,
+    blames,
     faults,
     kinds_of,
 )
@@ -266,5 +267,5 @@ MONITOR = Monitor(
     connect=_connect,  # type: ignore[arg-type] # of its parts
     prepare=_prepare,  # type: ignore[arg-type]
     faults=_faults,
-    capabilities=(Parts(parts),),
+    capabilities=(Blames(blames), Parts(parts)),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gateway.jit import Record, f8, labels, means
-from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.contract import Blame, Debounce, Fault
 
 #: Faults by their place. The motor's angle sensor, in the ways it can fail; then the others.
 (
@@ -82,3 +82,21 @@ FAULTS = tuple(
     Fault(name, dtc, text, labels(Evidence), debounce, tested=_TESTED.get(name, "strength of the symptom"))
     for name, dtc, text, debounce in _ROWS
 )
+
+_MOTOR = Blame("motor angle", "sensor")  # it comes in two messages
+_WHEEL, _PINION = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
+_CURRENTS = (Blame("AFS_MotCur.I_U"), Blame("AFS_MotCur.I_V"))
+_VOLTAGES = (Blame("AFS_MotVol.U_sd_mean"), Blame("AFS_MotVol.U_sq_mean"), Blame("inverter", "actuator"))
+
+#: What each fault blames: the component that the signature table names, or those that it cannot tell apart.
+BLAMES = {
+    **{fault.name: (_MOTOR,) for fault in FAULTS[: IMPLAUSIBLE + 1]},
+    "wheel_angle": (_WHEEL,),
+    "pinion_angle": (_PINION,),
+    "angles": tuple(one._replace(share=0.3) for one in (_MOTOR, _WHEEL, _PINION)),
+    "current": _CURRENTS,
+    "voltage": _VOLTAGES,
+    "electric": tuple(one._replace(share=0.3) for one in (*_CURRENTS, *_VOLTAGES)),
+    "pairing": (Blame("AFS_MotCur.MC_cur"), Blame("AFS_MotVol.MC_vol")),
+    "ratio": (Blame("steering", "actuator"), Blame("ESC_Speed.v_X", share=0.5)),
+}

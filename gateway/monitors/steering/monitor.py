@@ -11,12 +11,14 @@ next current frame is paired with the one that it belongs to.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isnan, pi
 
 from gateway.jit import kernel
 from gateway.monitors.contract import (
     TIMER,
+    Blame,
+    Blames,
     Calibration,
     Connection,
     Emission,
@@ -40,6 +42,7 @@ from gateway.monitors.steering import (
 from gateway.monitors.steering.decision import NONE
 from gateway.monitors.steering.faults import (
     ANGLES,
+    BLAMES,
     FAULTS,
     IMPLAUSIBLE,
     PAIRING,
@@ -107,6 +110,11 @@ def _connect(p: Params) -> Mapping[str, Connection]:
 
 def _faults(_: Params) -> tuple[Fault, ...]:
     return FAULTS
+
+
+def _blames(p: Params) -> Mapping[str, Sequence[Blame]]:
+    speed = {} if p.ratio is not None else {"ratio": BLAMES["ratio"][:1]}  # without a ratio no speed is connected
+    return BLAMES | speed
 
 
 def _emits(_: Params) -> Emission:
@@ -358,6 +366,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=_emits,
     capabilities=(
+        Blames(_blames),
         Readout(
             (
                 "value",

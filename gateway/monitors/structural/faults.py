@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from gateway.fdi.structure.model import Model
-from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
 from gateway.monitors.structural.plan import Plan, Test
 from gateway.monitors.structural.records import SHOWN
@@ -127,3 +127,34 @@ def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, .
         labels = _labels(model, plan, what)
         found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy, tested=_LARGEST))
     return tuple(found)
+
+
+def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
+    """Return what each fault blames: the faults of the model that it stands for, and of what is not isolated, all.
+
+    A fault in the equation of a sensor blames the sensor's signal, any other one the part that it is named after.
+    """
+    sensors = _sensors(model)
+    parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
+    own = {
+        fault: tuple(other for other, too in zip(plan.faults, row, strict=True) if too)
+        for fault, row in zip(plan.faults, plan.isolability.confused, strict=True)
+    }
+    found = {
+        name: [parts[f] if own[f] == faults else parts[f]._replace(share=VAGUE) for f in faults]
+        for name, faults in zip(names_of(plan), plan.diagnoses, strict=False)
+    }
+    every = [one._replace(share=VAGUE) for one in dict.fromkeys(parts.values())]
+    return found | {UNISOLATED: [*every, Blame("model", "model")]}
+
+
+def _sensors(model: Model) -> dict[str, str]:
+    """Return the faults that add to what a sensor reads: fault -> its known variable."""
+    found: dict[str, str] = {}
+    for equation in model.equations:
+        if equation.relation is None or len(equation.variables) != 1 or len(equation.knowns) != 1:
+            continue
+        sides = {equation.relation.left.text, equation.relation.right.text}
+        x, z = equation.variables[0], equation.knowns[0]
+        found |= {fault: z for fault in equation.faults if sides == {z, f"{x} + {fault}"}}
+    return found

@@ -21,6 +21,7 @@ from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
     Arrivals,
+    Blames,
     Connection,
     CusumCalibration,
     Family,
@@ -50,7 +51,7 @@ from gateway.monitors.structural import (
     summary,
     uncertain,
 )
-from gateway.monitors.structural.faults import faults_of, names_of, shown
+from gateway.monitors.structural.faults import blames, faults_of, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan, Test
 
@@ -96,6 +97,7 @@ class _Made:
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
                 Arrivals(lambda c: c.own.message),
+                Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=tuple((name, name) for name in names),
                     floors={},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.monitors.contract import Debounce, Fault
+from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 
 #: Faults by their place: those of the structural model in its order, and what is not isolated.
 BATTERY, INVERTER, EFFICIENCY, RESISTANCE, SENSOR, UNISOLATED = range(6)
@@ -37,3 +37,17 @@ def faults_of(tests: tuple[str, ...]) -> tuple[Fault, ...]:
         "error of the machine's torque as motor, T7's estimate",
     )
     return tuple(Fault(name, dtc, text, evidence, _FOUND, tested=_LARGEST) for name, dtc, text in _ROWS)
+
+
+#: What each fault blames, as the structural model has it.
+BLAMES: dict[str, tuple[Blame, ...]] = {
+    "battery_short": (Blame("battery", "plant"),),
+    "inverter_voltage": (Blame("inverter", "actuator"),),
+    "machine_efficiency": (Blame("machine", "plant"),),
+    "machine_resistance": (Blame("machine", "plant"),),
+    "machine_voltage_sensor": (Blame("HEV_SENS_ELEC.U_em_sens"),),
+}
+BLAMES["unisolated"] = (
+    *dict.fromkeys(one._replace(share=VAGUE) for blamed in BLAMES.values() for one in blamed),
+    Blame("model", "model"),
+)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from gateway.jit import kernel
 from gateway.monitors.contract import (
+    Blames,
     CusumCalibration,
     Evidence,
     Fault,
@@ -19,7 +20,7 @@ from gateway.monitors.contract import (
     Readout,
 )
 from gateway.monitors.truck import blanking, collection, decision, gate, isolation, motion, observer, static
-from gateway.monitors.truck.faults import faults_of
+from gateway.monitors.truck.faults import BLAMES, faults_of
 from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
 from gateway.monitors.truck.messages import Inputs, connect
 from gateway.monitors.truck.params import QUANTITIES, Params
@@ -95,6 +96,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=decision.emits,
     capabilities=(
+        Blames(lambda _: BLAMES),
         CusumCalibration(
             quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
             floors={"T7": observer.FLOOR},

@@ -18,7 +18,10 @@ from gateway.fdi.pi_bank.masking import masked
 from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors.contract import (
     TIMER,
+    VAGUE,
     Arrivals,
+    Blame,
+    Blames,
     Debounce,
     Fault,
     Monitor,
@@ -100,6 +103,17 @@ def _faults(p: Params) -> tuple[Fault, ...]:
         text = f"sensor {sensor.name}: contradicts the others"
         found.append(Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND, tested=_SIZE))
     return tuple(found)
+
+
+def _blames(p: Params) -> dict[str, list[Blame]]:
+    """Return what each fault blames: its actuator or sensor; what is not isolated, each of them, and the model."""
+    actuators = {part.name: Blame(part.signal, "actuator") for part in p.input}
+    sensors = {part.name: Blame(part.signal) for part in p.output}
+    every = [one._replace(share=VAGUE) for one in (*actuators.values(), *sensors.values())]
+    # An actuator that does as it is told looks faulty, too, where the command that the bus carries is another one.
+    found = {f"actuator_{part.name}": [actuators[part.name], Blame(part.signal, share=0.05)] for part in p.input}
+    found |= {f"sensor_{name}": [one] for name, one in sensors.items()}
+    return found | {"unexplained": [*every, Blame("model", "model")]}
 
 
 def _prepare(p: Params, s: State, c: Const) -> None:
@@ -335,6 +349,7 @@ MONITOR = Monitor(
     faults=_faults,
     capabilities=(
         Arrivals(lambda c: c.sampling.message),
+        Blames(_blames),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
         Refinement(_wanted, _found),
         Warnings(_warnings),

@@ -1,0 +1,42 @@
+"""What checks of messages depend on, and the health of buses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.depends.parts import Network, Seen, component
+
+#: Check -> probability that it fails if the message, its sender, its bus is at fault. What is silent is seen in any
+#: case; a message that is wrong is so in one of several ways.
+_POWERS = {
+    "timeout": (0.9, 0.95, 0.99),
+    "counter": (0.3, 0.1, 0.3),
+    "crc": (0.3, 0.1, 0.3),
+    "length": (0.3, 0.1, 0.01),
+    "value": (0.3, 0.1, 0.01),
+}
+#: Fault of a bus -> probability that it fails if the bus is at fault.
+_HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9}
+
+
+def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[Seen]:
+    """Yield what a check of a message depends on."""
+    name = check.params.message
+    message = network.message(check.bus, name)
+    if fault == "rule":
+        yield Seen(component("model", network.names[check.bus], name, "checksum"), 0.9, "its rule, as configured")
+        return
+    of_message, of_sender, of_bus = _POWERS[fault]
+    yield Seen(message, of_message, "the message itself")
+    for sender in network.senders(check.bus, name):
+        yield Seen(sender, of_sender, f"sends {name}")
+    yield Seen(network.bus(check.bus), of_bus, f"carries {name}")
+
+
+def of_bus(bus: int, fault: str, network: Network) -> Iterator[Seen]:
+    """Yield what the health of a bus depends on."""
+    if fault in _HEALTH:
+        yield Seen(network.bus(bus), _HEALTH[fault], "the bus itself")
+    else:
+        yield Seen(component("gateway", "queues"), 0.9, "the gateway did not read in time")

@@ -1,0 +1,93 @@
+"""What the faults of a monitor depend on: as its isolation knows it, or all that is connected."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+
+from gateway.engine.depends.parts import CONNECTED, OWN, Network, Seen, component, strongest
+from gateway.engine.instances import MonitorInstance
+from gateway.engine.wiring import wire
+from gateway.errors import InputError, nearest
+from gateway.monitors.conformance import checked_faults, connections
+from gateway.monitors.contract import Blame, Blames
+from gateway.signals.tables import SignalRef
+
+
+def of_monitor(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ...]]:
+    """Return what each fault of a monitor depends on, by the fault's name.
+
+    Raises:
+        InputError: its author's word on it is wrong: a fault that it does not have, a share that is none.
+    """
+    faults = [fault.name for fault in checked_faults(m.monitor, m.params)]
+    inputs = _inputs(m, network)
+    known = _known(m, faults, inputs)
+    count = Counter(one.part for blamed in known.values() for one in blamed if one.share == 1.0)
+    found = {}
+    for name in faults:
+        if name in known:
+            parts = (_blamed(m, one, inputs, network, count[one.part]) for one in known[name])
+            seen = chain.from_iterable(parts)
+        else:
+            seen = chain(_connected(m, name, inputs, network, len(faults) - len(known)))
+        found[name] = strongest(seen)
+    return found
+
+
+def _inputs(m: MonitorInstance, network: Network) -> dict[str, SignalRef]:
+    """Return the signals of a monitor by the names that it has for them."""
+    numbers = {name: k for k, name in enumerate(network.names)}
+    wired = wire(m, network.databases, numbers).inputs
+    own = connections(m.monitor, m.params).inputs
+    return {signal.name: ref for (_, signal), ref in zip(own, wired, strict=True) if signal is not None and ref}
+
+
+def _is_blame(one: object) -> bool:
+    return isinstance(one, Blame) and 0.0 < one.share <= 1.0
+
+
+def _known(m: MonitorInstance, faults: Sequence[str], inputs: Mapping[str, SignalRef]) -> Mapping[str, Sequence[Blame]]:
+    capability = m.monitor.capability(Blames)
+    if capability is None:
+        return {}
+    given: object = capability.of(m.params)
+    key = f'monitor type "{m.monitor.type}".Blames.of'
+    if not isinstance(given, Mapping):
+        text = f"names of faults and what they blame, not {type(given).__name__}"
+        raise InputError(text, file=m.monitor.file, key=key)
+    for name, blamed in given.items():
+        if name not in faults:
+            text = f"the monitor has no such fault{nearest(str(name), faults)}"
+            raise InputError(text, file=m.monitor.file, key=key, value=name)
+        if not isinstance(blamed, tuple | list) or not all(map(_is_blame, blamed)):
+            text = "a tuple of Blame, each with a share above 0, at most 1"
+            raise InputError(text, file=m.monitor.file, key=f"{key}.{name}", value=blamed)
+        for one in blamed:
+            if not one.kind and one.part not in inputs:
+                text = f"no such signal is connected; a part of another kind says which{nearest(one.part, inputs)}"
+                raise InputError(text, file=m.monitor.file, key=f"{key}.{name}", value=one.part)
+    return given
+
+
+def _blamed(
+    m: MonitorInstance, one: Blame, inputs: Mapping[str, SignalRef], network: Network, count: int
+) -> Iterator[Seen]:
+    power = OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
+    ref = inputs.get(one.part)
+    if one.kind and ref is not None:
+        yield Seen(component(one.kind, network.names[ref.bus], ref.message, ref.signal), power, "as the monitor says")
+    elif one.kind:
+        yield Seen(component(one.kind, m.name, one.part), power, "as the monitor says")
+    else:
+        yield from network.behind(inputs[one.part], power)
+
+
+def _connected(
+    m: MonitorInstance, fault: str, inputs: Mapping[str, SignalRef], network: Network, count: int
+) -> Iterator[Seen]:
+    for ref in inputs.values():
+        yield from network.behind(ref, CONNECTED / max(count, 1))
+    own = (m.name, fault) if m.part else (m.name,)
+    yield Seen(component("model", *own), OWN / max(count, 1), "taken for granted")

@@ -1,0 +1,90 @@
+"""Components by name, and the way of a value to its test: sender, message, signal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from gateway.errors import InputError
+from gateway.fdi.diagnosis.system import Component
+from gateway.signals.database import Database
+from gateway.signals.tables import SignalRef
+
+#: Probability that a test fails if the part that it is there for is at fault: of all faults of a monitor that blame it,
+#: one does.
+OWN = 0.9
+#: Likewise of a connected signal, where the monitor does not say what it sees: its pass clears little.
+CONNECTED = 0.3
+#: Of a fault of the message that carries the value, and of its sender: few of their faults make values wrong that
+#: arrive, and pass all checks.
+OF_MESSAGE, OF_SENDER = 0.3, 0.1
+#: Senders of databases that do not know the sender.
+_NOBODY = ("XXX", "Vector__XXX")
+
+
+class Seen(NamedTuple):
+    """That a test sees a component.
+
+    Attributes:
+        component: with its kind.
+        power: probability that the test fails if it alone is faulty.
+        why: how that is known, for people.
+    """
+
+    component: Component
+    power: float
+    why: str
+
+
+def component(kind: str, *path: str) -> Component:
+    """Return a component by its kind, and the names on the way to it."""
+    return Component(f"{kind} {'.'.join(path)}", kind)
+
+
+class Network:
+    """Buses with their databases.
+
+    Args:
+        names: of the buses.
+        databases: of each bus.
+    """
+
+    def __init__(self, names: Sequence[str], databases: Mapping[int, Database]) -> None:
+        self.names, self.databases = tuple(names), databases
+
+    def bus(self, bus: int) -> Component:
+        """Return a bus."""
+        return component("bus", self.names[bus])
+
+    def senders(self, bus: int, message: str) -> list[Component]:
+        """Return the ECUs that send a message, by the database; none: it does not say."""
+        try:
+            found = self.databases[bus].message(message).senders
+        except InputError:  # of a monitor's own message, from another database
+            return []
+        return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
+
+    def message(self, bus: int, message: str) -> Component:
+        """Return a message."""
+        return component("message", self.names[bus], message)
+
+    def signal(self, ref: SignalRef) -> Component:
+        """Return a signal: its value, what measures or computes it."""
+        return component("signal", self.names[ref.bus], ref.message, ref.signal)
+
+    def behind(self, ref: SignalRef, power: float) -> Iterator[Seen]:
+        """Yield a signal that a test sees with some power, with what is on the way from it to the test."""
+        yield Seen(self.signal(ref), power, "what it measures")
+        yield Seen(self.message(ref.bus, ref.message), OF_MESSAGE * power, f"carries {ref.signal}")
+        for sender in self.senders(ref.bus, ref.message):
+            yield Seen(sender, OF_SENDER * power, f"sends {ref.message}")
+
+
+def strongest(seen: Iterable[Seen]) -> tuple[Seen, ...]:
+    """Return each component once, as it is seen best, the best first."""
+    best: dict[str, Seen] = {}
+    for one in seen:
+        known = best.get(one.component.name)
+        if known is None or one.power > known.power:
+            best[one.component.name] = one
+    return tuple(sorted(best.values(), key=lambda one: -one.power))

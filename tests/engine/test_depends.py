@@ -1,0 +1,160 @@
+"""What each fault's test depends on, in all configurations that come with the gateway, and of strangers' monitors."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gateway.config.load import load_config
+from gateway.engine.depends.monitors import of_monitor
+from gateway.engine.depends.parts import Network, strongest
+from gateway.engine.instances import MonitorInstance
+from gateway.errors import InputError
+from gateway.fdi.diagnosis.system import PRIORS
+from gateway.monitors.contract import Blame, Blames
+from gateway.monitors.registry import MONITORS
+from gateway.runtime.assemble import prepare
+from gateway.signals.database import load_database
+from gateway.signals.tables import SignalRef
+
+ROOT = Path(__file__).parents[2]
+CONFIGS = sorted([*ROOT.glob("configs/*.toml"), ROOT / "gateway.toml", ROOT / "examples/battery_voltage/gateway.toml"])
+#: Not a configuration of its own.
+CATALOGUES = {"diagnostics_faults.toml"}
+
+
+def depends(path):
+    config = load_config(path)
+    parts = prepare(config, path)
+    return config, parts, parts.depends
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("path", [p for p in CONFIGS if p.name not in CATALOGUES], ids=lambda p: p.stem)
+def test_every_fault_of_every_configuration_depends_on_something(path):
+    config, parts, found = depends(path)
+    assert list(found) == [slot.id for slot in parts.engine.faults]
+    buses = {bus.name: k for k, bus in enumerate(config.bus)}
+    for fault, seen in found.items():
+        assert seen, fault
+        names = [one.component.name for one in seen]
+        assert len(set(names)) == len(names)
+        for one in seen:
+            assert 0.0 < one.power < 1.0
+            kind, _, way = one.component.name.partition(" ")
+            assert kind == one.component.kind
+            assert kind in PRIORS or kind in ("gateway", "reported"), fault
+            if kind in ("message", "signal"):
+                bus, message, *signal = way.split(".")
+                message = parts.databases[buses[bus]].message(message)
+                assert set(signal) <= {each.name for each in message.signals}
+            if kind == "ecu":
+                bus, sender = way.split(".")
+                assert any(sender in message.senders for message in parts.databases[buses[bus]])
+
+
+def names(seen):
+    return {one.component.name: one.power for one in seen}
+
+
+def test_a_message_that_is_missing_blames_the_way_that_it_takes():
+    _, _, found = depends(ROOT / "configs/signals.toml")
+    told = names(found["chassis.Vehicle.timeout"])
+    assert set(told) == {"message chassis.Vehicle", "ecu chassis.Body", "bus chassis"}
+    assert min(told.values()) >= 0.9
+    assert "bus chassis" not in names(found["relations.front"])  # what arrives and is wrong was wrong before
+
+
+def test_a_rule_blames_each_of_its_signals_and_itself():
+    _, _, found = depends(ROOT / "configs/signals.toml")
+    told = names(found["relations.front"])
+    signals = {f"signal chassis.{name}" for name in ("WheelSpeeds.FL", "WheelSpeeds.FR", "Vehicle.Speed")}
+    assert {name for name in told if name.startswith("signal")} == signals
+    assert "model relations.front" in told
+
+
+def test_isolation_says_whom_a_fault_blames():
+    _, _, found = depends(ROOT / "configs/linear_aircraft.toml")
+    sensor = found["aircraft.sensor_roll"]
+    assert sensor[0].component.name == "signal flight.Aircraft_Sensors.Roll"
+    assert not any("Yaw" in one.component.name for one in sensor)
+    actuator = found["aircraft.actuator_rudder"]
+    assert actuator[0].component.name == "actuator flight.Aircraft_Command.Rudder"
+    _, _, found = depends(ROOT / "configs/tanks.toml")
+    assert names(found["tanks.f_1"])["signal tanks.Sensors.Level1"] == pytest.approx(0.9)
+    assert list(names(found["tanks.f_p"])) == ["plant tanks.f_p"]  # the pump, not its command
+
+
+def test_faults_of_one_channel_share_what_they_see_of_it():
+    _, _, found = depends(ROOT / "configs/pedal_three.toml")
+    own = [seen[0] for fault, seen in found.items() if fault.startswith("brake.channel_2_")]
+    assert {one.component.name for one in own} == {"signal chassis.PED_Brake3.Ch2"}
+    assert sum(one.power for one in own) == pytest.approx(0.9)
+
+
+def test_a_sender_that_stands_for_nobody_is_no_ecu():
+    """Most messages of opendbc's databases have the sender XXX: that they share it means nothing."""
+    network = Network(["can0"], {0: load_database([ROOT / "examples/car/toyota_rav4.dbc"])})
+    assert network.senders(0, "SPEED") == []
+    assert network.senders(0, "no such message") == []
+
+
+# A monitor of a stranger ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stranger(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "examples/battery_voltage"))
+    return MONITORS.get("battery_voltage:MONITOR")
+
+
+@pytest.fixture
+def network():
+    database = load_database([ROOT / "examples/battery_voltage/battery.dbc"])
+    return Network(["a", "b"], {0: database, 1: database})
+
+
+def of(monitor, network, **more):
+    return of_monitor(MonitorInstance("battery", monitor, monitor.params(), **more), network)
+
+
+def test_a_strangers_monitor_gets_it_from_its_connections(stranger, network):
+    for seen in of(stranger, network).values():
+        told = names(seen)
+        assert set(told) == {"signal a.BATT.Voltage", "message a.BATT", "ecu a.ECU", "model battery"}
+        assert told["signal a.BATT.Voltage"] <= 0.3  # nobody knows what it sees: a pass clears little
+    elsewhere = of(stranger, network, signals={"BATT.Voltage": "b.BATT.Voltage"})
+    assert all("signal b.BATT.Voltage" in names(seen) for seen in elsewhere.values())
+
+
+def test_a_monitor_may_refine_it(stranger, network):
+    fault = stranger.faults(stranger.params())[0].name
+    knows = Blames(lambda p: {fault: [Blame(p.signal), Blame("alternator", "actuator", 0.5)]})
+    found = of(replace(stranger, capabilities=(knows,)), network)
+    assert names(found[fault])["actuator battery.alternator"] == pytest.approx(0.45)
+    assert names(found[fault])["signal a.BATT.Voltage"] == pytest.approx(0.9)
+    other = next(seen for name, seen in found.items() if name != fault)
+    assert "model battery" in names(other)  # by its connections, as before
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"loww": [Blame("BATT.Voltage")]}, "no such fault; did you mean low"),
+        ({"low": [Blame("BATT.Volage")]}, "no such signal is connected.*did you mean BATT.Voltage"),
+        ({"low": [Blame("BATT.Voltage", share=0.0)]}, "a share above 0, at most 1"),
+        ({"low": "BATT.Voltage"}, "a tuple of Blame"),
+        (["low"], "names of faults and what they blame, not list"),
+    ],
+)
+def test_a_slip_of_its_author_is_named_with_the_file(stranger, network, given, text):
+    with pytest.raises(InputError, match=text) as error:
+        of(replace(stranger, capabilities=(Blames(lambda _: given),)), network)
+    assert error.value.file is not None
+    assert error.value.file.endswith("battery_voltage.py")
+
+
+def test_a_component_is_there_once_as_it_is_seen_best(network):
+    ref = SignalRef(0, "BATT", "Voltage")
+    seen = strongest([*network.behind(ref, 0.2), *network.behind(ref, 0.5)])
+    assert [round(one.power, 6) for one in seen] == [0.5, 0.15, 0.05]

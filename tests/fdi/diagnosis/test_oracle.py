@@ -1,0 +1,203 @@
+"""Diagnoses against an oracle that looks at all subsets of the components, in plain Python and numpy."""
+
+import math
+
+import numpy as np
+import pytest
+from amount import amount
+from random_systems import a_system, ran, some_updates
+
+from gateway.fdi.diagnosis.search import Bounds
+from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway.fdi.diagnosis.system import Component
+
+SEED = 4711
+ALL = Bounds(diagnoses=1 << 20, least=0.0, steps=1 << 30)
+
+
+# The oracle ----------------------------------------------------------------------------------------------------------
+
+
+def standing(tests, updates):
+    """Return of each test: verdict, since, until, since when it had passed before, residual."""
+    now = {test.name: [NOT_TESTED, 0, 0, None, math.nan] for test in tests}
+    for name, verdict, t, residual in updates:
+        row = now[name]
+        if verdict != row[0]:
+            row[3] = row[1] if (row[0], verdict) == (PASSED, FAILED) else None
+            row[0], row[1] = verdict, t
+        row[2], row[4] = t, residual
+    return now
+
+
+class Oracle:
+    def __init__(self, components, tests, updates):
+        self.components, self.tests = [c.name for c in components], tests
+        self.prior = {c.name: c.prior for c in components}
+        self.now = standing(tests, updates)
+        self.failed = [t for t in tests if self.now[t.name][0] == FAILED]
+        self.power = {(t.name, link.component): link.power for t in tests for link in t.links}
+        self.gain = {(t.name, link.component): link.gain for t in tests for link in t.links}
+        self.sees = {t.name: {link.component for link in t.links} for t in tests}
+        self.delay = {t.name: round(t.delay_s * 1e9) for t in tests}
+        self.apart = []  # components that failed tests connect
+        for t in self.failed:
+            mine = self.sees[t.name].union(*(one for one in self.apart if one & self.sees[t.name]))
+            self.apart = [one for one in self.apart if not one & mine] + [mine]
+        self.single = {name: self.of_component(name) for name in self.components}
+
+    def signed(self, test, name):
+        return (
+            not math.isnan(test.noise)
+            and not math.isnan(self.now[test.name][4])
+            and not math.isnan(self.gain.get((test.name, name), math.nan))
+        )
+
+    def is_sized(self, name):
+        return any(self.signed(t, name) for t in self.failed)
+
+    def counts(self, test, name):
+        latest = max(self.now[t.name][1] for t in self.failed if name in self.sees[t.name])
+        verdict, _, until, _, _ = self.now[test.name]
+        return verdict == PASSED and until >= latest + self.delay[test.name]
+
+    def of_component(self, name):
+        """Return the weight of a component; None: nothing that failed blames it."""
+        if not any(name in self.sees[t.name] for t in self.failed):
+            return None
+        p = self.prior[name]
+        weight = math.log(p / (1 - p))
+        for t in self.tests:
+            if name in self.sees[t.name] and self.counts_by_power(t, name):
+                weight += math.log(1 - self.power[t.name, name])
+        return weight
+
+    def counts_by_power(self, test, name):
+        by_size = self.is_sized(name) and self.signed(test, name)
+        return not by_size and self.now[test.name][0] == PASSED and self.counts(test, name)
+
+    def needed(self, chosen):
+        own = [self.sees[t.name] & chosen for t in self.failed]
+        return {next(iter(one)) for one in own if len(one) == 1} == chosen
+
+    def weight(self, chosen):
+        total = sum(self.single[name] for name in chosen)
+        alone = {}
+        for t in self.failed:
+            mine = self.sees[t.name] & chosen
+            if len(mine) == 1:
+                name = next(iter(mine))
+                alone[name] = min(alone.get(name, math.inf), self.now[t.name][1])
+        for t in self.failed:
+            passes = 1 - t.false_alarm
+            _, since, _, passed_from, _ = self.now[t.name]
+            for name in sorted(self.sees[t.name] & chosen):
+                power = self.power[t.name, name]
+                if name in alone and passed_from is not None:
+                    due = alone[name] + self.delay[t.name]
+                    if passed_from <= due < since:
+                        power *= 1 - power
+                passes *= 1 - power
+            total += math.log(1 - passes)
+        return total + sum(math.log(self.chance(chosen & apart)) for apart in self.apart)
+
+    def chance(self, chosen):
+        from scipy.stats import chi2
+
+        sized = sorted(name for name in chosen if self.is_sized(name))
+        rows = []
+        for t in self.tests:
+            mine = self.sees[t.name] & chosen
+            fails = self.now[t.name][0] == FAILED
+            told = mine and all(name in sized and self.signed(t, name) for name in mine)
+            if told and (fails or all(self.counts(t, name) for name in mine)):
+                rows.append((t, [self.gain[t.name, name] if name in mine else 0.0 for name in sized]))
+        if not rows:
+            return 1.0
+        r = np.array([self.now[t.name][4] for t, _ in rows])
+        gains, expected = np.array([g for _, g in rows]), r
+        for _ in range(2):
+            most = np.maximum(abs(r), abs(expected))
+            spread = np.array([math.hypot(t.noise, t.gain_error * m) for (t, _), m in zip(rows, most, strict=True)])
+            size, _, rank, _ = np.linalg.lstsq(gains / spread[:, None], r / spread, rcond=None)
+            expected = gains @ size
+        degrees = len(r) - rank
+        misfit = float((((r - expected) / spread) ** 2).sum())
+        return max(float(chi2.sf(misfit, degrees)), 1e-9) if degrees > 0 else 1.0
+
+    def diagnoses(self):
+        """Return each set all of whose members are needed -> its probability."""
+        blamed = [name for name in self.components if self.single[name] is not None]
+        index = np.arange(1 << len(blamed))
+        hit = np.zeros((len(self.failed), len(index)), np.int64)
+        for k, name in enumerate(blamed):
+            for row, t in enumerate(self.failed):
+                if name in self.sees[t.name]:
+                    hit[row] += index >> k & 1
+        needed = np.ones(len(index), bool)
+        for k, name in enumerate(blamed):
+            own = np.zeros(len(index), bool)
+            for row, t in enumerate(self.failed):
+                if name in self.sees[t.name]:
+                    own |= hit[row] == 1
+            needed &= own | (index >> k & 1 == 0)
+        found = {}
+        for mask in index[needed].tolist():
+            chosen = {name for k, name in enumerate(blamed) if mask >> k & 1}
+            found[frozenset(chosen)] = self.weight(chosen)
+        top = max(found.values())
+        whole = sum(math.exp(w - top) for w in found.values())
+        return {chosen: math.exp(w - top) / whole for chosen, w in found.items()}
+
+
+def combined(groups, names):
+    """Return what is wrong as a whole -> its probability: one diagnosis of each group."""
+    whole = {frozenset(): 1.0}
+    for group in groups:
+        whole = {
+            chosen | {names[c] for c in one.components}: p * one.probability
+            for chosen, p in whole.items()
+            for one in group.diagnoses
+        }
+    return whole
+
+
+def test_all_subsets():
+    """Every case: the same sets, with the same probabilities."""
+    print("seed", SEED)
+    rng = np.random.default_rng(SEED)
+    several = late = 0
+    for case in range(amount(10_000, 400, 80)):
+        components, tests = a_system(rng)
+        updates = some_updates(rng, components, tests)
+        diagnoser = ran(components, tests, updates, ALL)
+        groups = diagnoser.diagnose()
+        oracle = Oracle(components, tests, updates)
+        assert sorted(t for g in groups for t in g.failed) == [tests.index(t) for t in oracle.failed], case
+        if not groups:
+            continue
+        wanted = oracle.diagnoses()
+        found = combined(groups, [c.name for c in components])
+        assert set(found) == set(wanted), case
+        for chosen, p in wanted.items():
+            assert found[chosen] == pytest.approx(p, rel=1e-6, abs=1e-12), (case, sorted(chosen))
+        several += len(groups) > 1
+        late += any(one.why == "late" for g in groups for d in g.diagnoses for one in d.against)
+    assert several > 0
+    assert late > 0
+
+
+def test_a_search_of_usual_bounds_has_what_all_subsets_have():
+    """The likeliest, with nearly the same probabilities: what is not looked at is not forgotten."""
+    print("seed", SEED + 1)
+    rng = np.random.default_rng(SEED + 1)
+    for case in range(amount(4000, 150, 40)):
+        components, tests = a_system(rng)
+        components = [Component(c.name, prior=c.prior * 0.03) for c in components]
+        updates = some_updates(rng, components, tests)
+        every = ran(components, tests, updates, ALL).diagnose()
+        few = ran(components, tests, updates, Bounds(diagnoses=4)).diagnose()
+        for whole, part in zip(every, few, strict=True):
+            for one, other in zip(whole.diagnoses, part.diagnoses, strict=False):
+                assert other.probability == pytest.approx(one.probability, rel=0.05, abs=1e-6), case
+            assert part.rest + sum(d.probability for d in part.diagnoses) == pytest.approx(1.0)

@@ -1,0 +1,252 @@
+"""What holds of every diagnosis, whatever the tests say."""
+
+import math
+
+import numpy as np
+import pytest
+from amount import amount
+from random_systems import a_system, ran, some_updates
+
+from gateway.fdi.diagnosis.diagnoser import Diagnoser
+from gateway.fdi.diagnosis.search import Bounds
+from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway.fdi.diagnosis.system import Component, Link, Test
+
+SEED = 4713
+
+
+def cases(seed, whole, part):
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    for case in range(amount(whole, part, 30)):
+        components, tests = a_system(rng, most=40)
+        yield case, rng, components, tests, some_updates(rng, components, tests)
+
+
+def test_a_diagnosis_hits_all_conflicts_and_needs_each_component():
+    for case, _, components, tests, updates in cases(SEED, 3000, 150):
+        sees = [{int(link.component[1:]) for link in t.links} for t in tests]
+        for group in ran(components, tests, updates).diagnose():
+            told = [one.probability for one in group.diagnoses]
+            assert sum(told) + group.rest == pytest.approx(1.0), case
+            assert told == sorted(told, reverse=True)
+            for one in group.diagnoses:
+                chosen = set(one.components)
+                alarms = {a.test for a in one.against if a.why == "false alarm"}
+                for t in group.failed:
+                    assert bool(sees[t] & chosen) == (t in one.explains) != (t in alarms), case
+                for c in chosen:
+                    assert any(sees[t] & chosen == {c} for t in group.failed), case
+
+
+def test_the_order_of_updates_of_different_tests_does_not_matter():
+    for case, rng, components, tests, updates in cases(SEED + 1, 2000, 100):
+        once = ran(components, tests, updates).diagnose()
+        mixed = Diagnoser(components, tests)
+        own = {t.name: [u for u in updates if u[0] == t.name] for t in tests}
+        while any(own.values()):
+            name = str(rng.choice([n for n, left in own.items() if left]))
+            mixed.update(*own[name].pop(0))
+            if rng.random() < 0.5:
+                mixed.diagnose()
+        assert mixed.diagnose() == once, case
+
+
+def test_groups_share_no_component():
+    for case, _, components, tests, updates in cases(SEED + 2, 1000, 60):
+        seen = set()
+        for group in ran(components, tests, updates).diagnose():
+            mine = {link.component for t in group.failed for link in tests[t].links}
+            assert not mine & seen, case
+            seen |= mine
+
+
+# What counts, one by one ---------------------------------------------------------------------------------------------
+
+
+def a_diagnoser(*tests, **priors):
+    names = sorted({link.component for t in tests for link in t.links})
+    return Diagnoser([Component(n, prior=priors.get(n, 1e-3)) for n in names], tests)
+
+
+def probabilities(diagnoser):
+    names = [c.name for c in diagnoser.system.components]
+    (group,) = diagnoser.diagnose()
+    return {" ".join(names[c] for c in one.components): one.probability for one in group.diagnoses}
+
+
+def seconds(value):
+    return round(value * 1e9)
+
+
+def test_a_pass_clears_as_much_as_it_would_have_seen():
+    fails = Test("fails", (Link("a", 0.99), Link("b", 0.99)))
+    for power in (0.01, 0.5, 0.99):
+        diagnoser = a_diagnoser(fails, Test("passes", (Link("b", power),)))
+        diagnoser.update("fails", FAILED, 0)
+        diagnoser.update("passes", PASSED, 0)
+        told = probabilities(diagnoser)
+        assert told["b"] / told["a"] == pytest.approx(1.0 - power)
+
+
+def test_a_pass_before_the_fault_could_show_clears_nothing_and_is_waited_for():
+    diagnoser = a_diagnoser(
+        Test("fails", (Link("a", 0.99), Link("b", 0.99))), Test("slow", (Link("b", 0.99),), delay_s=10.0)
+    )
+    diagnoser.update("slow", PASSED, 0)
+    diagnoser.update("fails", FAILED, seconds(5))
+    diagnoser.update("slow", PASSED, seconds(14.9))
+    told = probabilities(diagnoser)
+    assert told["a"] == pytest.approx(told["b"])
+    (group,) = diagnoser.diagnose()
+    assert [(w.test, w.until_ns) for w in group.waiting] == [(1, seconds(15))]
+    assert group.cause is None
+    diagnoser.update("slow", PASSED, seconds(15))
+    (group,) = diagnoser.diagnose()
+    assert group.cause is None  # one false alarm in 10^4 is a tenth of one fault in 10^3
+    assert not group.waiting
+    assert probabilities(diagnoser)["b"] < 0.01
+
+
+def test_a_false_alarm_is_a_diagnosis():
+    diagnoser = a_diagnoser(Test("nervous", (Link("a", 0.9),), false_alarm=0.1))
+    diagnoser.update("nervous", FAILED, 0)
+    told = probabilities(diagnoser)
+    assert told[""] > 0.98
+    (group,) = diagnoser.diagnose()
+    assert group.cause is None
+
+
+def test_two_where_one_cannot_explain_all():
+    one = Test("one", (Link("a", 0.99),), 1e-6)
+    other = Test("other", (Link("b", 0.99),), 1e-6)
+    both = Test("both", (Link("a", 0.9), Link("b", 0.9), Link("c", 0.9)), 1e-6)
+    diagnoser = a_diagnoser(one, other, both)
+    for name in ("one", "other", "both"):
+        diagnoser.update(name, FAILED, 0)
+    (group,) = diagnoser.diagnose()
+    assert group.cause is not None
+    assert group.cause.components == (0, 1)
+    assert group.cause.explains == (0, 1, 2)
+
+
+def test_one_size_has_to_fit_all():
+    """Two residuals that the speed moves alike, and one that it moves the other way: SPEED, not the three others."""
+    tests = [
+        Test(f"rule {k}", (Link("speed", 0.9, gain), Link(f"s{k}", 0.9, 1.0)), 1e-5, noise=1.0)
+        for k, gain in enumerate((1.0, 1.0, -1.0))
+    ]
+    for residuals, wrong in (((40.0, 41.0, -39.0), False), ((40.0, -41.0, -39.0), True), ((40.0, 9.0, -39.0), True)):
+        diagnoser = a_diagnoser(*tests)
+        for k, residual in enumerate(residuals):
+            diagnoser.update(f"rule {k}", FAILED, 0, residual)
+        (group,) = diagnoser.diagnose()
+        speed = next(one for one in group.diagnoses if one.components == (3,))
+        assert (any(a.why == "size" for a in speed.against)) is wrong
+        assert (group.cause == speed) is not wrong
+        if not wrong:
+            ((place, size, error),) = speed.sizes
+            assert (place, size) == (3, pytest.approx(40.0, abs=1.0))
+            assert 0.5 < error < 2.0
+
+
+def test_a_test_that_passes_has_to_fit_the_size_too():
+    sized = [Test(f"t{k}", (Link("a", 0.9, 1.0), Link("b", 0.9, 1.0)), 1e-5, noise=1.0) for k in range(2)]
+    diagnoser = a_diagnoser(*sized, Test("small", (Link("a", 0.9, 0.01), Link("c", 0.9, 1.0)), noise=1.0))
+    diagnoser.update("t0", FAILED, 0, 30.0)
+    diagnoser.update("t1", FAILED, 0, 30.0)
+    diagnoser.update("small", PASSED, 0, 0.4)  # of size 30 it would have seen 0.3: nothing
+    told = probabilities(diagnoser)
+    assert told["a"] == pytest.approx(told["b"], rel=0.3)
+
+
+def test_a_cause_does_not_begin_after_its_symptoms():
+    """The sensor's own test would have failed at once; it failed long behind the rule that the sensor is in."""
+    tests = (
+        Test("rule", (Link("sensor", 0.99), Link("other", 0.99)), 1e-6),
+        Test("own", (Link("sensor", 0.99), Link("wire", 0.99)), 1e-6, delay_s=1.0),
+    )
+    for t, likely in ((1.5, "sensor"), (30.0, "other wire")):
+        diagnoser = a_diagnoser(*tests, sensor=1e-4, other=1e-2, wire=1e-3)
+        diagnoser.update("own", PASSED, 0)
+        diagnoser.update("rule", FAILED, seconds(1))
+        diagnoser.update("own", FAILED, seconds(t))
+        told = probabilities(diagnoser)
+        assert max(told, key=told.get) == likely
+        (group,) = diagnoser.diagnose()
+        sensor = next(one for one in group.diagnoses if one.components == (diagnoser.system.place["sensor"],))
+        assert ("late" in {one.why for one in sensor.against}) is (t > 2)
+
+
+def test_a_test_that_was_not_tested_before_is_not_late():
+    tests = (
+        Test("rule", (Link("sensor", 0.99), Link("other", 0.99)), 1e-6),
+        Test("own", (Link("sensor", 0.99),), 1e-6, delay_s=1.0),
+    )
+    diagnoser = a_diagnoser(*tests)
+    diagnoser.update("rule", FAILED, seconds(1))
+    diagnoser.update("own", FAILED, seconds(30))
+    (group,) = diagnoser.diagnose()
+    assert group.cause is not None
+    assert group.cause.components == (1,)
+    assert not group.cause.against
+
+
+# Work ----------------------------------------------------------------------------------------------------------------
+
+
+def test_without_a_change_there_is_no_work_and_a_change_touches_its_group_only():
+    tests = [Test(f"t{k}", (Link(f"c{k // 2}", 0.9),)) for k in range(8)]
+    diagnoser = a_diagnoser(*tests)
+    for k in range(0, 8, 2):
+        diagnoser.update(f"t{k}", FAILED, 0)
+    first = diagnoser.diagnose()
+    assert (len(first), diagnoser.solved) == (4, 4)
+    assert not diagnoser.update("t0", FAILED, 5)
+    assert diagnoser.diagnose() is first
+    assert diagnoser.solved == 4
+    diagnoser.update("t3", PASSED, 1)
+    diagnoser.diagnose()
+    assert diagnoser.solved == 5
+    diagnoser.update("t2", NOT_TESTED, 2)
+    assert len(diagnoser.diagnose()) == 3
+    assert diagnoser.solved == 5
+
+
+def test_a_search_that_is_cut_off_has_a_diagnosis_and_is_not_certain():
+    rng = np.random.default_rng(SEED + 3)
+    links = [tuple(Link(f"c{c}", 0.5) for c in rng.choice(60, 8, replace=False)) for _ in range(40)]
+    diagnoser = Diagnoser(
+        [Component(f"c{k}", prior=0.01) for k in range(60)],
+        [Test(f"t{k}", each, 1e-9) for k, each in enumerate(links)],
+        Bounds(steps=50),
+    )
+    for k in range(40):
+        diagnoser.update(f"t{k}", FAILED, 0)
+    (group,) = diagnoser.diagnose()
+    chosen = set(group.diagnoses[0].components)
+    assert all(chosen & {int(link.component[1:]) for link in each} for each in links)
+    assert group.cause is None
+
+
+@pytest.mark.parametrize(
+    ("components", "tests", "text"),
+    [
+        (["a", "a"], [], "two components are called a"),
+        (["a"], [Test("t", ()), Test("t", ())], "two tests are called t"),
+        (["a"], [Test("t", (Link("b", 0.5),))], "there is no component 'b'"),
+        (["a"], [Test("t", (Link("a", 1.0),))], "power for a = 1.0: above 0, below 1"),
+        (["a"], [Test("t", (Link("a", 0.5), Link("a", 0.5)))], "linked twice"),
+        (["a"], [Test("t", (), false_alarm=0.0)], "false_alarm = 0.0"),
+        (["a"], [Test("t", (), delay_s=math.nan)], "delay_s = nan"),
+        (["a"], [Test("t", (), noise=0.0)], "noise above 0"),
+    ],
+)
+def test_what_is_wrong_is_named(components, tests, text):
+    with pytest.raises(ValueError, match=text):
+        Diagnoser([Component(name) for name in components], tests)
+
+
+def test_a_prior_is_a_probability():
+    with pytest.raises(ValueError, match=r"component a: prior = 0.6: above 0, at most 0.5"):
+        Diagnoser([Component("a", prior=0.6)], [])

@@ -1,0 +1,163 @@
+"""Diagnoses of a gateway: one cause where one thing is wrong, none where nothing is, and the same however it is fed."""
+
+import itertools
+import json
+import random
+
+import numpy as np
+import pytest
+
+from gateway.cli.learn import learn_car
+from gateway.cli.replay import replay
+from gateway.common.resources import shipped
+from gateway.config.load import load_config
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
+from gateway.runtime.injection import Injector, parse_injection
+from gateway.runtime.playing import player_of
+from gateway.vecu.scenario import load_scenario
+
+
+def frames_of(name, seconds, *injected):
+    scenario = load_scenario(shipped(f"scenarios/{name}.toml"))
+    config = load_config(scenario.config)
+    short = scenario.model_copy(update={"duration_s": min(scenario.duration_s, seconds)})
+    frames, parts = player_of(short, config).frames, prepare(config)
+    for k, text in enumerate(injected):
+        asked = parse_injection(text, [bus.name for bus in config.bus], parts.databases)
+        frames = Injector(asked, parts.databases, parts.checks, np.random.default_rng([1, k])).apply(frames)
+    return config, frames
+
+
+def played(config, frames, pieces=None, until_s=None):
+    """Return the events of a run, fed in pieces; then time passes."""
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    for piece in pieces or [frames]:
+        gateway.feed(piece)
+    end = int(frames["t_ns"][-1]) if until_s is None else round(until_s * 1e9)
+    gateway.advance(end)
+    gateway.stop(end)
+    gateway.close()
+    return events
+
+
+def diagnoses(events):
+    return [event for event in events if event["event"] == "diagnosis"]
+
+
+def silent_from(frames, seconds):
+    return frames[frames["t_ns"] < seconds * 1e9]
+
+
+def test_a_bus_that_falls_silent_is_one_cause():
+    config, frames = frames_of("signals_faults", 4.9)
+    told = diagnoses(played(config, silent_from(frames, 3.0), until_s=60.0))
+    assert len(told) == 1
+    (group,) = told[0]["groups"]
+    assert group["failed"] == ["chassis.WheelSpeeds.timeout", "chassis.Vehicle.timeout"]
+    assert group["cause"] == ["bus chassis"]
+    assert 3.0 < told[0]["t_ns"] / 1e9 < 3.5
+
+
+def test_one_message_of_an_ecu_that_is_heard_is_not_its_ecu():
+    """Body sends two messages, one of which goes on: neither Body nor the bus is silent."""
+    config, frames = frames_of("signals_faults", 4.9, "drop WheelSpeeds @2")
+    last = diagnoses(played(config, frames))[-1]
+    (group,) = last["groups"]
+    names = [one["components"] for one in group["causes"]]
+    assert names[:2] == [["ecu chassis.Brakes"], ["message chassis.WheelSpeeds"]]
+    assert group["cause"] is None  # Brakes sends nothing else
+    assert not any("bus chassis" in one for one in names[:2])
+
+
+def test_while_a_slower_test_can_speak_nothing_is_certain():
+    config, frames = frames_of("signals_faults", 8.5)
+    first, second = diagnoses(played(config, frames))[:2]
+    (before,), (after,) = first["groups"], second["groups"]
+    assert before["cause"] is None
+    assert [one["test"] for one in before["waits_for"]] == ["chassis.WheelSpeeds.timeout"]
+    assert after["cause"] == ["signal chassis.WheelSpeeds.FL"]
+    assert after["waits_for"] == []
+    assert second["t_ns"] - first["t_ns"] >= before["waits_for"][0]["for_s"] * 1e9 > 0.0
+
+
+def test_a_cause_that_is_gone_is_told_as_gone():
+    config, frames = frames_of("signals_faults", 8.5)
+    assert diagnoses(played(config, frames))[-1]["groups"] == []
+
+
+def test_a_cleared_fault_has_no_cause_until_it_fails_again():
+    """One timeout comes again 100 ms behind the clear, the other one after 200 ms only."""
+    config, frames = frames_of("signals_faults", 4.9)
+    gateway = Gateway(config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(0)
+    gateway.feed(silent_from(frames, 3.0))
+    gateway.advance(4_000_000_000)
+    assert diagnoses(events)[-1]["groups"]
+    assert gateway.controls.clear(0xFFFFFF)
+    gateway.advance(4_050_000_000)
+    gateway.advance(4_120_000_000)
+    assert [group["failed"] for group in diagnoses(events)[-1]["groups"]] == [["chassis.WheelSpeeds.timeout"]]
+    gateway.close()
+
+
+@pytest.mark.parametrize("name", ["pedal_healthy", "crank_healthy", "truck_healthy", "tanks_healthy"])
+def test_healthy_plants_have_no_cause(name):
+    config, frames = frames_of(name, 10.0)
+    assert diagnoses(played(config, frames)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("signals_faults", 36.0), ("pedal_three", 8.0), ("crank_wire_corrupted", 8.0)]
+)
+def test_it_is_the_same_however_the_frames_come(name, seconds):
+    """A log in one piece, in pieces of any length, frame by frame with time between them: the same events."""
+    config, frames = frames_of(name, seconds)
+    seed = sum(map(ord, name))
+    print("seed", seed)
+    whole = played(config, frames)
+    assert diagnoses(whole)
+    for most in (3, 400):
+        rng = random.Random(seed + most)
+        cuts = [0]
+        while cuts[-1] < len(frames):
+            cuts.append(cuts[-1] + rng.randint(1, most))
+        pieces = [frames[a:b] for a, b in itertools.pairwise(cuts)]
+        assert played(config, frames, pieces) == whole
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """Return the configuration that is learned from the car's drive, and the drive."""
+    folder = tmp_path_factory.mktemp("car")
+    database, log = shipped("examples/car/toyota_rav4.dbc"), shipped("examples/car/drive.log.xz")
+    learn_car(
+        [database, log], out=folder / "car.toml", buses=(), hold_out=0.2, maps=(), pgn=False, seed=1, update=False,
+        force=False, json=True,
+    )  # fmt: skip
+    return folder / "car.toml", log
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("injected", "cause"),
+    [
+        ("offset SPEED.SPEED=40 @20..25", "signal can0.SPEED.SPEED"),
+        ("drop SPEED @20..25", "message can0.SPEED"),
+        ("", None),
+    ],
+)
+def test_of_a_learned_car_the_part_that_is_wrong_is_named(car, tmp_path, capsys, injected, cause):
+    config, log = car
+    capsys.readouterr()
+    faults = [injected] if injected else []
+    replay(log, config, memory=tmp_path / "m.sqlite", injections=faults, json=True, fail_on_dtc=False)
+    told = diagnoses([json.loads(line) for line in capsys.readouterr().out.splitlines()])
+    causes = {tuple(group["cause"]) for event in told for group in event["groups"] if group["cause"]}
+    assert causes == ({(cause,)} if cause else set())
+    assert bool(told) is bool(injected)
