@@ -81,9 +81,10 @@ def learn(s: State, c: Const, dt: float) -> None:
             fine |= 1 << i
     if t.scale.variance == 0.0 or noise.learn(s.sensors, c.sensors, n, s.position, fine, dt):
         _measure(s, c)
-    smooth = lag.smooth(s.lag, n, s.position, t.scale.straight)
-    lag.learn(s.lag, c.lag, n, s.position, fine, smooth, dt, t.scale.variance)
-    lag.align(s.lag, c.lag, n, s.trusted, smooth, s.aligned)
+    smooth = lag.smooth(s.lag, n, s.position, t.absent, t.scale.straight, dt)
+    rate = t.motion.v if t.started == 1 else 0.0
+    lag.align(s.lag, c.lag, n, s.trusted, smooth, rate, s.aligned)
+    lag.learn(s.lag, c.lag, n, s.aligned, fine, smooth, dt, t.scale.variance)
     t.slack, t.swing = s.lag.slack, s.lag.swing
     s.known = KNOWN_NOISE if s.sensors.known == 1 else 0
     if s.lag.known == 1:

@@ -30,6 +30,7 @@ from gateway.monitors.pedal.faults import (
     INVALID,
     JUMP,
     LOW,
+    MISSING,
     PER_CHANNEL,
     RANGE,
     STUCK,
@@ -38,7 +39,7 @@ from gateway.monitors.pedal.faults import (
 from gateway.monitors.pedal.records import Const, Outputs, State
 
 #: How a reading lies to its range.
-FINE, BELOW, ABOVE, OUTSIDE = range(4)
+FINE, BELOW, ABOVE, OUTSIDE, ABSENT = range(5)
 #: Shares of samples, averaged over so many: those in which a channel goes wrong; those without agreement.
 ERRATIC_OVER, SPLIT_OVER = 256.0, 64.0
 #: From which share on they fail, and below which they pass; in between the verdict stands.
@@ -63,9 +64,11 @@ def _of_channel(
     if not failed:
         return
     v = s.tracking
+    e.voted = s.value
+    if s.place[i] == ABSENT:
+        return
     e.reading = s.reading[i]
     e.position = s.position[i]
-    e.voted = s.value
     # A reading outside its range has not been seen by the voter.
     e.innovation = v.innovation[i] if s.place[i] == FINE else s.position[i] - s.value
     e.gate = v.gate
@@ -89,7 +92,7 @@ def _of_all(
     if not failed:
         return
     for i in range(c.channels):
-        e.channel[i] = s.position[i]
+        e.channel[i] = 0.0 if s.place[i] == ABSENT else s.position[i]
     e.voted = s.value
     e.speed = s.speed
     e.mismatch = s.tracking.spread
@@ -101,6 +104,10 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     """Test one channel."""
     v, d, place = s.tracking, s.diagnosis, s.place[i]
     first = i * PER_CHANNEL
+    d.absent[i] = d.absent[i] + 1 if place == ABSENT else 0
+    _of_channel(s, i, first + MISSING, place == ABSENT, d.absent[i], 0.0, out)
+    if place == ABSENT:
+        return
     _of_channel(s, i, first + LOW, place == BELOW, s.reading[i], c.low[i], out)
     _of_channel(s, i, first + HIGH, place == ABOVE, s.reading[i], c.high[i], out)
     if place in (FINE, OUTSIDE):

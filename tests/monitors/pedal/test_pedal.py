@@ -320,16 +320,44 @@ def test_readings_become_per_cent_of_the_travel_by_each_channels_slope():
     assert engine.readout()["pedal"]["value"] == pytest.approx(10, abs=0.1)
 
 
+OWN = {"at_rest": 0.5, "at_full": 4.5, "low": 0.25, "high": 4.75, "noise": 0.002, "counter": "FrameCnt"}
+#: One channel in each of two messages.
+APART = [{**OWN, "signal": "PED_Brake.Ch1"}, {**OWN, "signal": "PED_Brake3.Ch1"}]
+
+
+def two_messages(travel, first=(0, 10**9), second=(0, 10**9), seed=9):
+    """Frames of both messages, each millisecond, while each is there (samples from, to)."""
+    rng = np.random.default_rng(seed)
+    frames = empty(2 * len(travel))
+    n = 0
+    for k, x in enumerate(travel):
+        for name, there, late in (("PED_Brake", first, 0), ("PED_Brake3", second, 300_000)):
+            if there[0] <= k < there[1]:
+                values = {"Ch1": 0.5 + 4.0 * x + rng.normal(0, 0.002), "Ch2": 1.0, "Ch3": 1.0}
+                message = VOTED.get_message_by_name(name)
+                own = {s.name: values[s.name] for s in message.signals if s.name in values}
+                data = message.encode({"Crc": 0, "FrameCnt": k % 16, **own})
+                put(frames, n, k * 1_000_000 + late, message.frame_id, data)
+                n += 1
+    return frames[:n]
+
+
+def moves(n):
+    """A pedal that never rests."""
+    return 0.5 - 0.3 * np.cos(2 * np.pi * 1.3 * np.arange(n) * 1e-3)
+
+
 def test_channels_may_come_in_different_messages():
-    """It steps with the message of the last one, once all have come; the others' readings are the newest."""
-    row = {"at_rest": 0.5, "at_full": 4.5, "low": 0.25, "high": 4.75, "noise": 0.002}
-    own = [{**row, "signal": "PED_Brake.Ch1"}, {**row, "signal": "PED_Brake3.Ch1"}]
-    engine = engine_of(channel=own)
-    raw(engine, [(2.5, 2.5)] * 5)
-    assert engine.readout()["pedal"]["samples"] == 0
-    raw(engine, [(2.5, 2.5, 2.5)] * 3, "PED_Brake3")
-    assert engine.readout()["pedal"]["samples"] == 3
-    assert engine.readout()["pedal"]["value"] == pytest.approx(50, abs=0.05)
+    """A sample is there when each has come once more."""
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    travel = moves(300)
+    engine.process(two_messages(travel), seen)
+    state = engine.readout()["pedal"]
+    assert state["samples"] == 300
+    assert state["quality"] == AGREED
+    assert state["value"] == pytest.approx(100 * travel[-1], abs=0.3)
+    assert seen.failed() == []
 
 
 ROW = {"signal": "M.S", "at_rest": 0.5, "at_full": 4.5, "low": 0.2, "high": 4.8}

@@ -97,7 +97,7 @@ def _smooth(s: State, c: Const, trusted: int, alone: bool, dt: float) -> int:
     for i in range(c.channels):
         if trusted & (1 << i) == 0 or h.line[i] < 1 or s.rejected[i] >= calmest:
             continue
-        v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
+        v = habits.slope(h, i)
         miss = abs(s.z[i] - v * elapsed - s.anchor)
         reachable = abs(s.z[i] - s.anchor) <= c.slew * elapsed
         if reachable and miss < nearest and (late or alone or miss <= 1.5 * abs(v) * dt + s.scale.agree):
@@ -142,9 +142,15 @@ def _apart(s: State, c: Const, y: f8s, trusted: int, alone: bool, dt: float) -> 
         return
     best = _smooth(s, c, trusted, alone, dt)
     if best >= 0:
-        track.follow(s, c, best, dt)
-    else:
-        track.coast(s, dt, COASTED)
+        track.follow(s, c, best)
+        return
+    source = COASTED
+    for i in range(c.channels):
+        far = abs(s.z[i] - s.anchor) > c.slew * (m.coasted + dt) + s.scale.agree
+        if alone and trusted & (1 << i) and far:
+            source = COMMON_MODE  # all that is left jumps, farther than a foot moves
+            s.common += 1
+    track.coast(s, dt, source)
 
 
 @kernel

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
+from gateway.fdi.voting.movement import bent
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.jit import Record, f8s, i8s, kernel
 
@@ -16,6 +17,8 @@ FEW = 4
 ROUGH_OVER, SMOOTH = 128.0, 1e-9
 #: Samples without a bend that end a jump, and those after which one has to have ended.
 CALM, LEAPS = 2, 30
+#: Standard deviations by which the quantity's way is off a line.
+BENDS = 3.0
 #: Share of what it has jumped by that a channel keeps from one agreement to the next.
 FORGETS = 0.95
 
@@ -24,19 +27,26 @@ class State(Record):
     """State.
 
     ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
-    often the last was repeated;
-    ``longest``: most repetitions while the channel was trusted; ``line``: samples, beyond the first two, that lie
-    on one line; ``begin``: where that began; ``before``, ``bend``: reading before ``raw``, and its second difference;
-    ``rough``: share of the samples that jumped or were none; ``moved``: by how much it has jumped since it agreed with
-    the others; of what it does at present: ``from_``, where it left its way ``since`` samples ago, at what ``pace``,
-    ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro; ``anchor[i * 3 + j]``: reading of channel j when
-    channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
+    often the last was repeated; ``gap``: periods between this and the one before, ``spacing``: between that and the one
+    before it; ``wait``: periods for which nothing has come since; ``held``: those since the first of the repeated ones,
+    ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
+    beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
+    ``raw``, and its second difference; ``rough``: share of the samples that jumped or were none; ``moved``: by how much
+    it has jumped since it agreed with the others; of what it does at present: ``from_``, where it left its way
+    ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it bent
+    to and fro; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how
+    far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
     older: Annotated[f8s, MOST_CHANNELS]
     oldest: Annotated[f8s, MOST_CHANNELS]
     raw: Annotated[f8s, MOST_CHANNELS]
+    gap: Annotated[f8s, MOST_CHANNELS]
+    spacing: Annotated[f8s, MOST_CHANNELS]
+    wait: Annotated[f8s, MOST_CHANNELS]
+    held: Annotated[f8s, MOST_CHANNELS]
+    along: Annotated[f8s, MOST_CHANNELS]
     same: Annotated[i8s, MOST_CHANNELS]
     longest: Annotated[i8s, MOST_CHANNELS]
     line: Annotated[i8s, MOST_CHANNELS]
@@ -48,6 +58,7 @@ class State(Record):
     from_: Annotated[f8s, MOST_CHANNELS]
     pace: Annotated[f8s, MOST_CHANNELS]
     since: Annotated[i8s, MOST_CHANNELS]
+    elapsed: Annotated[f8s, MOST_CHANNELS]
     calm: Annotated[i8s, MOST_CHANNELS]
     leapt: Annotated[i8s, MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
@@ -62,6 +73,8 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.older[i] = y[i]
         h.oldest[i] = y[i]
         h.raw[i] = raw[i]
+        h.gap[i] = h.spacing[i] = 1.0
+        h.wait[i] = h.held[i] = h.along[i] = 0.0
         h.same[i] = 0
         h.line[i] = 0
         h.begin[i] = y[i]
@@ -76,34 +89,50 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
 
 
 @kernel
-def _leap(h: State, i: int, raw: float, straight: float, speed: float) -> None:
+def _leap(h: State, i: int, raw: float, straight: float, bends: float, speed: float) -> None:
     """Note whether channel ``i`` jumps, and where to.
 
     Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
     """
-    bend = raw - 2.0 * h.raw[i] + h.before[i] if np.isfinite(raw) and np.isfinite(h.raw[i]) else np.nan
+    bend = np.nan
+    if np.isfinite(raw) and np.isfinite(h.raw[i]):
+        bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i])
     large = abs(bend) > straight
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
     h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
     h.bend[i] = bend
     if large and h.since[i] == 0:
-        h.from_[i], h.pace[i], h.leapt[i] = h.raw[i], speed, 0
+        h.from_[i], h.pace[i], h.leapt[i], h.elapsed[i] = h.raw[i], speed, 0, 0.0
     if not large and h.since[i] == 0:
         return
     h.since[i] += 1
+    h.elapsed[i] += h.gap[i]
     h.calm[i] = 0 if large else h.calm[i] + 1
     if jump:
         h.leapt[i] = 1
     if h.calm[i] < CALM and h.since[i] < LEAPS:
         return
-    moved = raw - h.from_[i] - h.pace[i] * h.since[i]
-    if h.leapt[i] == 1 and not np.isnan(moved):
+    moved = raw - h.from_[i] - h.pace[i] * h.elapsed[i]
+    # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
+    if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
         h.moved[i] += moved
     h.since[i] = 0
 
 
 @kernel
-def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, slew: float, speed: float) -> None:
+def watch(
+    h: State,
+    n: int,
+    y: f8s,
+    raw: f8s,
+    trusted: int,
+    absent: int,
+    straight: float,
+    bends: float,
+    slew: float,
+    speed: float,
+    dt: float,
+) -> None:
     """Take the readings of one sample.
 
     Args:
@@ -112,13 +141,22 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
         y: readings; NaN: none.
         raw: as they were read.
         trusted: bits of the channels that are not held for failed.
-        straight: largest second difference on a line.
-        slew: largest difference of neighbours on a line.
-        speed: of the quantity, in a sample.
+        absent: bits of the channels of which nothing has come.
+        straight: largest second difference on a line, of samples one period apart.
+        bends: standard deviation of the change of the quantity's slope in a period.
+        slew: largest difference of neighbours on a line, in a period.
+        speed: of the quantity, in a period.
+        dt: time since the last sample, in periods.
     """
     for i in range(n):
+        h.wait[i] += dt
+        if absent & (1 << i):
+            continue
+        gap, h.wait[i] = h.wait[i], 0.0
+        h.spacing[i], h.gap[i] = h.gap[i], gap
         if raw[i] == h.raw[i] and y[i] == y[i]:  # not NaN
             h.same[i] += 1
+            h.held[i] += gap
             for j in range(n):
                 far = abs(y[j] - h.anchor[i * MOST_CHANNELS + j])
                 if not np.isnan(far):
@@ -127,20 +165,29 @@ def watch(h: State, n: int, y: f8s, raw: f8s, trusted: int, straight: float, sle
             if trusted & (1 << i):
                 h.longest[i] = max(h.longest[i], h.same[i])
             h.same[i] = 0
+            h.held[i] = 0.0
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
-        _leap(h, i, raw[i], straight, speed)
-        bend = abs(y[i] - 2.0 * h.last[i] + h.older[i])
-        if bend <= straight and abs(y[i] - h.last[i]) <= slew:
+        _leap(h, i, raw[i], straight, bends, speed)
+        bend = abs(bent(y[i], h.last[i], h.older[i], gap, h.spacing[i]))
+        if bend <= straight and abs(y[i] - h.last[i]) <= slew * gap:
             h.line[i] += 1
+            h.along[i] += gap
         else:
             h.line[i] = 0  # so do NaNs
+            h.along[i] = gap
             h.begin[i] = h.last[i]
         h.oldest[i] = h.older[i]
         h.older[i] = h.last[i]
         h.last[i] = y[i]
         h.before[i], h.raw[i] = h.raw[i], raw[i]
+
+
+@kernel
+def slope(h: State, i: int) -> float:
+    """Return by how much channel ``i`` moves in a period, by its last three readings."""
+    return float((h.last[i] - h.oldest[i]) / (h.gap[i] + h.spacing[i]))
 
 
 @kernel
@@ -180,7 +227,7 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
         y: readings.
         smooth: samples beyond the first two that the other must move along a line.
         far: least movement of the other.
-        rate: least movement of the other per sample; a drift is slower.
+        rate: least movement of the other in a period; a drift is slower.
     """
     if h.same[i] < FEW:
         return -1
@@ -189,10 +236,10 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
             continue
         anchor = h.anchor[i * MOST_CHANNELS + j]
         moved = y[j] - anchor
-        length = h.same[i]
+        length = h.held[i]
         if h.line[j] < h.same[i]:
             # The anchor may have been an impulse: what counts is the line, too.
-            length = h.line[j] + 1
+            length = h.along[j]
             if abs(y[j] - h.begin[j]) < abs(moved):
                 anchor = h.begin[j]
                 moved = y[j] - anchor

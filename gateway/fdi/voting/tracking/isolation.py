@@ -69,7 +69,7 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
 
 
 @kernel
-def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
+def freeze(s: State, c: Const, y: f8s, trusted: int) -> int:
     """Isolate a frozen channel; returns the trusted ones that are left."""
     n, h = c.channels, s.habits
     for i in range(n):
@@ -85,7 +85,7 @@ def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
         track.expect(s, c, y)
         for j in range(n):
             if others == 1 << j and h.line[j] >= 1:
-                track.follow(s, c, j, dt)
+                track.follow(s, c, j)
     return int(trusted)
 
 

@@ -61,10 +61,11 @@ class State(Record):
     ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
     channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings,
     NaN for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``:
-    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the
-    last sample; ``met``: they have agreed before. ``scale``: of the gates; ``slack``: what
-    channels that lag behind each other may differ by at present, ``swing``: what one may still move when the other
-    stands, both set by who brings the readings; ``raw``: as they were read, where ``y`` is filtered.
+    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last
+    sample; ``met``: they have agreed before. ``scale``: of the gates; ``slack``: what channels that lag behind each
+    other may differ by at present, ``swing``: what one may still move when the other stands, both set by who brings the
+    readings; ``raw``: as they were read, where ``y`` is filtered; ``absent``: bits of the channels of which nothing has
+    come.
     """
 
     value: f8
@@ -91,6 +92,7 @@ class State(Record):
     y: Annotated[f8s, MOST_CHANNELS]
     z: Annotated[f8s, MOST_CHANNELS]
     raw: Annotated[f8s, MOST_CHANNELS]
+    absent: i8
     scale: Scale
     slack: f8
     swing: f8
