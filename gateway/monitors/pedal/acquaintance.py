@@ -18,7 +18,7 @@ DOUBT = 1.1
 
 
 @kernel
-def supplied(s: State, c: Const) -> bool:
+def supplied(s: State, c: Const, dt: float) -> bool:
     """Look at the common supply; tells whether the readings are to be taken once more, with another share of it."""
     v, y, t = s.tracking.mismatch, s.supply, s.tracking
     if c.supply.possible == 0 or t.started == 0:
@@ -31,7 +31,7 @@ def supplied(s: State, c: Const) -> bool:
     quiet = t.slack < t.scale.agree  # else it may be a lag
     sure = quiet and t.isolated == 0 and t.sure >= SURE and m.coasted < SUSPECT
     agree, variance = t.scale.agree + t.slack, t.scale.variance
-    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, t.slack, sure):
+    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, t.slack, sure, dt):
         # What the voter took for the pedal meanwhile was one channel or another.
         motion.restart(m, y.travel, 0.0, variance, c.tracking.slew * c.tracking.slew / 9.0)
         for i in range(c.channels):

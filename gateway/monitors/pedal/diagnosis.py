@@ -136,7 +136,7 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         for j in range(c.channels):
             if s.place[j] == FINE and v.isolated & (1 << j) == 0:
                 trusted |= 1 << j
-        wrong = isolation.witnessed(v, c.channels, trusted, i)
+        wrong = isolation.witnessed(v, c.tracking, trusted, i)
     # A channel that goes wrong and stays so is not erratic: what counts is how often it begins.
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0

@@ -108,6 +108,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         mismatch=p.gain_error / 100,
         tolerance=p.tolerance / 100,
         creep=CREEP * p.period_ms * 1e-3,
+        common=p.tells_supply,
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
     simple.prepare(c.simple, n)
@@ -228,7 +229,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     s.samples += 1
     dt = float(s.sampling.gap)
     _read(s, c)
-    if acquaintance.supplied(s, c):
+    if acquaintance.supplied(s, c, dt):
         _read(s, c)
     acquaintance.learn(s, c, dt)
     _vote(s, c, dt)

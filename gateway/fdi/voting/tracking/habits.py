@@ -19,6 +19,8 @@ ROUGH_OVER, SMOOTH = 128.0, 1e-9
 CALM, LEAPS = 2, 30
 #: Standard deviations by which the quantity's way is off a line.
 BENDS = 3.0
+#: Share of what one moves by that the other does if something moves both.
+LESS = 1.0 / 12.0
 #: Share of what it has jumped by that a channel keeps from one agreement to the next.
 FORGETS = 0.95
 
@@ -32,10 +34,11 @@ class State(Record):
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
     ``raw``, and its second difference; ``rough``: share of the samples that jumped or were none; ``moved``: by how much
-    it has jumped since it agreed with the others; of what it does at present: ``from_``, where it left its way
-    ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it bent
-    to and fro; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how
-    far channel j has been from there since.
+    it has jumped since it agreed with the others; ``along_with[i * 3 + j]``: by how much channel j left its way
+    meanwhile; of what it does at present: ``from_``, where it left its way ``since`` samples, ``elapsed`` periods, ago,
+    at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where
+    channel j was then; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 +
+    j]``: how far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -61,6 +64,8 @@ class State(Record):
     elapsed: Annotated[f8s, MOST_CHANNELS]
     calm: Annotated[i8s, MOST_CHANNELS]
     leapt: Annotated[i8s, MOST_CHANNELS]
+    left: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
+    along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
@@ -84,17 +89,18 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.moved[i] = 0.0
         h.since[i] = 0
         for j in range(n):
+            h.along_with[i * MOST_CHANNELS + j] = 0.0
             h.anchor[i * MOST_CHANNELS + j] = y[j]
             h.strayed[i * MOST_CHANNELS + j] = 0.0
 
 
 @kernel
-def _leap(h: State, i: int, raw: float, straight: float, bends: float, speed: float) -> None:
-    """Note whether channel ``i`` jumps, and where to.
+def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, speed: float) -> None:
+    """Note whether channel ``i`` jumps, and where to; and by how much the others leave their way meanwhile.
 
     Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
     """
-    bend = np.nan
+    raw, bend = read[i], np.nan
     if np.isfinite(raw) and np.isfinite(h.raw[i]):
         bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i])
     large = abs(bend) > straight
@@ -103,6 +109,8 @@ def _leap(h: State, i: int, raw: float, straight: float, bends: float, speed: fl
     h.bend[i] = bend
     if large and h.since[i] == 0:
         h.from_[i], h.pace[i], h.leapt[i], h.elapsed[i] = h.raw[i], speed, 0, 0.0
+        for j in range(n):
+            h.left[i * MOST_CHANNELS + j] = h.raw[j]
     if not large and h.since[i] == 0:
         return
     h.since[i] += 1
@@ -116,6 +124,10 @@ def _leap(h: State, i: int, raw: float, straight: float, bends: float, speed: fl
     # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
     if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
         h.moved[i] += moved
+        for j in range(n):
+            way = read[j] - h.left[i * MOST_CHANNELS + j] - h.pace[i] * h.elapsed[i]
+            if not np.isnan(way):
+                h.along_with[i * MOST_CHANNELS + j] += way
     h.since[i] = 0
 
 
@@ -150,10 +162,13 @@ def watch(
     """
     for i in range(n):
         h.wait[i] += dt
+        if absent & (1 << i) == 0:
+            h.spacing[i], h.gap[i], h.wait[i] = h.gap[i], h.wait[i], 0.0
+            _leap(h, n, i, raw, straight, bends, speed)
+    for i in range(n):
         if absent & (1 << i):
             continue
-        gap, h.wait[i] = h.wait[i], 0.0
-        h.spacing[i], h.gap[i] = h.gap[i], gap
+        gap = h.gap[i]
         if raw[i] == h.raw[i] and y[i] == y[i]:  # not NaN
             h.same[i] += 1
             h.held[i] += gap
@@ -169,7 +184,6 @@ def watch(
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
                 h.strayed[i * MOST_CHANNELS + j] = 0.0
-        _leap(h, i, raw[i], straight, bends, speed)
         bend = abs(bent(y[i], h.last[i], h.older[i], gap, h.spacing[i]))
         if bend <= straight and abs(y[i] - h.last[i]) <= slew * gap:
             h.line[i] += 1
@@ -194,10 +208,12 @@ def slope(h: State, i: int) -> float:
 def agreed(h: State, i: int) -> None:
     """Take note that channel ``i`` is where it should be: what it jumped by once is forgotten."""
     h.moved[i] *= FORGETS
+    for j in range(MOST_CHANNELS):
+        h.along_with[i * MOST_CHANNELS + j] *= FORGETS
 
 
 @kernel
-def jumped(h: State, i: int, j: int, least: float) -> bool:
+def jumped(h: State, i: int, j: int, least: float, common: bool) -> bool:
     """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
 
     Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a
@@ -208,8 +224,12 @@ def jumped(h: State, i: int, j: int, least: float) -> bool:
         i: a channel.
         j: another one.
         least: way that is one.
+        common: something may move both, one more than the other: then the other's way tells, however short.
     """
     if abs(h.moved[j]) > least:
+        return False
+    both = h.along_with[i * MOST_CHANNELS + j]
+    if common and abs(both) > max(least, LESS * abs(h.moved[i])):
         return False
     if abs(h.moved[i]) > least:
         return True

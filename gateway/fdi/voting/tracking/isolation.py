@@ -65,7 +65,11 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     # Against a track that is sure a few impulses in a row are not enough.
     smooth = 3 if s.sure >= SURE else 2
     mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * (s.scale.agree + s.swing), c.creep)
-    return bool(silent or (mover >= 0 and others & (1 << mover)))
+    if mover < 0 or others & (1 << mover) == 0:
+        return bool(silent)
+    # One that lags comes after a channel that has stopped, having gone there itself; from a frozen one it goes away.
+    away = (y[mover] - y[i]) * (h.last[mover] - h.oldest[mover]) > 0.0
+    return bool(silent or away or abs(h.moved[i]) > s.scale.agree)
 
 
 @kernel
@@ -90,7 +94,7 @@ def freeze(s: State, c: Const, y: f8s, trusted: int) -> int:
 
 
 @kernel
-def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
+def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
     """Tell whether another channel that goes on bears witness that it is ``i`` that is wrong.
 
     Of three the track is what two say. Of two that part smoothly, as a foot could move, either may be the one that
@@ -99,18 +103,18 @@ def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
 
     Args:
         s: record of State.
-        n: channels.
+        c: constants.
         trusted: bits of the channels that are not held for failed.
         i: the channel.
     """
-    count = 0
+    n, count = c.channels, 0
     for j in range(n):
         if trusted & (1 << j):
             count += 1
     for j in range(n):
         if j == i or trusted & s.used & (1 << j) == 0 or s.habits.same[j] >= ISOLATE:
             continue  # a frozen channel is none
-        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree):
+        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, c.common == 1):
             return True
     return False
 
@@ -122,7 +126,7 @@ def judge(s: State, c: Const, trusted: int) -> None:
     for i in range(n):
         bit = 1 << i
         if s.isolated & bit == 0:
-            if s.rejected[i] >= ISOLATE and witnessed(s, n, trusted, i):
+            if s.rejected[i] >= ISOLATE and witnessed(s, c, trusted, i):
                 isolate(s, i, IMPLAUSIBLE)
             continue
         if s.used == 0:

@@ -36,8 +36,8 @@ NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 class Const(Record):
     """Constants.
 
-    ``floor``, ``ceiling``: where readings are clipped; ``noise``, ``step``: of a reading, as told; ``widest``:
-    largest deviation of the level.
+    ``floor``, ``ceiling``: where readings are clipped; ``common`` 1: something may move all channels, some more;
+    ``noise``, ``step``: of a reading, as told; ``widest``: largest deviation of the level.
     """
 
     channels: i8
@@ -52,6 +52,7 @@ class Const(Record):
     mismatch: f8
     tolerance: f8
     creep: f8
+    common: i8
     widest: f8
 
 
@@ -62,10 +63,10 @@ class State(Record):
     channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings,
     NaN for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``:
     what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last
-    sample; ``met``: they have agreed before. ``scale``: of the gates; ``slack``: what channels that lag behind each
-    other may differ by at present, ``swing``: what one may still move when the other stands, both set by who brings the
-    readings; ``raw``: as they were read, where ``y`` is filtered; ``absent``: bits of the channels of which nothing has
-    come.
+    sample; ``met``: they have agreed before; ``alone``: samples for which there has been one trusted channel.
+    ``scale``: of the gates; ``slack``: what channels that lag behind each other may differ by at present, ``swing``:
+    what one may still move when the other stands, both set by who brings the readings; ``raw``: as they were read,
+    where ``y`` is filtered; ``absent``: bits of the channels of which nothing has come.
     """
 
     value: f8
@@ -81,6 +82,7 @@ class State(Record):
     gate: f8
     common: i8
     accord: i8
+    alone: i8
     sure: i8
     pair: i8
     met: i8
@@ -118,6 +120,7 @@ def prepare(
     tolerance: float = 0.01,
     creep: float = 6e-4,
     rails: tuple[float, float] | None = None,
+    common: bool = False,
 ) -> None:
     """Fill the constants.
 
@@ -135,6 +138,7 @@ def prepare(
         creep: largest change of a drift in one sample, share of the span.
         rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
             and channels that jump there together have more likely failed than moved.
+        common: something, a supply, may move all channels, one more than the other.
     """
     span = high - low
     c.channels, c.low, c.high = channels, low, high
@@ -145,4 +149,5 @@ def prepare(
     c.mismatch = 4 * mismatch
     c.tolerance = tolerance * span
     c.creep = creep * span
+    c.common = common
     c.widest = span / 4
