@@ -123,7 +123,6 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
 def _begin(s: Numbers, arrived_ns: int) -> None:
     """Let the periods lie where this frame came."""
     s.date_ns = float(arrived_ns)
-    s.least = math.inf
     s.window = s.overtaken = s.stands = 0
 
 
@@ -139,11 +138,11 @@ def _by_clock(s: Numbers, arrived_ns: int, period_ns: int) -> int:
 def _wait(s: Numbers, arrived_ns: int, period_ns: int) -> None:
     """Take a frame's waiting: the periods lie where frames waited least."""
     s.date_ns = min(s.date_ns, float(arrived_ns))
-    s.least = min(s.least, arrived_ns - s.date_ns)
+    waited = arrived_ns - s.date_ns
+    s.least = waited if s.window == 0 else min(s.least, waited)
     s.window += 1
     if s.window >= WINDOW:
         s.date_ns += s.least
-        s.least = math.inf
         s.window = 0
 
 

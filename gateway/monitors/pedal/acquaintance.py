@@ -59,8 +59,9 @@ def _measure(s: State, c: Const) -> None:
     s.noise = noise.largest_noise(s.sensors, c.sensors, n)
     s.resolution = noise.widest_step(s.sensors, c.sensors, n)
     scale.measure(t.scale, s.noise, s.resolution, c.tracking.high - c.tracking.low, c.tracking.bend)
-    if scale.silent(noise.least_noise(s.sensors, c.sensors, n), s.resolution) == scale.NEVER:
-        t.scale.silent = scale.NEVER  # one of them is so quiet that it always repeats itself at rest
+    quiet = scale.silent(noise.least_noise(s.sensors, c.sensors, n), s.resolution) == scale.NEVER
+    if quiet or s.sensors.known == 0:
+        t.scale.silent = scale.NEVER  # one of them always repeats itself at rest, or may: nobody knows yet
     if s.noise > DOUBT * max(before, c.sensors.noise):
         _forgive(s, n)
 

@@ -34,7 +34,8 @@ class State(Record):
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
     ``raw``, and its second difference; ``rough``: share of the samples that jumped or were none; ``moved``: by how much
-    it has jumped since it agreed with the others; ``along_with[i * 3 + j]``: by how much channel j left its way
+    it has jumped since it agreed with the others; ``torn``: that of it which the quantity cannot move by, in
+    the ``lasted`` periods that it took; ``along_with[i * 3 + j]``: by how much channel j left its way
     meanwhile; of what it does at present: ``from_``, where it left its way ``since`` samples, ``elapsed`` periods, ago,
     at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where
     channel j was then; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 +
@@ -58,6 +59,8 @@ class State(Record):
     bend: Annotated[f8s, MOST_CHANNELS]
     rough: Annotated[f8s, MOST_CHANNELS]
     moved: Annotated[f8s, MOST_CHANNELS]
+    torn: Annotated[f8s, MOST_CHANNELS]
+    lasted: Annotated[f8s, MOST_CHANNELS]
     from_: Annotated[f8s, MOST_CHANNELS]
     pace: Annotated[f8s, MOST_CHANNELS]
     since: Annotated[i8s, MOST_CHANNELS]
@@ -86,7 +89,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.before[i] = raw[i]
         h.bend[i] = 0.0
         h.rough[i] = 0.0
-        h.moved[i] = 0.0
+        h.moved[i] = h.torn[i] = 0.0
         h.since[i] = 0
         for j in range(n):
             h.along_with[i * MOST_CHANNELS + j] = 0.0
@@ -95,7 +98,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
 
 
 @kernel
-def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, speed: float) -> None:
+def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, slew: float, speed: float) -> None:
     """Note whether channel ``i`` jumps, and where to; and by how much the others leave their way meanwhile.
 
     Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
@@ -116,6 +119,8 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sp
     h.since[i] += 1
     h.elapsed[i] += h.gap[i]
     h.calm[i] = 0 if large else h.calm[i] + 1
+    if large:
+        h.lasted[i] = max(h.elapsed[i] - h.gap[i], h.gap[i])
     if jump:
         h.leapt[i] = 1
     if h.calm[i] < CALM and h.since[i] < LEAPS:
@@ -124,6 +129,8 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sp
     # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
     if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
         h.moved[i] += moved
+        if abs(moved) > slew * h.lasted[i]:
+            h.torn[i] += moved
         for j in range(n):
             way = read[j] - h.left[i * MOST_CHANNELS + j] - h.pace[i] * h.elapsed[i]
             if not np.isnan(way):
@@ -164,7 +171,7 @@ def watch(
         h.wait[i] += dt
         if absent & (1 << i) == 0:
             h.spacing[i], h.gap[i], h.wait[i] = h.gap[i], h.wait[i], 0.0
-            _leap(h, n, i, raw, straight, bends, speed)
+            _leap(h, n, i, raw, straight, bends, slew, speed)
     for i in range(n):
         if absent & (1 << i):
             continue
@@ -208,6 +215,7 @@ def slope(h: State, i: int) -> float:
 def agreed(h: State, i: int) -> None:
     """Take note that channel ``i`` is where it should be: what it jumped by once is forgotten."""
     h.moved[i] *= FORGETS
+    h.torn[i] *= FORGETS
     for j in range(MOST_CHANNELS):
         h.along_with[i * MOST_CHANNELS + j] *= FORGETS
 

@@ -112,8 +112,10 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
         if trusted & (1 << j):
             count += 1
     for j in range(n):
-        if j == i or trusted & s.used & (1 << j) == 0 or s.habits.same[j] >= ISOLATE:
-            continue  # a frozen channel is none
+        if j == i or trusted & s.used & (1 << j) == 0:
+            continue
+        if s.habits.same[j] >= ISOLATE and (count > 2 or abs(s.habits.torn[i]) <= s.scale.agree):
+            continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
         if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, c.common == 1):
             return True
     return False
