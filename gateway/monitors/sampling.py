@@ -24,6 +24,8 @@ LEARNED, LEAST = 64, 8
 EARLY = 0.5
 #: Frames over which the least waiting is looked for.
 WINDOW = 64
+#: Frames behind a beginning until one is thought to have waited for nothing.
+SETTLES = 32
 #: So many frames in a row that seem to be overtaken: the sender has begun anew.
 ANEW = 16
 #: So many frames in a row with one counter, and not just a repeated frame: it does not count.
@@ -67,8 +69,9 @@ class Numbers(Record):
 
     ``number`` of that sample; ``date_ns``: when it was due, by the frames that waited least; ``counter`` of its frame,
     ``top``: largest one so far of ``seen`` frames; ``least``: what frames of this window have waited at least [ns], of
-    ``window`` of them; ``overtaken``, ``stands``: frames in a row that were, or had the same counter; ``rounds``: how
-    often the counter seems to have gone round unseen, when the frame of ``doubt_ns`` came.
+    ``window`` of them; ``overtaken``, ``stands``: frames in a row that were, or had the same counter; ``settled``:
+    frames since the periods were found anew; ``rounds``: how often the counter seems to have gone round unseen, when
+    the frame of ``doubt_ns`` came.
     """
 
     seen: i8
@@ -81,6 +84,7 @@ class Numbers(Record):
     window: i8
     overtaken: i8
     stands: i8
+    settled: i8
     rounds: i8
     doubt_ns: i8
 
@@ -123,7 +127,7 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
 def _begin(s: Numbers, arrived_ns: int) -> None:
     """Let the periods lie where this frame came."""
     s.date_ns = float(arrived_ns)
-    s.window = s.overtaken = s.stands = 0
+    s.window = s.overtaken = s.stands = s.settled = 0
 
 
 @kernel
@@ -141,6 +145,7 @@ def _wait(s: Numbers, arrived_ns: int, period_ns: int) -> None:
     waited = arrived_ns - s.date_ns
     s.least = waited if s.window == 0 else min(s.least, waited)
     s.window += 1
+    s.settled += 1
     if s.window >= WINDOW:
         s.date_ns += s.least
         s.window = 0
@@ -169,6 +174,8 @@ def _steps(s: Numbers, arrived_ns: int, counter: float, period_ns: int) -> int:
     if rounds < 0 < s.rounds:  # what seemed to have been lost had only waited for long: it comes now
         s.date_ns -= s.rounds * modulo * period_ns
         s.rounds, rounds = 0, in_order
+    elif rounds < 0 and s.settled < SETTLES:  # it is the first frames that waited
+        rounds = in_order
     elif rounds > 0 and 2 * (arrived_ns - s.arrived_ns) < modulo * period_ns:
         rounds = in_order  # frames keep coming: they have all waited for long
     steps += modulo * rounds
@@ -201,7 +208,8 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
         arrived_ns: when the frame came.
         counter: of the frame; NaN: it has none.
     """
-    if s.seen == 0:
+    s.seen += 1
+    if s.seen == 1:
         _begin(s, arrived_ns)
         steps = 1
     elif c.counted == 0 or math.isnan(counter) or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
@@ -210,7 +218,6 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
         steps = _steps(s, arrived_ns, counter, c.period_ns)
     if steps <= 0:
         return False
-    s.seen += 1
     s.number += steps
     s.arrived_ns = arrived_ns
     if not math.isnan(counter):

@@ -108,7 +108,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         mismatch=p.gain_error / 100,
         tolerance=p.tolerance / 100,
         creep=CREEP * p.period_ms * 1e-3,
-        common=p.tells_supply,
+        lean=[channel.at_rest * channel.percent for channel in p.channels] if p.tells_supply else None,
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
     simple.prepare(c.simple, n)

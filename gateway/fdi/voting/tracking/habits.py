@@ -12,15 +12,18 @@ from gateway.jit import Record, f8s, i8s, kernel
 
 #: Same readings in a row that are suspicious while another channel moves.
 FEW = 4
-#: Samples over which what is no line is averaged, and the share that is nothing: a single jump is one for two seconds
-#: at 1 ms.
-ROUGH_OVER, SMOOTH = 128.0, 1e-9
+#: Samples over which what is no line is averaged, and the share that is nothing: a single jump there and back, as a
+#: reading of another time is, makes less.
+ROUGH_OVER, SMOOTH = 128.0, 0.02
+#: What is no line of noise: bends of this share of the largest; samples over which their share is averaged; from which
+#: share on a channel is so noisy that its way is none. Impulses bend less often.
+UNEVEN, UNEVEN_OVER, NOISY = 0.25, 20.0, 0.6
 #: Samples without a bend that end a jump, and those after which one has to have ended.
 CALM, LEAPS = 2, 30
 #: Standard deviations by which the quantity's way is off a line.
 BENDS = 3.0
-#: Share of what one moves by that the other does if something moves both.
-LESS = 1.0 / 12.0
+#: Share of what the other is expected to move by if something moves both: from there on that is what has happened.
+BOTH = 0.5
 #: Share of what it has jumped by that a channel keeps from one agreement to the next.
 FORGETS = 0.95
 
@@ -33,13 +36,14 @@ class State(Record):
     before it; ``wait``: periods for which nothing has come since; ``held``: those since the first of the repeated ones,
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
-    ``raw``, and its second difference; ``rough``: share of the samples that jumped or were none; ``moved``: by how much
-    it has jumped since it agreed with the others; ``torn``: that of it which the quantity cannot move by, in
-    the ``lasted`` periods that it took; ``along_with[i * 3 + j]``: by how much channel j left its way
-    meanwhile; of what it does at present: ``from_``, where it left its way ``since`` samples, ``elapsed`` periods, ago,
-    at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where
-    channel j was then; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 +
-    j]``: how far channel j has been from there since.
+    ``raw``, and its second difference, ``uneven`` the share of large
+    ones; ``rough``: share of the samples that jumped or
+    were none; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
+    last; ``torn``: that of it which the quantity cannot move by, in the ``lasted`` periods that it took; ``along_with[i
+    * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
+    way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it
+    bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 + j]``: reading of channel j when
+    channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -57,10 +61,12 @@ class State(Record):
     begin: Annotated[f8s, MOST_CHANNELS]
     before: Annotated[f8s, MOST_CHANNELS]
     bend: Annotated[f8s, MOST_CHANNELS]
+    uneven: Annotated[f8s, MOST_CHANNELS]
     rough: Annotated[f8s, MOST_CHANNELS]
     moved: Annotated[f8s, MOST_CHANNELS]
     torn: Annotated[f8s, MOST_CHANNELS]
     lasted: Annotated[f8s, MOST_CHANNELS]
+    origin: Annotated[f8s, MOST_CHANNELS]
     from_: Annotated[f8s, MOST_CHANNELS]
     pace: Annotated[f8s, MOST_CHANNELS]
     since: Annotated[i8s, MOST_CHANNELS]
@@ -87,7 +93,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.line[i] = 0
         h.begin[i] = y[i]
         h.before[i] = raw[i]
-        h.bend[i] = 0.0
+        h.bend[i] = h.uneven[i] = 0.0
         h.rough[i] = 0.0
         h.moved[i] = h.torn[i] = 0.0
         h.since[i] = 0
@@ -110,6 +116,8 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
     h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
     h.bend[i] = bend
+    if not np.isnan(bend):
+        h.uneven[i] += ((1.0 if abs(bend) > UNEVEN * straight else 0.0) - h.uneven[i]) / UNEVEN_OVER
     if large and h.since[i] == 0:
         h.from_[i], h.pace[i], h.leapt[i], h.elapsed[i] = h.raw[i], speed, 0, 0.0
         for j in range(n):
@@ -129,6 +137,7 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
     # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
     if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
         h.moved[i] += moved
+        h.origin[i] = h.from_[i]
         if abs(moved) > slew * h.lasted[i]:
             h.torn[i] += moved
         for j in range(n):
@@ -221,7 +230,7 @@ def agreed(h: State, i: int) -> None:
 
 
 @kernel
-def jumped(h: State, i: int, j: int, least: float, common: bool) -> bool:
+def jumped(h: State, i: int, j: int, least: float, common: float) -> bool:
     """Tell whether channel ``i`` left the way that it went, as no foot moves, and channel ``j`` did not, or less.
 
     Who has jumped and stayed there counts before who jumps to and fro. If both have, it is nobody's fault alone: a
@@ -232,15 +241,14 @@ def jumped(h: State, i: int, j: int, least: float, common: bool) -> bool:
         i: a channel.
         j: another one.
         least: way that is one.
-        common: something may move both, one more than the other: then the other's way tells, however short.
+        common: way of channel j, for one of channel i, if something moves both; 0: nothing does.
     """
     if abs(h.moved[j]) > least:
         return False
-    both = h.along_with[i * MOST_CHANNELS + j]
-    if common and abs(both) > max(least, LESS * abs(h.moved[i])):
-        return False
+    expected = common * h.moved[i]
     if abs(h.moved[i]) > least:
-        return True
+        both = h.along_with[i * MOST_CHANNELS + j]
+        return bool(common == 0.0 or both * expected <= BOTH * expected * expected)
     return bool(h.rough[i] > SMOOTH and h.rough[i] > 2.0 * h.rough[j])
 
 
@@ -260,7 +268,7 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
     if h.same[i] < FEW:
         return -1
     for j in range(n):
-        if j == i or h.line[j] < smooth:
+        if j == i or h.line[j] < smooth or h.uneven[j] > NOISY:
             continue
         anchor = h.anchor[i * MOST_CHANNELS + j]
         moved = y[j] - anchor

@@ -94,6 +94,19 @@ def freeze(s: State, c: Const, y: f8s, trusted: int) -> int:
 
 
 @kernel
+def _common(s: State, c: Const, i: int, j: int) -> float:
+    """Return by how much a supply moves channel ``j`` where it moves channel ``i`` by one; 0: there is no such supply.
+
+    A share s of it makes s (a + b x) of a reading a + b x, and moves the position by (s - 1) (a / b + x): from where
+    channel ``i`` jumped.
+    """
+    of_i = c.lean[i] + s.habits.origin[i]
+    if c.common == 0 or of_i == 0.0:
+        return 0.0
+    return float((c.lean[j] + s.habits.origin[i]) / of_i)
+
+
+@kernel
 def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
     """Tell whether another channel that goes on bears witness that it is ``i`` that is wrong.
 
@@ -116,7 +129,7 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
             continue
         if s.habits.same[j] >= ISOLATE and (count > 2 or abs(s.habits.torn[i]) <= s.scale.agree):
             continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
-        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, c.common == 1):
+        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
             return True
     return False
 

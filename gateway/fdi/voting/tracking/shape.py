@@ -36,7 +36,8 @@ NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 class Const(Record):
     """Constants.
 
-    ``floor``, ``ceiling``: where readings are clipped; ``common`` 1: something may move all channels, some more;
+    ``floor``, ``ceiling``: where readings are clipped; ``common`` 1: a supply may move all channels, each
+    by ``lean``, its reading at rest over its slope, plus the level;
     ``noise``, ``step``: of a reading, as told; ``widest``: largest deviation of the level.
     """
 
@@ -53,6 +54,7 @@ class Const(Record):
     tolerance: f8
     creep: f8
     common: i8
+    lean: Annotated[f8s, MOST_CHANNELS]
     widest: f8
 
 
@@ -120,7 +122,7 @@ def prepare(
     tolerance: float = 0.01,
     creep: float = 6e-4,
     rails: tuple[float, float] | None = None,
-    common: bool = False,
+    lean: list[float] | None = None,
 ) -> None:
     """Fill the constants.
 
@@ -138,7 +140,8 @@ def prepare(
         creep: largest change of a drift in one sample, share of the span.
         rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
             and channels that jump there together have more likely failed than moved.
-        common: something, a supply, may move all channels, one more than the other.
+        lean: of each channel, its reading at rest over the change of it by one unit of the quantity, if a supply moves
+            all of them; None: nothing does.
     """
     span = high - low
     c.channels, c.low, c.high = channels, low, high
@@ -149,5 +152,6 @@ def prepare(
     c.mismatch = 4 * mismatch
     c.tolerance = tolerance * span
     c.creep = creep * span
-    c.common = common
+    c.common = lean is not None
+    c.lean[:channels] = lean or [0.0] * channels
     c.widest = span / 4
