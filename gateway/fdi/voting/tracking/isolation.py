@@ -185,7 +185,10 @@ def drifting(s: State, c: Const) -> None:
     s.spread = mismatch.spread(b, n, s.isolated)
     if s.drift == 0 and s.slack >= s.scale.agree:
         return  # it may be a lag: at rest it goes, a drift stays
-    s.drift = 1 if s.spread > (0.8 * c.tolerance if s.drift else c.tolerance) else 0
+    # A lag that is less than that, and the steps of the readings, are learned as a mismatch for a while.
+    usual = c.tolerance + s.scale.step + (s.slack if n < MOST_CHANNELS else 0.0)
+    limit = 0.8 * c.tolerance if s.drift else usual
+    s.drift = 1 if s.spread > limit else 0
     if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
         return
     middle = mismatch.centre(b, n)
