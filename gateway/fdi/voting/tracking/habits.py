@@ -18,8 +18,12 @@ ROUGH_OVER, SMOOTH = 128.0, 0.02
 #: What is no line of noise: bends of this share of the largest; samples over which their share is averaged; from which
 #: share on a channel is so noisy that its way is none. Impulses bend less often.
 UNEVEN, UNEVEN_OVER, NOISY = 0.25, 20.0, 0.6
+#: Samples that a coarse channel's way lies on one line.
+LONG = 16
 #: Samples without a bend that end a jump, and those after which one has to have ended.
 CALM, LEAPS = 2, 30
+#: Samples over which a channel's own pace is averaged.
+TREND_OVER = 8.0
 #: Standard deviations by which the quantity's way is off a line.
 BENDS = 3.0
 #: Share of what the other is expected to move by if something moves both: from there on that is what has happened.
@@ -36,14 +40,14 @@ class State(Record):
     before it; ``wait``: periods for which nothing has come since; ``held``: those since the first of the repeated ones,
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
-    ``raw``, and its second difference, ``uneven`` the share of large
-    ones; ``rough``: share of the samples that jumped or
-    were none; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
+    ``raw``, and its second difference, ``uneven`` the share of large ones; ``rough``: share of the samples that jumped
+    or were none; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
     last; ``torn``: that of it which the quantity cannot move by, in the ``lasted`` periods that it took; ``along_with[i
     * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
-    way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, ``calm`` samples without a bend, ``leapt`` 1: it
-    bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 + j]``: reading of channel j when
-    channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from there since.
+    way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and ``trend`` of its own, ``calm`` samples
+    without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 +
+    j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from
+    there since, ``away[i * 3 + j]``: for how many periods it has not been near.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
@@ -69,6 +73,7 @@ class State(Record):
     origin: Annotated[f8s, MOST_CHANNELS]
     from_: Annotated[f8s, MOST_CHANNELS]
     pace: Annotated[f8s, MOST_CHANNELS]
+    trend: Annotated[f8s, MOST_CHANNELS]
     since: Annotated[i8s, MOST_CHANNELS]
     elapsed: Annotated[f8s, MOST_CHANNELS]
     calm: Annotated[i8s, MOST_CHANNELS]
@@ -76,6 +81,7 @@ class State(Record):
     left: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
+    away: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
 
 
@@ -95,12 +101,12 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.before[i] = raw[i]
         h.bend[i] = h.uneven[i] = 0.0
         h.rough[i] = 0.0
-        h.moved[i] = h.torn[i] = 0.0
+        h.moved[i] = h.torn[i] = h.trend[i] = 0.0
         h.since[i] = 0
         for j in range(n):
             h.along_with[i * MOST_CHANNELS + j] = 0.0
             h.anchor[i * MOST_CHANNELS + j] = y[j]
-            h.strayed[i * MOST_CHANNELS + j] = 0.0
+            h.strayed[i * MOST_CHANNELS + j] = h.away[i * MOST_CHANNELS + j] = 0.0
 
 
 @kernel
@@ -123,6 +129,8 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
         for j in range(n):
             h.left[i * MOST_CHANNELS + j] = h.raw[j]
     if not large and h.since[i] == 0:
+        if not np.isnan(bend):
+            h.trend[i] += ((raw - h.raw[i]) / h.gap[i] - h.trend[i]) / TREND_OVER
         return
     h.since[i] += 1
     h.elapsed[i] += h.gap[i]
@@ -134,6 +142,9 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
     if h.calm[i] < CALM and h.since[i] < LEAPS:
         return
     moved = raw - h.from_[i] - h.pace[i] * h.elapsed[i]
+    other = (h.trend[i] - h.pace[i]) * h.elapsed[i]
+    if abs(other) > straight and abs(moved - other) < abs(moved):
+        moved -= other  # it has gone a way of its own before
     # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
     if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
         h.moved[i] += moved
@@ -192,6 +203,9 @@ def watch(
                 far = abs(y[j] - h.anchor[i * MOST_CHANNELS + j])
                 if not np.isnan(far):
                     h.strayed[i * MOST_CHANNELS + j] = max(h.strayed[i * MOST_CHANNELS + j], far)
+                h.away[i * MOST_CHANNELS + j] += gap
+                if far <= 0.5 * straight:
+                    h.away[i * MOST_CHANNELS + j] = 0.0
         else:
             if trusted & (1 << i):
                 h.longest[i] = max(h.longest[i], h.same[i])
@@ -199,7 +213,7 @@ def watch(
             h.held[i] = 0.0
             for j in range(n):
                 h.anchor[i * MOST_CHANNELS + j] = y[j]
-                h.strayed[i * MOST_CHANNELS + j] = 0.0
+                h.strayed[i * MOST_CHANNELS + j] = h.away[i * MOST_CHANNELS + j] = 0.0
         bend = abs(bent(y[i], h.last[i], h.older[i], gap, h.spacing[i]))
         if bend <= straight and abs(y[i] - h.last[i]) <= slew * gap:
             h.line[i] += 1
@@ -272,7 +286,7 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
             continue
         anchor = h.anchor[i * MOST_CHANNELS + j]
         moved = y[j] - anchor
-        length = h.held[i]
+        length = h.away[i * MOST_CHANNELS + j]
         if h.line[j] < h.same[i]:
             # The anchor may have been an impulse: what counts is the line, too.
             length = h.along[j]
@@ -282,7 +296,9 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
         way = -1.0 if moved < 0.0 else 1.0
         on_the_way = min((h.older[j] - anchor) * way * 2.0, (h.oldest[j] - anchor) * way * 4.0)
         # A channel that comes back from an impulse has moved, but does not go on.
-        goes_on = (h.last[j] - h.older[j]) * way > 0.0 and (h.older[j] - h.oldest[j]) * way > 0.0
+        step, before = (h.last[j] - h.older[j]) * way, (h.older[j] - h.oldest[j]) * way
+        # Of a coarse one it goes on if it does not go back, and has been on its line for long.
+        goes_on = min(step, before) > 0.0 or (min(step, before) >= 0.0 and step + before > 0.0 and h.line[j] >= LONG)
         if goes_on and min(abs(moved), on_the_way) >= far and abs(moved) >= rate * length:
             return j
     return -1
