@@ -135,6 +135,18 @@ def _sums(s: State, c: Const, position: f8s) -> float:
 
 
 @kernel
+def _go_on(s: State, solved: bool) -> None:
+    """Follow a supply that is wrong, until it is right again or does not explain the readings any more."""
+    if solved and abs(s.now - s.share) <= STRAYS:
+        s.share += AVERAGE * (s.now - s.share)
+        s.calm = s.calm + 1 if abs(s.share - 1.0) < RIGHT else 0
+        if s.calm < CALM:
+            return
+    s.active = 0
+    s.share = 1.0
+
+
+@kernel
 def look(
     s: State,
     c: Const,
@@ -169,15 +181,7 @@ def look(
         return False
     solved = _solve(s, c, reading)
     if s.active == 1:
-        if not solved or abs(s.now - s.share) > STRAYS:
-            s.active = 0
-            s.share = 1.0
-            return False
-        s.share += AVERAGE * (s.now - s.share)
-        s.calm = s.calm + 1 if abs(s.share - 1.0) < RIGHT else 0
-        if s.calm >= CALM:
-            s.active = 0
-            s.share = 1.0
+        _go_on(s, solved)
         return False
     low, high = np.inf, -np.inf
     for i in range(c.channels):

@@ -360,6 +360,74 @@ def test_channels_may_come_in_different_messages():
     assert seen.failed() == []
 
 
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+@pytest.mark.parametrize("gone", [1, 2])
+def test_a_channel_whose_message_stops_is_missing_and_the_other_goes_on(gone):
+    """No stuck channel before that, nobody else is accused, and the value is that of the live one."""
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    travel = moves(4000)
+    there = {1: "first", 2: "second"}[gone]
+    engine.process(two_messages(travel, **{there: (0, 2000)}), seen)
+    assert seen.failed() == [f"channel_{gone}_missing"]
+    assert seen.events[-1][0] == pytest.approx(2.1, abs=0.01)
+    state = engine.readout()["pedal"]
+    assert state["quality"] == ONE_CHANNEL
+    assert state["value"] == pytest.approx(100 * travel[-1], abs=0.3)
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+def test_a_channel_that_comes_back_is_trusted_again():
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    frames = two_messages(moves(4000))
+    k = np.arange(len(frames)) // 2
+    away = (frames["can_id"] == frames["can_id"][0]) & (k > 1000) & (k < 2000)
+    engine.process(frames[~away], seen)
+    assert seen.failed() == ["channel_1_missing"]
+    assert 2.1 < seen.healed("channel_1_missing") < 2.4
+    assert engine.readout()["pedal"]["quality"] == AGREED
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+@pytest.mark.parametrize("gone", [1, 2])
+def test_what_one_channel_alone_shows_is_told(gone):
+    """It jumps by 20 % of the travel in a millisecond, as no foot does; it breaks to ground."""
+    travel = moves(4000)
+    there = {1: "first", 2: "second"}[gone]
+    for change, name in ((0.2, "jump"), (-2.0, f"channel_{3 - gone}_low")):
+        engine = engine_of(channel=APART)
+        seen = Qualified(engine)
+        wrong = travel.copy()
+        wrong[3000:] = np.maximum(wrong[3000:] + change, -0.12)
+        engine.process(two_messages(wrong, **{there: (0, 2000)}), seen)
+        assert seen.failed()[:2] == [f"channel_{gone}_missing", name]
+        assert next(t for t, n, failed, _ in seen.events if failed and n == name) == pytest.approx(3.01, abs=0.015)
+        assert not any(n.startswith(f"channel_{gone}") for n in seen.failed()[1:])
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+def test_frames_lost_of_two_messages_are_no_fault():
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    frames = two_messages(moves(6000))
+    engine.process(frames[np.random.default_rng(3).random(len(frames)) > 0.05], seen)
+    assert seen.failed() == []
+    assert engine.readout()["pedal"]["quality"] == AGREED
+
+
+def test_a_database_without_a_counter_is_no_error():
+    """The counter is a spare input: the time stamps number the samples then."""
+    frames = two_messages(moves(50), second=(0, 0))
+    database = load_database([PEDAL])
+    instance = MonitorInstance(
+        "pedal", PAIR, PairParams(channel=({"counter": "Alive"}, {"counter": "Alive"})), signals={}
+    )
+    engine = build_engine([(0, database)], [instance], [])
+    engine.process(frames, lambda events: None)
+    assert engine.readout()["pedal"]["samples"] == 50
+
+
 ROW = {"signal": "M.S", "at_rest": 0.5, "at_full": 4.5, "low": 0.2, "high": 4.8}
 
 

@@ -64,6 +64,8 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
     smooth = 3 if s.sure >= SURE else 2
+    # Where readings are so coarse that a line may jump farther than a foot moves, few samples prove none.
+    smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
     mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * (s.scale.agree + s.swing), c.creep)
     if mover < 0 or others & (1 << mover) == 0:
         return bool(silent)
