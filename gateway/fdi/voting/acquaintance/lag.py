@@ -271,7 +271,7 @@ def align(s: State, c: Const, n: int, y: f8s, smooth: int, rate: float, out: f8s
             s.aligned[i] = y[i] + s.pole[i] * (s.aligned[i] - y[i])
         out[i] = s.aligned[i]
     s.slack = max(s.slack, s.left * moving)
-    s.swing = max(s.swing, (1.0 + s.left) * moving)
+    s.swing = max(s.swing, UNKNOWN * moving)
 
 
 @kernel

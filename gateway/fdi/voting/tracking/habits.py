@@ -18,8 +18,8 @@ ROUGH_OVER, SMOOTH = 128.0, 0.02
 #: What is no line of noise: bends of this share of the largest; samples over which their share is averaged; from which
 #: share on a channel is so noisy that its way is none. Impulses bend less often.
 UNEVEN, UNEVEN_OVER, NOISY = 0.25, 20.0, 0.6
-#: Samples that a coarse channel's way lies on one line.
-LONG = 16
+#: Samples that a coarse channel's way lies on one line, and how many times as far it has to go.
+LONG, FARTHER = 16, 2.0
 #: Samples without a bend that end a jump, and those after which one has to have ended.
 CALM, LEAPS = 2, 30
 #: Samples over which a channel's own pace is averaged.
@@ -145,8 +145,9 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
     other = (h.trend[i] - h.pace[i]) * h.elapsed[i]
     if abs(other) > straight and abs(moved - other) < abs(moved):
         moved -= other  # it has gone a way of its own before
-    # Less than what begins a jump, or a way that bends meanwhile, makes none: many of them would look like one.
-    if h.leapt[i] == 1 and abs(moved) > straight + BENDS * bends * h.elapsed[i] ** 1.5:
+    # Less than what begins a jump makes none; nor, of many, what a way that bends meanwhile leaves of each.
+    least = straight if h.rough[i] <= SMOOTH else straight + BENDS * bends * h.elapsed[i] ** 1.5
+    if h.leapt[i] == 1 and abs(moved) > least:
         h.moved[i] += moved
         h.origin[i] = h.from_[i]
         if abs(moved) > slew * h.lasted[i]:
@@ -298,7 +299,9 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
         # A channel that comes back from an impulse has moved, but does not go on.
         step, before = (h.last[j] - h.older[j]) * way, (h.older[j] - h.oldest[j]) * way
         # Of a coarse one it goes on if it does not go back, and has been on its line for long.
-        goes_on = min(step, before) > 0.0 or (min(step, before) >= 0.0 and step + before > 0.0 and h.line[j] >= LONG)
-        if goes_on and min(abs(moved), on_the_way) >= far and abs(moved) >= rate * length:
+        slowly = min(step, before) >= 0.0 and step + before > 0.0 and h.line[j] >= LONG
+        least = far if min(step, before) > 0.0 else FARTHER * far
+        goes_on = slowly or min(step, before) > 0.0
+        if goes_on and min(abs(moved), on_the_way) >= least and abs(moved) >= rate * length:
             return j
     return -1
