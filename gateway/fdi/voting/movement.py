@@ -24,6 +24,8 @@ def bent(y: float, last: float, older: float, dt: float, before: float) -> float
         dt: periods.
         before: periods.
     """
+    if dt == before:
+        return float(y - 2.0 * last + older)
     q = dt / before
     return float((y - last - q * (last - older)) * math.sqrt(6.0 / (1.0 + (1.0 + q) * (1.0 + q) + q * q)))
 

@@ -45,6 +45,8 @@ ERRATIC_OVER, SPLIT_OVER = 256.0, 64.0
 #: From which share on they fail, and below which they pass; in between the verdict stands.
 ERRATIC_FAILS, ERRATIC_PASSES = 0.05, 0.02
 SPLIT_FAILS, SPLIT_PASSES = 0.5, 0.1
+#: Samples of a channel that is there after which every debounce has healed: it need not be told any more.
+HEALS = 1 << 15
 #: Channels that agreed hardly ever before have not jumped together.
 SPLIT_JUMP = 0.3
 
@@ -105,7 +107,9 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     v, d, place = s.tracking, s.diagnosis, s.place[i]
     first = i * PER_CHANNEL
     d.absent[i] = d.absent[i] + 1 if place == ABSENT else 0
-    _of_channel(s, i, first + MISSING, place == ABSENT, d.absent[i], 0.0, out)
+    d.there[i] = d.there[i] + 1 if place != ABSENT else 0
+    if d.there[i] <= HEALS:
+        _of_channel(s, i, first + MISSING, place == ABSENT, d.absent[i], 0.0, out)
     if place == ABSENT:
         return
     _of_channel(s, i, first + LOW, place == BELOW, s.reading[i], c.low[i], out)

@@ -17,13 +17,14 @@ class Diagnosis(Record):
     """State of the diagnosis.
 
     ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one;
-    ``absent``: samples in a row without a reading of it;
+    ``absent``: samples in a row without a reading of it, ``there``: with one;
     ``split``: share of the samples without agreement.
     """
 
     erratic: Annotated[f8s, MOST_CHANNELS]
     wrong: Annotated[i8s, MOST_CHANNELS]
     absent: Annotated[i8s, MOST_CHANNELS]
+    there: Annotated[i8s, MOST_CHANNELS]
     split: f8
 
 
