@@ -112,7 +112,8 @@ def of_log(
     found = resolve(alone)
     databases = dict(enumerate(found.databases))
     wired = wire(found.monitors[0], databases, {bus.name: k for k, bus in enumerate(config.bus)})
-    reader = _Reader(alone, [place for place in wired.inputs if place is not None], databases)
+    places = wired.inputs[: chosen.calibration.sensors(chosen.params)]
+    reader = _Reader(alone, [place for place in places if place is not None], databases)
     with Replay(alone, file) as replay:
         for frames in replay.frames(log, maps, progress):
             reader.take(frames)

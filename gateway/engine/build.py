@@ -214,7 +214,7 @@ def _handlers(
         cells += _connect(row, m, wired, plan, made)
         _tell_arrivals(m, wired, plan, const.view(np.recarray)[0])
         _send(row, m, made)
-        row["bus"], row["wake_ns"] = m.bus, NEVER
+        row["bus"], row["wake_ns"], row["takes_nan"] = m.bus, NEVER, wired.takes_nan
         mine = checked_faults(m.monitor, m.params)
         row["fault"], row["faults"] = len(faults), len(mine)
         faults += [FaultSlot(f"{m.name}.{fault.name}", fault, m.bus) for fault in mine]

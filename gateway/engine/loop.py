@@ -26,7 +26,7 @@ from gateway.engine.checks.bus_health_steps import (
     report_bus_results,
     skip_settled_windows,
 )
-from gateway.engine.checks.communication import ACCEPT, REJECT
+from gateway.engine.checks.communication import ACCEPT, IN_PART, REJECT
 from gateway.engine.checks.communication_steps import (
     check_message,
     report_timeout,
@@ -62,6 +62,7 @@ from gateway.signals.decode import (
     find,
     invalid_value,
     lookup,
+    void,
 )
 
 #: With more messages than fit the processor's nearest cache, what so many frames on will need is fetched ahead.
@@ -252,6 +253,24 @@ def expect(T: Any, bus: int, can_id: int) -> None:
 
 
 @kernel
+def leave_out(T: Any, t_ns: int, row: int, verdict: int) -> None:
+    """Handle a frame whose data are not used, or in part: by monitors that take NaN for what has no value."""
+    v = T.vectors[row]
+    used = False
+    for k in range(v.first, v.first + v.count):
+        used = used or (verdict == IN_PART and T.handlers[T.triggers[k]].takes_nan == 1)
+    if used:
+        void(row, T.messages, T.signals, T.values, T.present)
+        commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
+    for k in range(v.first, v.first + v.count):
+        h = T.handlers[T.triggers[k]]
+        if used and h.takes_nan == 1:
+            step(T, t_ns, row, h)
+        else:
+            mark_not_tested(T, t_ns, h)
+
+
+@kernel
 def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
     """Handle one frame: vector table, decode, check, mailbox, monitors."""
     clock = T.clock[0]
@@ -278,13 +297,14 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
             clock.invalid_values += 1
             status = INVALID_VALUE
     verdict = ACCEPT if status == OK else REJECT
+    if status == INVALID_VALUE:
+        verdict = IN_PART
     if v.check >= 0:
         verdict = check_message(T, t_ns, T.checks[v.check], words, length, status, bad)
-    if verdict == REJECT:
+    if verdict != ACCEPT:
         if status == INVALID_VALUE:
             v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
-        for k in range(v.first, v.first + v.count):
-            mark_not_tested(T, t_ns, T.handlers[T.triggers[k]])
+        leave_out(T, t_ns, row, verdict)
         return
     clock.decoded += 1
     commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)

@@ -83,6 +83,7 @@ class HandlerPlace(Record):
     emit: i4 = means("the message that it sends; -1: none")
     timer: i4 = means("that wakes it")
     bus: u1
+    takes_nan: u1 = means("1: it steps with a message whose values are not valid; they are NaN")
 
 
 class HandlerState(Record):

@@ -23,11 +23,13 @@ class Wired(NamedTuple):
         triggers: messages (bus, name) that step it.
         inputs: the signal of each number of its inputs, None: nothing.
         optional: messages that need not come.
+        takes_nan: whether it steps with messages whose values are not valid.
     """
 
     triggers: set[tuple[int, str]]
     inputs: list[SignalRef | None]
     optional: set[tuple[int, str]]
+    takes_nan: bool
 
 
 def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[str, int]) -> Wired:
@@ -54,7 +56,7 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     for _, signal in connected.inputs:
         place: SignalRef | None = None
         with wrong:
-            place = None if signal is None else _found(m, signal, databases, buses, key)
+            place = None if signal is None else _wanted(m, signal, databases, buses, key)
         inputs.append(place)
         if signal is None or place is None:
             continue
@@ -72,7 +74,21 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
         except InputError as error:
             own = written(m.params, name)
             raise InputError(error.message, key=f"{key}.{own}" if own else key, value=name) from error
-    return Wired(triggers, inputs, optional)
+    given = [signal for _, signal in connected.inputs if signal is not None]
+    takes_nan = bool(given) and all(signal.may_be_nan for signal in given)
+    return Wired(triggers, inputs, optional, takes_nan)
+
+
+def _wanted(
+    m: MonitorInstance, signal: Signal, databases: Mapping[int, Database], buses: Mapping[str, int], key: str
+) -> SignalRef | None:
+    """Return the signal that an input stands for; None: it is a spare one, which nobody has named and nothing has."""
+    try:
+        return _found(m, signal, databases, buses, key)
+    except InputError:
+        if not signal.spare or signal.name in m.signals:
+            raise
+    return None
 
 
 def _found(

@@ -248,12 +248,17 @@ class Signal:
         unit: that the database must give for it; None: any.
         triggers: whether its message steps the monitor.
         optional: its message need not come: the input is NaN until it does, and the monitor steps without it.
+        may_be_nan: the input is NaN, too, while its message carries no valid value of it. A monitor all of whose inputs
+            may be so steps with such a message; else it is as one that was not there.
+        spare: the database need not have it: the input is NaN then.
     """
 
     name: str
     unit: str | None = None
     triggers: bool = False
     optional: bool = False
+    may_be_nan: bool = False
+    spare: bool = False
 
 
 #: What an input is connected to: a signal, one for each element of an array, or nothing (it is NaN).
@@ -363,15 +368,17 @@ class Measured:
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """Redundant sensors of a monitor that healthy logs can measure; they are all its inputs.
+    """Redundant sensors of a monitor that healthy logs can measure.
 
     Attributes:
         period_ms: parameters -> time between two samples.
-        found: parameters, readings in a row of shape (samples, inputs) -> what they say; an
+        sensors: parameters -> how many of its inputs they are, the first ones.
+        found: parameters, readings in a row of shape (samples, sensors) -> what they say; an
             :class:`~gateway.errors.InputError` with the key of its table where they do not tell.
     """
 
     period_ms: Callable[[Any], float]
+    sensors: Callable[[Any], int]
     found: Callable[[Any, Sequence[Any]], Measured]
 
 

@@ -195,6 +195,16 @@ def invalid_value(row: int, messages: Any, signals: Any, values: Any, present: A
 
 
 @kernel
+def void(row: int, messages: Any, signals: Any, values: Any, present: Any) -> None:
+    """Put NaN where a message's floating-point signal carries no value."""
+    m = messages[row]
+    for j in range(m.count):
+        s = signals[m.first + j]
+        if s.kind >= FLOAT16 and present[j] == 1 and not s.low <= values[j] <= s.high:
+            values[j] = np.nan
+
+
+@kernel
 def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mailbox: Any) -> None:
     """Copy the decoded signals that somebody asked for into the mailbox."""
     m = messages[row]

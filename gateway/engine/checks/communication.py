@@ -38,6 +38,8 @@ TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE = range(6)
 ACCEPT = 0
 #: Verdict on a frame: its data must not be used.
 REJECT = 1
+#: Verdict on a frame: some of its signals carry no value; who asks for that may use the others.
+IN_PART = 2
 
 FAULTS = (
     Fault(

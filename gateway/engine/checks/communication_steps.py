@@ -12,6 +12,7 @@ from gateway.engine.checks.communication import (
     AGAINST,
     COUNTER,
     CRC,
+    IN_PART,
     LENGTH,
     MISFITS,
     MOST_LOSSES,
@@ -293,7 +294,7 @@ def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
 
 @kernel
 def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: int, bad: int) -> int:
-    """Communication check of one frame: reports each test, returns ACCEPT or REJECT.
+    """Communication check of one frame: reports each test, returns ACCEPT, REJECT or IN_PART.
 
     Args:
         T: the tables.
@@ -339,6 +340,6 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         store_evidence(T, c.fault[VALUE], place, 0, bad)
         store_evidence(T, c.fault[VALUE], place, 1, value)
     if status != OK:
-        return REJECT
+        return IN_PART
     begin_run(T, c, length)
     return ACCEPT

@@ -17,8 +17,8 @@ import numpy as np
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.jit import Record, f8, f8s, i8, kernel
 
-#: Samples of agreement that a disagreement must follow, and those in which it is decided what it is.
-AGREED, LEAST, MOST = 20, 6, 12
+#: Samples of agreement that a disagreement must follow, those in which it is decided what it is, and least periods.
+AGREED, LEAST, MOST, SOONEST = 20, 3, 12, 6.0
 #: Standard deviations by which one explanation must be better than the other.
 CLEAR = 3.0
 #: Shares of the supply that are believed; within this of 1 for so many samples it is right again.
@@ -45,16 +45,17 @@ class State(Record):
     """State.
 
     ``share``: of the supply, 1: as it should be; ``active`` 1: it is not. ``calm``: samples for which it has been right
-    again. Of the disagreement that is looked at: ``age`` [samples], ``level``, ``slope`` and ``variance`` of the pedal
-    before it; sums of what it is off by if the supply is wrong: ``common``, and if all but one channel are right:
-    ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``: share and travel [%] of this sample,
-    ``seen``: share when it was looked at first.
+    again. Of the disagreement that is looked at: ``age`` [samples], ``elapsed`` [periods], ``level``, ``slope`` and
+    ``variance`` of the pedal before it; sums of what it is off by if the supply is wrong: ``common``, and if all but
+    one channel are right: ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``: share and travel
+    [%] of this sample, ``seen``: share when it was looked at first.
     """
 
     share: f8
     active: i8
     calm: i8
     age: i8
+    elapsed: f8
     agreed: i8
     level: f8
     slope: f8
@@ -124,13 +125,25 @@ def _end(s: State) -> None:
 @kernel
 def _sums(s: State, c: Const, position: f8s) -> float:
     """Add a sample of the disagreement; returns the least of what single channels would be off by, on average."""
-    expected = s.level + s.slope * s.age
+    expected = s.level + s.slope * s.elapsed
     s.common += s.travel - expected
     least = np.inf
     for i in range(c.channels):
         s.single[i] += position[i] - expected
         least = min(least, abs(s.single[i]) / s.age)
     return float(least)
+
+
+@kernel
+def _go_on(s: State, solved: bool) -> None:
+    """Follow a supply that is wrong, until it is right again or does not explain the readings any more."""
+    if solved and abs(s.now - s.share) <= STRAYS:
+        s.share += AVERAGE * (s.now - s.share)
+        s.calm = s.calm + 1 if abs(s.share - 1.0) < RIGHT else 0
+        if s.calm < CALM:
+            return
+    s.active = 0
+    s.share = 1.0
 
 
 @kernel
@@ -146,6 +159,7 @@ def look(
     variance: float,
     slack: float,
     sure: bool,
+    dt: float,
 ) -> bool:
     """Take the readings of one sample; tells whether the supply has just been found to be wrong.
 
@@ -156,25 +170,18 @@ def look(
         position: of each channel, mismatch taken off [%].
         agree: largest difference of positions that agree [%].
         level: of the pedal as of the last sample [%].
-        slope: its change a sample [%].
+        slope: its change in a period [%].
         certainty: variance of ``level`` [%^2].
         variance: of a reading [%^2].
         slack: what a lag may make of the pedal's way [%].
         sure: the pedal's way is known and no channel is held for failed.
+        dt: time since the last sample, in periods.
     """
     if c.possible == 0:
         return False
     solved = _solve(s, c, reading)
     if s.active == 1:
-        if not solved or abs(s.now - s.share) > STRAYS:
-            s.active = 0
-            s.share = 1.0
-            return False
-        s.share += AVERAGE * (s.now - s.share)
-        s.calm = s.calm + 1 if abs(s.share - 1.0) < RIGHT else 0
-        if s.calm >= CALM:
-            s.active = 0
-            s.share = 1.0
+        _go_on(s, solved)
         return False
     low, high = np.inf, -np.inf
     for i in range(c.channels):
@@ -186,18 +193,19 @@ def look(
     if s.age == 0:
         if s.agreed < AGREED or not sure:
             return False
-        s.level, s.slope, s.variance = level, slope, certainty
+        s.level, s.slope, s.variance, s.elapsed = level, slope, certainty, 0.0
     s.agreed = 0
     s.age += 1
+    s.elapsed += dt
     if s.age == 2:  # the first one may lie on the edge
         s.seen = s.now
     if not solved or s.age > MOST or (s.age > 2 and abs(s.now - s.seen) > STEADY):
         s.age = MOST
         return False
     single, common = _sums(s, c, position), abs(s.common) / s.age
-    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.age * math.sqrt(float(s.age))
+    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.elapsed * math.sqrt(s.elapsed)
     unsure += 0.5 * slack
-    if s.age >= LEAST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
+    if s.age >= LEAST and s.elapsed >= SOONEST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
         s.active = 1
         s.calm = 0
         s.share = s.now

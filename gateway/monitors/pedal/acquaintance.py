@@ -18,7 +18,7 @@ DOUBT = 1.1
 
 
 @kernel
-def supplied(s: State, c: Const) -> bool:
+def supplied(s: State, c: Const, dt: float) -> bool:
     """Look at the common supply; tells whether the readings are to be taken once more, with another share of it."""
     v, y, t = s.tracking.mismatch, s.supply, s.tracking
     if c.supply.possible == 0 or t.started == 0:
@@ -31,7 +31,7 @@ def supplied(s: State, c: Const) -> bool:
     quiet = t.slack < t.scale.agree  # else it may be a lag
     sure = quiet and t.isolated == 0 and t.sure >= SURE and m.coasted < SUSPECT
     agree, variance = t.scale.agree + t.slack, t.scale.variance
-    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, t.slack, sure):
+    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, t.slack, sure, dt):
         # What the voter took for the pedal meanwhile was one channel or another.
         motion.restart(m, y.travel, 0.0, variance, c.tracking.slew * c.tracking.slew / 9.0)
         for i in range(c.channels):
@@ -59,8 +59,9 @@ def _measure(s: State, c: Const) -> None:
     s.noise = noise.largest_noise(s.sensors, c.sensors, n)
     s.resolution = noise.widest_step(s.sensors, c.sensors, n)
     scale.measure(t.scale, s.noise, s.resolution, c.tracking.high - c.tracking.low, c.tracking.bend)
-    if scale.silent(noise.least_noise(s.sensors, c.sensors, n), s.resolution) == scale.NEVER:
-        t.scale.silent = scale.NEVER  # one of them is so quiet that it always repeats itself at rest
+    quiet = scale.silent(noise.least_noise(s.sensors, c.sensors, n), s.resolution) == scale.NEVER
+    if quiet or s.sensors.known == 0:
+        t.scale.silent = scale.NEVER  # one of them always repeats itself at rest, or may: nobody knows yet
     if s.noise > DOUBT * max(before, c.sensors.noise):
         _forgive(s, n)
 
@@ -81,9 +82,10 @@ def learn(s: State, c: Const, dt: float) -> None:
             fine |= 1 << i
     if t.scale.variance == 0.0 or noise.learn(s.sensors, c.sensors, n, s.position, fine, dt):
         _measure(s, c)
-    smooth = lag.smooth(s.lag, n, s.position, t.scale.straight)
-    lag.learn(s.lag, c.lag, n, s.position, fine, smooth, dt, t.scale.variance)
-    lag.align(s.lag, c.lag, n, s.trusted, smooth, s.aligned)
+    smooth = lag.smooth(s.lag, n, s.position, t.absent, t.scale.straight, dt)
+    rate = t.motion.v if t.started == 1 else 0.0
+    lag.align(s.lag, c.lag, n, s.trusted, smooth, rate, s.aligned)
+    lag.learn(s.lag, c.lag, n, s.aligned, fine, smooth, dt, t.scale.variance)
     t.slack, t.swing = s.lag.slack, s.lag.swing
     s.known = KNOWN_NOISE if s.sensors.known == 1 else 0
     if s.lag.known == 1:

@@ -30,6 +30,7 @@ from gateway.monitors.pedal.faults import (
     INVALID,
     JUMP,
     LOW,
+    MISSING,
     PER_CHANNEL,
     RANGE,
     STUCK,
@@ -38,12 +39,14 @@ from gateway.monitors.pedal.faults import (
 from gateway.monitors.pedal.records import Const, Outputs, State
 
 #: How a reading lies to its range.
-FINE, BELOW, ABOVE, OUTSIDE = range(4)
+FINE, BELOW, ABOVE, OUTSIDE, ABSENT = range(5)
 #: Shares of samples, averaged over so many: those in which a channel goes wrong; those without agreement.
 ERRATIC_OVER, SPLIT_OVER = 256.0, 64.0
 #: From which share on they fail, and below which they pass; in between the verdict stands.
 ERRATIC_FAILS, ERRATIC_PASSES = 0.05, 0.02
 SPLIT_FAILS, SPLIT_PASSES = 0.5, 0.1
+#: Samples of a channel that is there after which every debounce has healed: it need not be told any more.
+HEALS = 1 << 15
 #: Channels that agreed hardly ever before have not jumped together.
 SPLIT_JUMP = 0.3
 
@@ -63,9 +66,11 @@ def _of_channel(
     if not failed:
         return
     v = s.tracking
+    e.voted = s.value
+    if s.place[i] == ABSENT:
+        return
     e.reading = s.reading[i]
     e.position = s.position[i]
-    e.voted = s.value
     # A reading outside its range has not been seen by the voter.
     e.innovation = v.innovation[i] if s.place[i] == FINE else s.position[i] - s.value
     e.gate = v.gate
@@ -89,7 +94,7 @@ def _of_all(
     if not failed:
         return
     for i in range(c.channels):
-        e.channel[i] = s.position[i]
+        e.channel[i] = 0.0 if s.place[i] == ABSENT else s.position[i]
     e.voted = s.value
     e.speed = s.speed
     e.mismatch = s.tracking.spread
@@ -101,6 +106,12 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     """Test one channel."""
     v, d, place = s.tracking, s.diagnosis, s.place[i]
     first = i * PER_CHANNEL
+    d.absent[i] = d.absent[i] + 1 if place == ABSENT else 0
+    d.there[i] = d.there[i] + 1 if place != ABSENT else 0
+    if d.there[i] <= HEALS:
+        _of_channel(s, i, first + MISSING, place == ABSENT, d.absent[i], 0.0, out)
+    if place == ABSENT:
+        return
     _of_channel(s, i, first + LOW, place == BELOW, s.reading[i], c.low[i], out)
     _of_channel(s, i, first + HIGH, place == ABOVE, s.reading[i], c.high[i], out)
     if place in (FINE, OUTSIDE):
@@ -129,7 +140,7 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         for j in range(c.channels):
             if s.place[j] == FINE and v.isolated & (1 << j) == 0:
                 trusted |= 1 << j
-        wrong = isolation.witnessed(v, c.channels, trusted, i)
+        wrong = isolation.witnessed(v, c.tracking, trusted, i)
     # A channel that goes wrong and stays so is not erratic: what counts is how often it begins.
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0

@@ -10,8 +10,8 @@ from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 from gateway.monitors.pedal.params import PRESETS, Params
 
 #: Faults of a channel, by their place; channel i's begin at ``i * PER_CHANNEL``.
-LOW, HIGH, RANGE, STUCK, IMPLAUSIBLE, ERRATIC = range(6)
-PER_CHANNEL = 6
+LOW, HIGH, RANGE, STUCK, IMPLAUSIBLE, ERRATIC, MISSING = range(7)
+PER_CHANNEL = 7
 #: Faults of all channels, by their place behind those of the channels; then, of three, one "drifts" a channel. Of
 #: two nobody could tell which. Last of all, where
 #: channels tell it, the supply.
@@ -75,6 +75,13 @@ _CHANNEL = (
         "rejected in a row [samples]",
     ),
     ("erratic", "2F", "single readings are wrong, too often", _SLOW, "share of samples at which it goes wrong [%]"),
+    (
+        "missing",
+        "87",
+        "no reading: its message stays away, or carries no value; redundancy is lost, the others go on without it",
+        Debounce(failed_after=100, passed_after=200),
+        "no reading for [samples]",
+    ),
 )
 _DRIFTS = ("drifts", "28", "has moved away from the other two slowly", _JUDGED, "distance from the others [%]")
 _COMMON = (

@@ -1,9 +1,10 @@
 """Redundant position sensors: faults of two or three channels, and one value out of them.
 
-Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault-Tolerant of Safety Critical
-System" (2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the
-default is :mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its
-input. One step a message of the last channel; the others' readings are the newest there are.
+Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault-Tolerant of Safety Critical System"
+(2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the default is
+:mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its input. Samples
+are numbered by frame counters; channels in several messages make one when each has come once more, and one that stays
+away is not waited for (:mod:`gateway.monitors.sampling`).
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import kernel
+from gateway.monitors import sampling
 from gateway.monitors.contract import (
     TIMER,
+    Arrivals,
     Blames,
     Connection,
     Emission,
@@ -30,7 +33,7 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway.monitors.pedal import acquaintance, diagnosis, measured
-from gateway.monitors.pedal.diagnosis import ABOVE, BELOW, FINE, OUTSIDE
+from gateway.monitors.pedal.diagnosis import ABOVE, ABSENT, BELOW, FINE, OUTSIDE
 from gateway.monitors.pedal.faults import Evidence, blames, faults
 from gateway.monitors.pedal.params import BEND, PRESETS, VOTERS, PairParams, Params, TripleParams
 from gateway.monitors.pedal.records import Const, Inputs, Outputs, State
@@ -52,9 +55,13 @@ CREEP = 0.6
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
-    stepped = p.channels[-1].message
-    readings = [Signal(c.signal, triggers=c.message == stepped) for c in p.channels]
-    return {"reading": [*readings, *[None] * (MOST_CHANNELS - len(readings))]}
+    readings = [Signal(c.signal, triggers=True, optional=True, may_be_nan=True) for c in p.channels]
+    counters = [
+        Signal(f"{c.message}.{c.counter}", optional=True, may_be_nan=True, spare=True) if c.counter else None
+        for c in p.channels
+    ]
+    none = [None] * (MOST_CHANNELS - len(readings))
+    return {"reading": [*readings, *none], "counter": [*counters, *none]}
 
 
 def _emits(p: Params) -> Emission:
@@ -73,6 +80,8 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         c.low[i], c.high[i] = channel.low, channel.high
     c.over = p.overtravel
     c.period_ns = round(p.period_ms * 1e6)
+    sampling.prepare(c.sampling, p.sampling, len(p.messages))
+    c.of_channel[:n] = [p.messages.index(channel.message) for channel in p.channels]
     c.lost = shape.LOST
     c.last_fault = len(faults(p)) - 1
     told = max(abs(channel.noise * channel.percent) for channel in p.channels)
@@ -100,6 +109,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         mismatch=p.gain_error / 100,
         tolerance=p.tolerance / 100,
         creep=CREEP * p.period_ms * 1e-3,
+        lean=[channel.at_rest * channel.percent for channel in p.channels] if p.tells_supply else None,
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
     simple.prepare(c.simple, n)
@@ -119,20 +129,43 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _read(s: State, c: Const, u: Inputs) -> None:
-    """Bring the readings to per cent of the travel, and place them to their ranges."""
+def _sample(s: State, c: Const, u: Inputs) -> bool:
+    """Take a frame; tells whether a sample is there, ``s.reading`` of which is NaN where nothing has come."""
+    message, counter = -1, np.nan
     for i in range(c.channels):
-        reading = u.reading[i]
+        if c.message[i] == u.trigger:
+            message = c.of_channel[i]
+            counter = counter if np.isfinite(counter) else u.counter[i]
+    if message < 0:
+        return False
+    came = sampling.take(s.sampling, c.sampling, message, u.t_ns, counter)
+    for i in range(c.channels):
+        if came != sampling.OVERTAKEN and c.of_channel[i] == message:
+            s.newest[i] = u.reading[i]
+        if came == sampling.SAMPLE:
+            s.reading[i] = np.nan if s.sampling.missing & (1 << c.of_channel[i]) else s.newest[i]
+    return bool(came == sampling.SAMPLE)
+
+
+@kernel
+def _read(s: State, c: Const) -> None:
+    """Bring the readings to per cent of the travel, and place them to their ranges."""
+    s.tracking.absent = 0
+    for i in range(c.channels):
+        reading = s.reading[i]
         position = (reading / s.share - c.rest[i]) * c.percent[i]
-        s.reading[i], s.position[i] = reading, position
-        if reading < c.low[i] * s.share:
+        s.position[i] = position
+        if np.isnan(reading):
+            s.place[i] = ABSENT
+            s.tracking.absent |= 1 << i
+        elif reading < c.low[i] * s.share:
             s.place[i] = BELOW
         elif reading > c.high[i] * s.share:
             s.place[i] = ABOVE
         elif -c.over <= position <= 100.0 + c.over:
             s.place[i] = FINE
         else:
-            s.place[i] = OUTSIDE  # so is NaN
+            s.place[i] = OUTSIDE
         s.trusted[i] = position if s.place[i] == FINE else np.nan
 
 
@@ -188,22 +221,23 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     if u.trigger == TIMER:
         s.quality = INVALID
         s.used = 0
+        s.wake_ns = 0
         _send(s, out)
         return
-    dt = 1.0
-    if s.samples > 0:
-        dt = max(np.rint((u.t_ns - s.last_ns) / c.period_ns), 1.0)
-    s.last_ns = u.t_ns
+    out.wake_ns = s.wake_ns if s.wake_ns > u.t_ns else 0
+    if not _sample(s, c, u):
+        return
     s.samples += 1
-    _read(s, c, u)
-    if acquaintance.supplied(s, c):
-        _read(s, c, u)
+    dt = float(s.sampling.gap)
+    _read(s, c)
+    if acquaintance.supplied(s, c, dt):
+        _read(s, c)
     acquaintance.learn(s, c, dt)
     _vote(s, c, dt)
     s.quality = _quality(s)
     diagnosis.diagnose(s, c, out)
     _send(s, out)
-    out.wake_ns = u.t_ns + SILENCE * c.period_ns
+    s.wake_ns = out.wake_ns = u.t_ns + SILENCE * c.period_ns
 
 
 def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
@@ -221,7 +255,12 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         prepare=_prepare,
         faults=faults,
         emits=_emits,
-        capabilities=(Blames(blames), Readout(_SHOWN), SensorCalibration(lambda p: p.period_ms, measured.found)),
+        capabilities=(
+            Blames(blames),
+            Readout(_SHOWN),
+            SensorCalibration(lambda p: p.period_ms, lambda p: len(p.channels), measured.found),
+            Arrivals(lambda c: c.message),
+        ),
     )
 
 

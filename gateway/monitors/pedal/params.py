@@ -10,10 +10,14 @@ from pydantic import Field, model_validator
 from gateway.common.tomlfile import StrictModel
 from gateway.fdi.voting import supply
 from gateway.fdi.voting.acquaintance.lag import COARSE_MS
+from gateway.fdi.voting.tracking.shape import LOST
 from gateway.monitors.contract import MonitorParams
+from gateway.monitors.sampling import Sampling
 
 #: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.
 BEND = 1.6e-4
+#: Periods for which channels in other messages are waited for.
+WAITS = 3
 #: Voters by their number in the constants.
 VOTERS = ("tracking", "average", "median", "predictive", "kalman", "kalman_repaired")
 
@@ -31,6 +35,9 @@ class Channel(StrictModel):
     high: float = Field(description="readings above: short to the supply, or open")
     noise: float = Field(0.0, ge=0, description="standard deviation of a reading, from data sheet")
     resolution: float = Field(0.0, ge=0, description="least difference of two readings")
+    counter: str = Field(
+        "", description='frame counter in the same message, by its name; "": none, and time stamps number the samples'
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -78,6 +85,7 @@ def _volts(signal: str, rest: float, full: float, low: float, high: float) -> Ch
         high=high,
         noise=0.002,
         resolution=5 / 4096,
+        counter="FrameCnt",
     )
 
 
@@ -186,6 +194,20 @@ class Params(MonitorParams):
             if own and getattr(self, key) is not None:
                 raise ValueError(f"{key} is of the preset's channels; those of {own[0]} stand in its own table")
         return self
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """The messages of the channels, each once."""
+        return tuple(dict.fromkeys(channel.message for channel in self.channels))
+
+    @property
+    def sampling(self) -> Sampling:
+        """How frames become samples."""
+        counted = any(channel.counter for channel in self.channels)
+        by: Literal["counter", "set", "clock"] = "counter" if counted else "clock"
+        if len(self.messages) > 1:
+            by = "set"
+        return Sampling(by, self.period_ms, WAITS * self.period_ms, LOST * self.period_ms)
 
     @property
     def finds_lag(self) -> bool:

@@ -10,18 +10,21 @@ from gateway.fdi.voting.acquaintance import noise as own_noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.jit import Record, f8, f8s, i8, i8s, means
-from gateway.monitors import contract
+from gateway.monitors import contract, sampling
 
 
 class Diagnosis(Record):
     """State of the diagnosis.
 
     ``erratic``: how often each channel goes wrong, per sample, and whether it was ``wrong`` in the last one;
+    ``absent``: samples in a row without a reading of it, ``there``: with one;
     ``split``: share of the samples without agreement.
     """
 
     erratic: Annotated[f8s, MOST_CHANNELS]
     wrong: Annotated[i8s, MOST_CHANNELS]
+    absent: Annotated[i8s, MOST_CHANNELS]
+    there: Annotated[i8s, MOST_CHANNELS]
     split: f8
 
 
@@ -36,8 +39,11 @@ class Const(Record):
     high: Annotated[f8s, MOST_CHANNELS]
     over: f8
     period_ns: i8
+    message: Annotated[i8s, 2 * MOST_CHANNELS] = means("of each input, as u.trigger has it")
+    of_channel: Annotated[i8s, MOST_CHANNELS] = means("place of each channel's message among them")
     lost: f8
     last_fault: i8
+    sampling: sampling.Const
     sensors: own_noise.Const
     lag: lag.Const
     supply: supply.Const
@@ -47,12 +53,16 @@ class Const(Record):
     predictive: predictive_hybrid.Const
 
 
+class Samples(sampling.State, lengths={"messages": MOST_CHANNELS}):
+    """The samples of up to three messages."""
+
+
 class State(Record):
     """State.
 
-    ``reading`` in the unit of the signal, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN outside
-    it. ``noise``, ``resolution`` [%], ``lag_ms`` that is reckoned with, ``known``: of what was learned, bits KNOWN_*;
-    ``share`` of the supply.
+    ``newest``: reading of each channel since its message came last; ``reading`` in the unit of the signal, ``position``
+    [%], ``place`` to its range, ``trusted`` [%], NaN outside it. ``noise``, ``resolution`` [%], ``lag_ms`` that is
+    reckoned with, ``known``: of what was learned, bits KNOWN_*; ``share`` of the supply.
     """
 
     value: f8
@@ -67,7 +77,9 @@ class State(Record):
     lag_ms: f8
     known: i8
     share: f8
-    last_ns: i8
+    wake_ns: i8
+    newest: Annotated[f8s, MOST_CHANNELS]
+    sampling: Samples
     reading: Annotated[f8s, MOST_CHANNELS]
     position: Annotated[f8s, MOST_CHANNELS]
     place: Annotated[i8s, MOST_CHANNELS]
@@ -88,6 +100,7 @@ class Inputs(contract.Inputs):
     """Inputs."""
 
     reading: Annotated[f8s, MOST_CHANNELS]
+    counter: Annotated[f8s, MOST_CHANNELS] = means("frame counter of each channel's message")
 
 
 class Outputs(Record):

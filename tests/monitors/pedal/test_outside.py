@@ -33,6 +33,58 @@ def test_no_healthy_pedal_is_accused(k):
         assert state["lag_ms"] == pytest.approx(lag if lag > 1.0 else 0.0, abs=1.6)
 
 
+def _roads(seed, count):
+    """Lags, frames that are lost, late, overtaken, and resolutions that are not told, at random."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        way = {
+            "loss": rng.choice([0.0, 0.002, 0.01, 0.03, 0.05]),
+            "stamps_ms": rng.choice([0.0, 0.3, 1.0, 2.0]),
+            "reorder": rng.choice([0.0, 0.02]),
+            "overtakes": bool(rng.integers(2)),
+        }
+        lag = rng.choice([0.0, 1.5, 3.0, 5.0, 8.0, 10.0])
+        lags = (lag, 0.0) if rng.integers(2) else (0.0, lag)
+        noise, bits = rng.choice([0.0003, 0.002, 0.004]), int(rng.choice([8, 10, 12]))
+        yield seed + k, lags, noise, bits, way
+
+
+#: Seed, lags [ms], noise [V], bits, and what happens to the frames.
+ROADS = [
+    (SEED + 500, (0.0, 8.0), 0.002, 12, {"loss": 0.03, "stamps_ms": 0.3}),
+    (SEED + 501, (10.0, 0.0), 0.002, 8, {"loss": 0.05, "stamps_ms": 2.0, "reorder": 0.02}),
+    (SEED + 502, (0.0, 3.0), 0.002, 10, {"loss": 0.01, "stamps_ms": 2.0, "reorder": 0.02, "overtakes": True}),
+    *_roads(SEED + 510, amount(97, 0)),
+]
+
+
+@pytest.mark.parametrize(("seed", "lags", "noise", "bits", "way"), ROADS)
+def test_no_healthy_pedal_is_accused_whatever_happens_to_its_frames(seed, lags, noise, bits, way):
+    print("seed", seed)
+    said = cases.healthy(lambda rng: sensors.brake(noise, lags, rng=rng, bits=bits), amount(0.1, 0.01), seed, way=way)
+    assert said.set == []
+    state = said.monitors["m"]
+    if state["known"] & 2:
+        lag = max(lags)
+        assert state["lag_ms"] == pytest.approx(lag if lag > 1.0 else 0.0, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["offset 5 %", "stuck", "short to ground", "chatter in 20 %", "supply -10 %"])
+def test_no_healthy_channel_is_blamed_whatever_happens_to_the_frames(name):
+    way = {"loss": 0.03, "stamps_ms": 1.0, "reorder": 0.02}
+    for k in range(amount(10, 1)):
+        seed = SEED + 700 + k
+        print("seed", seed)
+        said, begin = cases.faulty(
+            name, seed, plant=lambda rng: sensors.brake(0.002, (0.0, 8.0), rng=rng), seconds=15.0, way=way
+        )
+        assert cases.blamed(said) == []
+        new = [fault for t, fault, failed in said.dtcs if failed]
+        assert new
+        assert all(t > begin for t, _, failed in said.dtcs if failed)
+        assert new[0] in cases.FAULTS[name].names or new[0] in ("correlation", "drift")
+
+
 @pytest.mark.parametrize("kind", ["delay", "mean"])
 def test_a_lag_of_another_kind_is_none_either(kind):
     """A pure delay, and a moving average; measured, 1 in some hours of drives with 8 to 10 ms is accused."""

@@ -320,16 +320,112 @@ def test_readings_become_per_cent_of_the_travel_by_each_channels_slope():
     assert engine.readout()["pedal"]["value"] == pytest.approx(10, abs=0.1)
 
 
+OWN = {"at_rest": 0.5, "at_full": 4.5, "low": 0.25, "high": 4.75, "noise": 0.002, "counter": "FrameCnt"}
+#: One channel in each of two messages.
+APART = [{**OWN, "signal": "PED_Brake.Ch1"}, {**OWN, "signal": "PED_Brake3.Ch1"}]
+
+
+def two_messages(travel, first=(0, 10**9), second=(0, 10**9), seed=9):
+    """Frames of both messages, each millisecond, while each is there (samples from, to)."""
+    rng = np.random.default_rng(seed)
+    frames = empty(2 * len(travel))
+    n = 0
+    for k, x in enumerate(travel):
+        for name, there, late in (("PED_Brake", first, 0), ("PED_Brake3", second, 300_000)):
+            if there[0] <= k < there[1]:
+                values = {"Ch1": 0.5 + 4.0 * x + rng.normal(0, 0.002), "Ch2": 1.0, "Ch3": 1.0}
+                message = VOTED.get_message_by_name(name)
+                own = {s.name: values[s.name] for s in message.signals if s.name in values}
+                data = message.encode({"Crc": 0, "FrameCnt": k % 16, **own})
+                put(frames, n, k * 1_000_000 + late, message.frame_id, data)
+                n += 1
+    return frames[:n]
+
+
+def moves(n):
+    """A pedal that never rests."""
+    return 0.5 - 0.3 * np.cos(2 * np.pi * 1.3 * np.arange(n) * 1e-3)
+
+
 def test_channels_may_come_in_different_messages():
-    """It steps with the message of the last one, once all have come; the others' readings are the newest."""
-    row = {"at_rest": 0.5, "at_full": 4.5, "low": 0.25, "high": 4.75, "noise": 0.002}
-    own = [{**row, "signal": "PED_Brake.Ch1"}, {**row, "signal": "PED_Brake3.Ch1"}]
-    engine = engine_of(channel=own)
-    raw(engine, [(2.5, 2.5)] * 5)
-    assert engine.readout()["pedal"]["samples"] == 0
-    raw(engine, [(2.5, 2.5, 2.5)] * 3, "PED_Brake3")
-    assert engine.readout()["pedal"]["samples"] == 3
-    assert engine.readout()["pedal"]["value"] == pytest.approx(50, abs=0.05)
+    """A sample is there when each has come once more."""
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    travel = moves(300)
+    engine.process(two_messages(travel), seen)
+    state = engine.readout()["pedal"]
+    assert state["samples"] == 300
+    assert state["quality"] == AGREED
+    assert state["value"] == pytest.approx(100 * travel[-1], abs=0.3)
+    assert seen.failed() == []
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+@pytest.mark.parametrize("gone", [1, 2])
+def test_a_channel_whose_message_stops_is_missing_and_the_other_goes_on(gone):
+    """No stuck channel before that, nobody else is accused, and the value is that of the live one."""
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    travel = moves(4000)
+    there = {1: "first", 2: "second"}[gone]
+    engine.process(two_messages(travel, **{there: (0, 2000)}), seen)
+    assert seen.failed() == [f"channel_{gone}_missing"]
+    assert seen.events[-1][0] == pytest.approx(2.1, abs=0.01)
+    state = engine.readout()["pedal"]
+    assert state["quality"] == ONE_CHANNEL
+    assert state["value"] == pytest.approx(100 * travel[-1], abs=0.3)
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+def test_a_channel_that_comes_back_is_trusted_again():
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    frames = two_messages(moves(4000))
+    k = np.arange(len(frames)) // 2
+    away = (frames["can_id"] == frames["can_id"][0]) & (k > 1000) & (k < 2000)
+    engine.process(frames[~away], seen)
+    assert seen.failed() == ["channel_1_missing"]
+    assert 2.1 < seen.healed("channel_1_missing") < 2.4
+    assert engine.readout()["pedal"]["quality"] == AGREED
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+@pytest.mark.parametrize("gone", [1, 2])
+def test_what_one_channel_alone_shows_is_told(gone):
+    """It jumps by 20 % of the travel in a millisecond, as no foot does; it breaks to ground."""
+    travel = moves(4000)
+    there = {1: "first", 2: "second"}[gone]
+    for change, name in ((0.2, "jump"), (-2.0, f"channel_{3 - gone}_low")):
+        engine = engine_of(channel=APART)
+        seen = Qualified(engine)
+        wrong = travel.copy()
+        wrong[3000:] = np.maximum(wrong[3000:] + change, -0.12)
+        engine.process(two_messages(wrong, **{there: (0, 2000)}), seen)
+        assert seen.failed()[:2] == [f"channel_{gone}_missing", name]
+        assert next(t for t, n, failed, _ in seen.events if failed and n == name) == pytest.approx(3.01, abs=0.015)
+        assert not any(n.startswith(f"channel_{gone}") for n in seen.failed()[1:])
+
+
+@pytest.mark.skipif(not COMPILED, reason="thousands of samples")
+def test_frames_lost_of_two_messages_are_no_fault():
+    engine = engine_of(channel=APART)
+    seen = Qualified(engine)
+    frames = two_messages(moves(6000))
+    engine.process(frames[np.random.default_rng(3).random(len(frames)) > 0.05], seen)
+    assert seen.failed() == []
+    assert engine.readout()["pedal"]["quality"] == AGREED
+
+
+def test_a_database_without_a_counter_is_no_error():
+    """The counter is a spare input: the time stamps number the samples then."""
+    frames = two_messages(moves(50), second=(0, 0))
+    database = load_database([PEDAL])
+    instance = MonitorInstance(
+        "pedal", PAIR, PairParams(channel=({"counter": "Alive"}, {"counter": "Alive"})), signals={}
+    )
+    engine = build_engine([(0, database)], [instance], [])
+    engine.process(frames, lambda events: None)
+    assert engine.readout()["pedal"]["samples"] == 50
 
 
 ROW = {"signal": "M.S", "at_rest": 0.5, "at_full": 4.5, "low": 0.2, "high": 4.8}

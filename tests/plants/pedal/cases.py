@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from wire.replayed import config_of, through
+from wire.road import road
 
 from pedal import sensors
 from pedal.foot import DT, driving
@@ -62,13 +63,14 @@ def monitor(**params):
     return {"type": "redundant_pair", "preset": "brake", **params}
 
 
-def healthy(plant, hours, seed, **params):
+def healthy(plant, hours, seed, *, way=None, **params):
     """Replay healthy driving; returns what was said.
 
     Args:
         plant: rng -> the sensors.
         hours: length.
         seed: of everything.
+        way: what happens to the frames, of :func:`wire.road.road`.
         params: of the monitor.
     """
     rng = np.random.default_rng(seed)
@@ -79,12 +81,13 @@ def healthy(plant, hours, seed, **params):
             travel = driving(min(BATCH_S, seconds - begin), rng)
             # Each part rests at both ends, so that the whole is one drive.
             travel[-400:] *= np.linspace(1, 0, 400) ** 2
-            yield sensors.frames(made, sensors.readings(made, travel, rng), round(begin / DT))
+            frames = sensors.frames(made, sensors.readings(made, travel, rng), round(begin / DT))
+            yield road(frames, rng, **way) if way else frames
 
     return through(config_of(monitor(**params), sensors.DBC), batches())
 
 
-def faulty(name, seed, *, plant=None, seconds=30.0, begin=None, **params):
+def faulty(name, seed, *, plant=None, seconds=30.0, begin=None, way=None, **params):
     """Replay a run with a fault of the table; returns what was said, and when the fault began [s].
 
     Args:
@@ -93,6 +96,7 @@ def faulty(name, seed, *, plant=None, seconds=30.0, begin=None, **params):
         plant: rng -> the sensors; default: the brake's as told, with small errors.
         seconds: length.
         begin: of the fault [s]; default: at random, behind 5 s.
+        way: what happens to the frames, of :func:`wire.road.road`.
         params: of the monitor.
     """
     rng = np.random.default_rng([seed, list(FAULTS).index(name)])
@@ -104,6 +108,7 @@ def faulty(name, seed, *, plant=None, seconds=30.0, begin=None, **params):
     supply = np.where(t < begin, 5.0, row.supply)
     volts = sensors.readings(made, travel, rng, supply=supply, faults=row.make(rng, begin))
     frames = sensors.frames(made, volts)
+    frames = road(frames, rng, **way) if way else frames
     return through(config_of(monitor(**params), sensors.DBC), [frames]), begin
 
 

@@ -2,7 +2,9 @@
 
 A foot bends its way by less than noise does in three samples, so that the median of the differences is that of noise,
 1.652 sigma; the median knows nothing of single wrong readings. It is learned from the first samples and stays: what
-becomes noisy later is at fault. The resolution is the least step that readings have made.
+becomes noisy later is at fault. The resolution is the least step that readings have made; it is learned for as long as
+it takes: an ADC that is coarser than was told shows when the quantity moves. A sample that was lost makes no difference
+of three readings, and no step.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ CLASSES, PER_UNIT = 64, 4.0
 FIRST, LAST = 128, 4096
 #: Median of the second difference of white noise over its standard deviation: 0.6745 sqrt(6).
 MEDIAN = 1.6522
-#: Steps after which the least one is the resolution.
-STEPS = 64
+#: Steps after which the least one is the resolution, and those after which it is not looked at any more. Until then it
+#: is the least one so far, once there are a few.
+FEW, STEPS = 4, 256
 #: More noise than so many units is not a sensor's: it is not learned.
 MOST = 5.0
 
@@ -83,15 +86,23 @@ def _median(s: State, c: Const, i: int) -> float:
 
 
 @kernel
+def _step(s: State, c: Const, i: int, y: float) -> bool:
+    """Look at the step from one reading of channel ``i`` to the next; tells whether its resolution is another now."""
+    moved = abs(y - s.last[i])
+    if moved == 0.0:
+        return False
+    s.least[i] = moved if s.steps[i] == 0 else min(s.least[i], moved)
+    s.steps[i] += 1
+    before = s.resolution[i]
+    if s.steps[i] >= FEW:
+        s.resolution[i] = min(s.least[i], c.widest)
+    return bool(s.resolution[i] != before)
+
+
+@kernel
 def _take(s: State, c: Const, i: int, y: float) -> None:
     """Take a reading of channel ``i`` that follows the one before by one period."""
-    moved = abs(y - s.last[i])
-    if moved > 0.0:
-        s.least[i] = moved if s.steps[i] == 0 else min(s.least[i], moved)
-        s.steps[i] += 1
-        if s.steps[i] >= STEPS:
-            s.resolution[i] = min(s.least[i], c.widest)
-    if s.run[i] >= 2:
+    if s.run[i] >= 2 and s.taken[i] < LAST:
         bend = abs(y - 2.0 * s.last[i] + s.older[i])
         s.count[i, min(int(bend * PER_UNIT / c.unit), CLASSES - 1)] += 1
         s.taken[i] += 1
@@ -111,7 +122,7 @@ def learn(s: State, c: Const, n: int, y: f8s, fine: int, dt: float) -> bool:
     """
     news, known = False, True
     for i in range(n):
-        if s.taken[i] >= LAST:
+        if s.taken[i] >= LAST and s.steps[i] >= STEPS:
             continue
         if fine & (1 << i) == 0:
             s.run[i] = 0
@@ -119,10 +130,12 @@ def learn(s: State, c: Const, n: int, y: f8s, fine: int, dt: float) -> bool:
         if dt > 1.0:
             s.run[i] = 0
         if s.run[i] > 0:
+            if s.steps[i] < STEPS and _step(s, c, i, y[i]):
+                news = True
             _take(s, c, i, y[i])
         s.run[i] += 1
         s.older[i], s.last[i] = s.last[i], y[i]
-        if s.taken[i] >= max(s.due[i], FIRST):
+        if s.taken[i] < LAST and s.taken[i] >= max(s.due[i], FIRST):
             s.noise[i] = min(_median(s, c, i) / MEDIAN, MOST * c.unit)
             s.due[i] = 2 * s.taken[i]
             news = True

@@ -76,15 +76,17 @@ def _learn(
     y: Any,
     span: float,
     bend: float,
+    aligned: Any,
 ) -> None:
-    """Let noise and lag be learned of a block ``y``, shape (samples, channels)."""
+    """Let noise and lag be learned of a block ``y``, shape (samples, channels); ``aligned``: room for a sample."""
     fine = (1 << n) - 1
     for k in range(y.shape[0]):
         noise.learn(ns, nc, n, y[k], fine, 1.0)
     scale.measure(gates, noise.largest_noise(ns, nc, n), noise.widest_step(ns, nc, n), span, bend)
     for k in range(y.shape[0]):
-        smooth = lag.smooth(ls, n, y[k], gates.straight)
-        lag.learn(ls, lc, n, y[k], fine, smooth, 1.0, gates.variance)
+        smooth = lag.smooth(ls, n, y[k], 0, gates.straight, 1.0)
+        lag.align(ls, lc, n, y[k], smooth, 0.0, aligned)
+        lag.learn(ls, lc, n, aligned, fine, smooth, 1.0, gates.variance)
 
 
 def _of_blocks(values: Sequence[float]) -> Estimate:
@@ -147,7 +149,7 @@ def survey(records: Sequence[Array], *, period_ms: float, told: float, step: flo
                 ns, ls, lc = zeros(1, noise.State)[0], zeros(1, lag.State)[0], zeros(1, lag.Const)[0]
                 noise.prepare(nc, noise=expected, step=step, span=span)
                 lag.prepare(lc, period_ms=period_ms, most_ms=MOST_LAG_MS)
-                _learn(ns, nc, ls, lc, zeros(1, scale.Scale)[0], channels, block, span, bend)
+                _learn(ns, nc, ls, lc, zeros(1, scale.Scale)[0], channels, block, span, bend, np.zeros(channels))
                 expected = max(float(ns.noise[i]) for i in range(channels))
             for i in range(channels):
                 noises[i].append(float(ns.noise[i]))

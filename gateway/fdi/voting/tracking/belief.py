@@ -53,9 +53,11 @@ def _together(s: State, c: Const, bits: int, count: int, near: bool, dt: float) 
     reach = c.slew * (m.coasted - s.common + dt)
     at_end = min(z - c.floor, c.ceiling - z) <= s.scale.agree
     s.common += 1
-    smooth, sound = True, True
+    smooth, sound, source = True, True, COMMON_MODE
     for i in range(c.channels):
         if bits & (1 << i):
+            if s.habits.line[i] >= 1:
+                source = COASTED  # it has not jumped: it is the track that was lost
             smooth = smooth and s.habits.line[i] >= 1
             sound = sound and s.rejected[i] < DOUBT
     known = abs(z - s.anchor) <= reach and (sound or smooth)
@@ -72,7 +74,7 @@ def _together(s: State, c: Const, bits: int, count: int, near: bool, dt: float) 
         track.accept(s, c, bits, MOVED)
         s.sure = 1
         return
-    track.coast(s, dt, COMMON_MODE)
+    track.coast(s, dt, source)
 
 
 @kernel
@@ -97,7 +99,7 @@ def _smooth(s: State, c: Const, trusted: int, alone: bool, dt: float) -> int:
     for i in range(c.channels):
         if trusted & (1 << i) == 0 or h.line[i] < 1 or s.rejected[i] >= calmest:
             continue
-        v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
+        v = habits.slope(h, i)
         miss = abs(s.z[i] - v * elapsed - s.anchor)
         reachable = abs(s.z[i] - s.anchor) <= c.slew * elapsed
         if reachable and miss < nearest and (late or alone or miss <= 1.5 * abs(v) * dt + s.scale.agree):
@@ -142,9 +144,15 @@ def _apart(s: State, c: Const, y: f8s, trusted: int, alone: bool, dt: float) -> 
         return
     best = _smooth(s, c, trusted, alone, dt)
     if best >= 0:
-        track.follow(s, c, best, dt)
-    else:
-        track.coast(s, dt, COASTED)
+        track.follow(s, c, best)
+        return
+    source = COASTED
+    for i in range(c.channels):
+        far = abs(s.z[i] - s.anchor) > c.slew * (m.coasted + dt) + s.scale.agree
+        if s.alone > ISOLATE and trusted & (1 << i) and far:
+            source = COMMON_MODE  # all that is left jumps, farther than a foot moves
+            s.common += 1
+    track.coast(s, dt, source)
 
 
 @kernel
@@ -183,6 +191,7 @@ def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
         if trusted & (1 << i):
             count += 1
             total += z[i]
+    s.alone = s.alone + 1 if count == 1 else 0
     if count == 0:
         track.coast(s, dt, COASTED)
         return

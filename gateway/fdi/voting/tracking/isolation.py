@@ -64,12 +64,18 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
     smooth = 3 if s.sure >= SURE else 2
+    # Where readings are so coarse that a line may jump farther than a foot moves, few samples prove none.
+    smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
     mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * (s.scale.agree + s.swing), c.creep)
-    return bool(silent or (mover >= 0 and others & (1 << mover)))
+    if mover < 0 or others & (1 << mover) == 0:
+        return bool(silent)
+    # One that lags comes after a channel that has stopped, having gone there itself; from a frozen one it goes away.
+    away = (y[mover] - y[i]) * (h.last[mover] - h.oldest[mover]) > 0.0
+    return bool(silent or away or abs(h.moved[i]) > s.scale.agree)
 
 
 @kernel
-def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
+def freeze(s: State, c: Const, y: f8s, trusted: int) -> int:
     """Isolate a frozen channel; returns the trusted ones that are left."""
     n, h = c.channels, s.habits
     for i in range(n):
@@ -85,12 +91,25 @@ def freeze(s: State, c: Const, y: f8s, trusted: int, dt: float) -> int:
         track.expect(s, c, y)
         for j in range(n):
             if others == 1 << j and h.line[j] >= 1:
-                track.follow(s, c, j, dt)
+                track.follow(s, c, j)
     return int(trusted)
 
 
 @kernel
-def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
+def _common(s: State, c: Const, i: int, j: int) -> float:
+    """Return by how much a supply moves channel ``j`` where it moves channel ``i`` by one; 0: there is no such supply.
+
+    A share s of it makes s (a + b x) of a reading a + b x, and moves the position by (s - 1) (a / b + x): from where
+    channel ``i`` jumped.
+    """
+    of_i = c.lean[i] + s.habits.origin[i]
+    if c.common == 0 or of_i == 0.0:
+        return 0.0
+    return float((c.lean[j] + s.habits.origin[i]) / of_i)
+
+
+@kernel
+def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
     """Tell whether another channel that goes on bears witness that it is ``i`` that is wrong.
 
     Of three the track is what two say. Of two that part smoothly, as a foot could move, either may be the one that
@@ -99,18 +118,20 @@ def witnessed(s: State, n: int, trusted: int, i: int) -> bool:
 
     Args:
         s: record of State.
-        n: channels.
+        c: constants.
         trusted: bits of the channels that are not held for failed.
         i: the channel.
     """
-    count = 0
+    n, count = c.channels, 0
     for j in range(n):
         if trusted & (1 << j):
             count += 1
     for j in range(n):
-        if j == i or trusted & s.used & (1 << j) == 0 or s.habits.same[j] >= ISOLATE:
-            continue  # a frozen channel is none
-        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree):
+        if j == i or trusted & s.used & (1 << j) == 0:
+            continue
+        if s.habits.same[j] >= ISOLATE and (count > 2 or abs(s.habits.torn[i]) <= s.scale.agree):
+            continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
+        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
             return True
     return False
 
@@ -122,7 +143,7 @@ def judge(s: State, c: Const, trusted: int) -> None:
     for i in range(n):
         bit = 1 << i
         if s.isolated & bit == 0:
-            if s.rejected[i] >= ISOLATE and witnessed(s, n, trusted, i):
+            if s.rejected[i] >= ISOLATE and witnessed(s, c, trusted, i):
                 isolate(s, i, IMPLAUSIBLE)
             continue
         if s.used == 0:
@@ -166,7 +187,10 @@ def drifting(s: State, c: Const) -> None:
     s.spread = mismatch.spread(b, n, s.isolated)
     if s.drift == 0 and s.slack >= s.scale.agree:
         return  # it may be a lag: at rest it goes, a drift stays
-    s.drift = 1 if s.spread > (0.8 * c.tolerance if s.drift else c.tolerance) else 0
+    # A lag that is less than that, and the steps of the readings, are learned as a mismatch for a while.
+    usual = c.tolerance + s.scale.step + (s.slack if n < MOST_CHANNELS else 0.0)
+    limit = 0.8 * c.tolerance if s.drift else usual
+    s.drift = 1 if s.spread > limit else 0
     if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
         return
     middle = mismatch.centre(b, n)

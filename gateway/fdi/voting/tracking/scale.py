@@ -24,7 +24,7 @@ class Scale(Record):
 
     ``variance``: of a reading; ``agree``: largest difference of readings that agree; ``straight``: largest second
     difference on a line; ``noise_gate``: largest change of a parity that is noise; ``silent``: repetitions that no
-    live channel makes; ``lively``: movement of the others that a live channel shows, too.
+    live channel makes; ``lively``: movement of the others that a live channel shows, too; ``step``: resolution.
     """
 
     variance: f8
@@ -33,6 +33,7 @@ class Scale(Record):
     noise_gate: f8
     silent: i8
     lively: f8
+    step: f8
 
 
 @kernel
@@ -66,3 +67,4 @@ def measure(s: Scale, noise: float, step: float, span: float, bend: float) -> No
     s.straight = GATE * math.sqrt(6.0 * s.variance) + 6.0 * bend
     s.silent = silent(noise, step)
     s.lively = LIVELY * step
+    s.step = step

@@ -36,8 +36,9 @@ NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 class Const(Record):
     """Constants.
 
-    ``floor``, ``ceiling``: where readings are clipped; ``noise``, ``step``: of a reading, as told; ``widest``:
-    largest deviation of the level.
+    ``floor``, ``ceiling``: where readings are clipped; ``common`` 1: a supply may move all channels, each
+    by ``lean``, its reading at rest over its slope, plus the level;
+    ``noise``, ``step``: of a reading, as told; ``widest``: largest deviation of the level.
     """
 
     channels: i8
@@ -52,6 +53,8 @@ class Const(Record):
     mismatch: f8
     tolerance: f8
     creep: f8
+    common: i8
+    lean: Annotated[f8s, MOST_CHANNELS]
     widest: f8
 
 
@@ -61,10 +64,11 @@ class State(Record):
     ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
     channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings,
     NaN for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``:
-    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the
-    last sample; ``met``: they have agreed before. ``scale``: of the gates; ``slack``: what
-    channels that lag behind each other may differ by at present, ``swing``: what one may still move when the other
-    stands, both set by who brings the readings; ``raw``: as they were read, where ``y`` is filtered.
+    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last
+    sample; ``met``: they have agreed before; ``alone``: samples for which there has been one trusted channel.
+    ``scale``: of the gates; ``slack``: what channels that lag behind each other may differ by at present, ``swing``:
+    what one may still move when the other stands, both set by who brings the readings; ``raw``: as they were read,
+    where ``y`` is filtered; ``absent``: bits of the channels of which nothing has come.
     """
 
     value: f8
@@ -80,6 +84,7 @@ class State(Record):
     gate: f8
     common: i8
     accord: i8
+    alone: i8
     sure: i8
     pair: i8
     met: i8
@@ -91,6 +96,7 @@ class State(Record):
     y: Annotated[f8s, MOST_CHANNELS]
     z: Annotated[f8s, MOST_CHANNELS]
     raw: Annotated[f8s, MOST_CHANNELS]
+    absent: i8
     scale: Scale
     slack: f8
     swing: f8
@@ -116,6 +122,7 @@ def prepare(
     tolerance: float = 0.01,
     creep: float = 6e-4,
     rails: tuple[float, float] | None = None,
+    lean: list[float] | None = None,
 ) -> None:
     """Fill the constants.
 
@@ -133,6 +140,8 @@ def prepare(
         creep: largest change of a drift in one sample, share of the span.
         rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
             and channels that jump there together have more likely failed than moved.
+        lean: of each channel, its reading at rest over the change of it by one unit of the quantity, if a supply moves
+            all of them; None: nothing does.
     """
     span = high - low
     c.channels, c.low, c.high = channels, low, high
@@ -143,4 +152,6 @@ def prepare(
     c.mismatch = 4 * mismatch
     c.tolerance = tolerance * span
     c.creep = creep * span
+    c.common = lean is not None
+    c.lean[:channels] = lean or [0.0] * channels
     c.widest = span / 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.fdi.voting.tracking import mismatch, motion
+from gateway.fdi.voting.tracking import habits, mismatch, motion
 from gateway.fdi.voting.tracking.scale import GATE
 from gateway.fdi.voting.tracking.shape import FOLLOWED, ISOLATE, REGRET, Const, State
 from gateway.jit import f8s, kernel
@@ -77,10 +77,9 @@ def turn(s: State, c: Const, x: float, count: int, dt: float) -> None:
 
 
 @kernel
-def follow(s: State, c: Const, i: int, dt: float) -> None:
+def follow(s: State, c: Const, i: int) -> None:
     """Begin a new track on the line that channel ``i`` goes."""
-    h = s.habits
-    v = (h.last[i] - h.oldest[i]) / (2.0 * dt)
+    v = habits.slope(s.habits, i)
     motion.restart(s.motion, s.z[i], v, s.scale.variance, s.scale.variance / 2.0 + c.bend * c.bend + v * v / 16.0)
     accept(s, c, 1 << i, FOLLOWED)
     s.sure = 0

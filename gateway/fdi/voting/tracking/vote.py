@@ -87,12 +87,12 @@ def _take(s: State, c: Const, y: f8s, dt: float) -> None:
     for i in range(n):
         if y[i] == y[i] and s.isolated & (1 << i) == 0:
             trusted |= 1 << i
-    habits.watch(s.habits, n, y, s.raw, trusted, s.scale.straight, c.slew * dt, m.v)
+    habits.watch(s.habits, n, y, s.raw, trusted, s.absent, s.scale.straight, c.bend, c.slew, m.v, dt)
     for i in range(n):
         if s.habits.same[i] == 0:
             mismatch.mark(s.mismatch, n, i)
     s.used = 0
-    trusted = isolation.freeze(s, c, y, trusted, dt)
+    trusted = isolation.freeze(s, c, y, trusted)
     if s.used == 0:
         belief.decide(s, c, y, trusted, dt)
     if s.used:

@@ -1,0 +1,274 @@
+"""From frames to samples: which sample a frame carries, what is missing in it, and what was lost before it.
+
+Frames wait for the bus, are overtaken and get lost, so that when one came says little of when it was sampled. Where a
+message has a frame counter the number of a sample comes from that; the time only tells how often the counter went
+round. A frame that was overtaken is older than what has been taken, and is no sample any more.
+
+Signals that come in several messages make a sample together: it is there when each message has come once more. One that
+stays away is not waited for; what it carries is missing (NaN) then.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from gateway.jit import Record, f8, i8, i8s, kernel, means
+
+#: Counters are modulo this, or a multiple of it, until one is known to go round sooner.
+MODULO = 16
+#: Frames after which that is known, and least modulo that says something where frames get lost.
+LEARNED, LEAST = 64, 8
+#: A frame is early by no more than this share of a period; one that seems to be is an overtaken one.
+EARLY = 0.5
+#: Frames over which the least waiting is looked for.
+WINDOW = 64
+#: Frames behind a beginning until one is thought to have waited for nothing.
+SETTLES = 32
+#: So many frames in a row that seem to be overtaken: the sender has begun anew.
+ANEW = 16
+#: So many frames in a row with one counter, and not just a repeated frame: it does not count.
+STANDS = 3
+
+
+#: What a frame is: older than what has been taken; a part of a sample; the last part of one.
+OVERTAKEN, WAITS, SAMPLE = range(3)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the frames of a monitor become samples.
+
+    Attributes:
+        by: "counter": one message with a frame counter; "set": several messages, with counters or without;
+            "clock": one message whose time stamps, rounded to periods, are all there is.
+        period_ms: between two samples.
+        window_ms: for so long a set waits for a message that has not come.
+        oldest_ms: a sample further behind the last one is none that follows it: all begins anew.
+    """
+
+    by: Literal["counter", "set", "clock"]
+    period_ms: float
+    window_ms: float
+    oldest_ms: float
+
+
+class Const(Record):
+    """Constants."""
+
+    messages: i8
+    period_ns: i8 = means(unit="ns")
+    window_ns: i8 = means(unit="ns")
+    oldest: i8 = means("samples further from each other do not follow each other", "periods")
+    counted: i8 = means("1: counters are looked at")
+
+
+class Numbers(Record):
+    """Which sample a message's newest frame carries.
+
+    ``number`` of that sample; ``date_ns``: when it was due, by the frames that waited least; ``counter`` of its frame,
+    ``top``: largest one so far of ``seen`` frames; ``least``: what frames of this window have waited at least [ns], of
+    ``window`` of them; ``overtaken``, ``stands``: frames in a row that were, or had the same counter; ``settled``:
+    frames since the periods were found anew; ``rounds``: how often the counter seems to have gone round unseen, when
+    the frame of ``doubt_ns`` came.
+    """
+
+    seen: i8
+    number: i8
+    date_ns: f8
+    arrived_ns: i8
+    counter: i8
+    top: i8
+    least: f8
+    window: i8
+    overtaken: i8
+    stands: i8
+    settled: i8
+    rounds: i8
+    doubt_ns: i8
+
+
+class State(Record, lengths={"messages": 1}):
+    """State.
+
+    ``fresh``: bits of the messages that have come since the last sample; ``taken``: number that each had in it;
+    ``came_ns``: when each came last. ``missing``: bits of the messages that are missing in the sample; ``gap``:
+    periods from the sample before to this one; ``overtaken``: frames that came too late to be one.
+    """
+
+    numbers: Annotated[list[Numbers], "messages"]
+    taken: Annotated[i8s, "messages"]
+    came_ns: Annotated[i8s, "messages"]
+    begun_ns: i8
+    last_ns: i8
+    fresh: i8
+    missing: i8
+    gap: i8
+    samples: i8
+    overtaken: i8
+
+
+def prepare(c: Const, sampling: Sampling, messages: int) -> None:
+    """Fill the constants.
+
+    Args:
+        c: record of Const.
+        sampling: what is asked for.
+        messages: that carry the inputs.
+    """
+    c.messages, c.counted = messages, sampling.by != "clock"
+    c.period_ns = round(sampling.period_ms * 1e6)
+    c.window_ns = round(sampling.window_ms * 1e6)
+    c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
+
+
+@kernel
+def _begin(s: Numbers, arrived_ns: int) -> None:
+    """Let the periods lie where this frame came."""
+    s.date_ns = float(arrived_ns)
+    s.window = s.overtaken = s.stands = s.settled = 0
+
+
+@kernel
+def _by_clock(s: Numbers, arrived_ns: int, period_ns: int) -> int:
+    """Return the periods from the frame before to this one, by their times alone: at least one."""
+    steps = max((2 * (arrived_ns - s.arrived_ns) + period_ns) // (2 * period_ns), 1)
+    _begin(s, arrived_ns)
+    return int(steps)
+
+
+@kernel
+def _wait(s: Numbers, arrived_ns: int, period_ns: int) -> None:
+    """Take a frame's waiting: the periods lie where frames waited least."""
+    s.date_ns = min(s.date_ns, float(arrived_ns))
+    waited = arrived_ns - s.date_ns
+    s.least = waited if s.window == 0 else min(s.least, waited)
+    s.window += 1
+    s.settled += 1
+    if s.window >= WINDOW:
+        s.date_ns += s.least
+        s.window = 0
+
+
+@kernel
+def _steps(s: Numbers, arrived_ns: int, counter: float, period_ns: int) -> int:
+    """Return by how many periods a frame's sample is newer than the newest before; not positive: it is older."""
+    count = int(counter)
+    s.top = max(s.top, count)
+    modulo = MODULO
+    if s.seen >= LEARNED and s.top + 1 < MODULO:
+        modulo = s.top + 1
+    if modulo < LEAST:
+        return _by_clock(s, arrived_ns, period_ns)
+    steps = (count - s.counter) % modulo
+    s.stands = s.stands + 1 if steps == 0 else 0
+    if s.stands >= STANDS and arrived_ns - s.arrived_ns > EARLY * period_ns:
+        passed = _by_clock(s, arrived_ns, period_ns)
+        s.stands = STANDS
+        return passed
+    # Of the samples with this counter the newest that can have been sent by now.
+    waited = arrived_ns - s.date_ns - steps * period_ns
+    rounds = math.floor((waited / period_ns + EARLY) / modulo)
+    in_order = 0 if 2 * steps <= modulo else -1
+    if rounds < 0 < s.rounds:  # what seemed to have been lost had only waited for long: it comes now
+        s.date_ns -= s.rounds * modulo * period_ns
+        s.rounds, rounds = 0, in_order
+    elif rounds < 0 and s.settled < SETTLES:  # it is the first frames that waited
+        rounds = in_order
+    elif rounds > 0 and 2 * (arrived_ns - s.arrived_ns) < modulo * period_ns:
+        rounds = in_order  # frames keep coming: they have all waited for long
+    steps += modulo * rounds
+    if rounds > in_order:
+        s.rounds, s.doubt_ns = rounds - in_order, arrived_ns
+    elif arrived_ns - s.doubt_ns > modulo * period_ns:
+        s.rounds = 0
+    if steps <= 0:
+        s.overtaken += 1
+        if s.overtaken >= ANEW:
+            return _by_clock(s, arrived_ns, period_ns)
+        return int(steps)
+    s.overtaken = 0
+    s.date_ns += steps * period_ns
+    _wait(s, arrived_ns, period_ns)
+    return int(steps)
+
+
+@kernel
+def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
+    """Take a frame: give its sample a number; tells whether it is newer than the newest before.
+
+    Let the counter be n modulo M, and a frame wait for w >= 0 until it arrives. Sample n was due at d(n), one period T
+    behind d(n - 1), so that arrival - d(n) = w, and arrival - d(n + M) = w - M T: n is the newest one with this counter
+    that was due before the arrival, for all w < M T. d is where the frames of the last window waited least.
+
+    Args:
+        s: of the frame's message.
+        c: constants.
+        arrived_ns: when the frame came.
+        counter: of the frame; NaN: it has none.
+    """
+    s.seen += 1
+    if s.seen == 1:
+        _begin(s, arrived_ns)
+        steps = 1
+    elif c.counted == 0 or math.isnan(counter) or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
+        steps = _by_clock(s, arrived_ns, c.period_ns)
+    else:
+        steps = _steps(s, arrived_ns, counter, c.period_ns)
+    if steps <= 0:
+        return False
+    s.number += steps
+    s.arrived_ns = arrived_ns
+    if not math.isnan(counter):
+        s.counter = int(counter)
+    return True
+
+
+@kernel
+def _gap(s: Any, c: Const, t_ns: int) -> int:
+    """Return the periods from the sample before, by a message that both have; else by their times."""
+    if s.samples == 0:
+        return 1
+    gap = 0
+    for k in range(c.messages):
+        if s.fresh & ~s.missing & (1 << k):
+            gap = max(gap, s.numbers[k].number - s.taken[k])
+    if gap == 0:
+        gap = (2 * (t_ns - s.last_ns) + c.period_ns) // (2 * c.period_ns)
+    return int(max(gap, 1))
+
+
+@kernel
+def take(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
+    """Take a frame; returns OVERTAKEN, WAITS for others, or SAMPLE: one is there, with ``s.gap`` and ``s.missing``.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        message: index of the frame's message, from 0.
+        t_ns: when it came.
+        counter: its frame counter, NaN: none.
+    """
+    if s.begun_ns == 0:
+        s.begun_ns = max(t_ns, 1)
+    if not number(s.numbers[message], c, t_ns, counter):
+        s.overtaken += 1
+        return OVERTAKEN
+    s.came_ns[message] = t_ns
+    s.fresh |= 1 << message
+    awaited = 0
+    for k in range(c.messages):
+        last_ns = s.came_ns[k] if s.numbers[k].seen > 0 else s.begun_ns
+        if t_ns - last_ns <= c.window_ns:
+            awaited |= 1 << k
+    if awaited & ~s.fresh:
+        return WAITS
+    s.gap = _gap(s, c, t_ns)
+    for k in range(c.messages):
+        if s.fresh & (1 << k):
+            s.taken[k] = s.numbers[k].number
+    s.missing = ((1 << c.messages) - 1) & ~s.fresh
+    s.last_ns, s.fresh = t_ns, 0
+    s.samples += 1
+    return SAMPLE

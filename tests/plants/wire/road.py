@@ -1,0 +1,30 @@
+"""What happens to frames on their way: some are lost, some wait, some overtake others."""
+
+import numpy as np
+
+
+def road(frames, rng, *, loss=0.0, stamps_ms=0.0, reorder=0.0, overtakes=False):
+    """Return the frames as they arrive.
+
+    Args:
+        frames: as they are sent, in order.
+        rng: of all that is random.
+        loss: share of them that is lost.
+        stamps_ms: mean of what each waits, exponentially distributed [ms].
+        reorder: share of them that is swapped with the next one.
+        overtakes: whether one that waits is overtaken, by all that wait less; else all behind it wait, too.
+    """
+    t = frames["t_ns"].astype(np.float64)
+    if stamps_ms:
+        t += rng.exponential(1e6 * stamps_ms, len(t))
+    if not overtakes:
+        t = np.maximum.accumulate(t)
+    order = np.argsort(t, kind="stable")
+    came = frames[order].copy()
+    came["t_ns"] = t[order].astype(np.int64)
+    swapped = np.flatnonzero(rng.random(len(came) - 1) < reorder)
+    swapped = swapped[np.diff(swapped, prepend=-2) > 1]
+    first = came["data"][swapped].copy()
+    came["data"][swapped] = came["data"][swapped + 1]
+    came["data"][swapped + 1] = first
+    return came[rng.random(len(came)) >= loss]
