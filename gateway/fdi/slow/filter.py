@@ -48,7 +48,7 @@ WALK = 0.1
 #: Of the standard deviation that a block takes away, what an error may move by.
 LEARNS = 2.0
 #: Standard deviations of what is not known by which a residual counts less.
-GUARD = 3.0
+GUARD = 2.0
 #: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
 LEAD = 1000.0
 #: Standard deviations, and share of the bounds' width, by which an error lies beyond its bound for sure.
