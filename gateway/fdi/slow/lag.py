@@ -29,10 +29,10 @@ MOST = 4
 PLACES = 2 * MOST + 1
 #: Sets of movement that are kept in mind.
 KEPT = 3000.0
-#: A lag is known when its standard deviation is below this [sets].
-KNOWN = 0.15
+#: A lag is known when its standard deviation is below this [sets], after so many sets of movement.
+KNOWN, AFTER = 0.15, 100.0
 #: A lag this near to a whole number is that [sets]; it changes from this on, and by this many standard deviations.
-WHOLE, CHANGES, SURE = 0.2, 0.25, 4.0
+WHOLE, CHANGES, SURE = 0.2, 0.15, 4.0
 #: Of the correlation of what is the same: less than this is another quantity.
 ALIKE = 0.5
 #: Share that is left at least.
@@ -72,7 +72,7 @@ def restart(s: State) -> None:
 def _decide(s: State, most: float, noise: float) -> None:
     """Find the lag, if the movement tells it."""
     apart = s.r_0 - s.r_1
-    if apart <= 2.0 * noise * noise / (KNOWN * KNOWN):
+    if s.counted < AFTER or apart <= 2.0 * noise * noise / (KNOWN * KNOWN):
         return
     best = 0
     for i in range(1, PLACES):
