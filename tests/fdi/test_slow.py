@@ -25,7 +25,7 @@ def filled(low, high, rate=1e-9, groups=None):
 def feed(c, s, b, h, rest, variance=1.0, learning=True):
     wide = np.zeros(slow.MOST)
     wide[: len(h)] = h
-    slow.wait(s, c, 0.01)
+    slow.wait(s, 0.01)
     if slow.add(b, wide, rest, variance):
         slow.update(s, c, b, learning)
 

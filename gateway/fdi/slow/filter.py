@@ -74,7 +74,7 @@ class Const(Record):
 
 
 class State(Record):
-    """State: ``error`` found, ``taken`` of it, covariance ``p``, ``waited``: since each was followed [s].
+    """State: ``error`` found, ``taken`` of it, covariance ``p``; ``now`` and ``since``: when each was followed [s].
 
     ``refused``: 1: beyond its bound for sure; the rest is scratch.
     """
@@ -82,7 +82,8 @@ class State(Record):
     error: Annotated[f8s, MOST]
     taken: Annotated[f8s, MOST]
     p: Annotated[f8s, MOST, MOST]
-    waited: Annotated[f8s, MOST]
+    now: f8
+    since: Annotated[f8s, MOST]
     refused: Annotated[i8s, MOST]
     wanted: Annotated[f8s, MOST]
     passed: Annotated[f8s, MOST]
@@ -162,17 +163,16 @@ def _within(s: State, c: Const, learning: bool) -> None:
 
 
 @kernel
-def wait(s: State, c: Const, dt: float) -> None:
+def wait(s: State, dt: float) -> None:
     """Let time pass [s]; an error is known less when it is followed again, or when :func:`age` says so."""
-    for k in range(c.count):
-        s.waited[k] += dt
+    s.now += dt
 
 
 @kernel
 def _walk(s: State, c: Const, k: int) -> float:
     """Let an error walk for the time that it has waited; returns that [s]."""
-    passed = min(s.waited[k], LONG)
-    s.waited[k] = 0.0
+    passed = min(s.now - s.since[k], LONG)
+    s.since[k] = s.now
     if s.p[k, k] < c.prior[k] * c.prior[k]:
         s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
     return float(passed)

@@ -33,6 +33,8 @@ KEPT = 3000.0
 KNOWN, AFTER = 0.15, 100.0
 #: A lag this near to a whole number is that [sets]; it changes from this on, and by this many standard deviations.
 WHOLE, CHANGES, SURE = 0.2, 0.15, 4.0
+#: Sets of movement between two decisions.
+EVERY = 10
 #: Of the correlation of what is the same: less than this is another quantity.
 ALIKE = 0.5
 #: Share that is left at least.
@@ -42,7 +44,7 @@ MOVES = 2.0
 
 
 class State(Record):
-    """State: increments, newest first; sums; ``sets`` in a row.
+    """State: increments, newest first; sums; ``sets`` in a row; ``due``: since a decision.
 
     ``lag`` [sets], positive: y is behind; ``known``: it is; ``left``: of the movement.
     """
@@ -60,6 +62,7 @@ class State(Record):
     left: f8
     known: i8
     sets: i8
+    due: i8
 
 
 @kernel
@@ -137,4 +140,7 @@ def update(s: State, x: float, y: float, most: float, noise: float) -> None:
     s.r_1 = keep * s.r_1 + s.dx[MOST] * s.dx[MOST + 1]
     s.yy = keep * s.yy + mine * mine
     s.counted = keep * s.counted + 1.0
-    _decide(s, most, noise)
+    s.due += 1
+    if s.due >= EVERY:
+        s.due = 0
+        _decide(s, most, noise)

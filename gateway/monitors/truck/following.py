@@ -80,9 +80,8 @@ def battery_known(s: State, c: Const) -> bool:
 
 @kernel
 def _sensitivities(s: State, c: Const, u: Inputs, ratio: float, open_volts: float) -> None:
-    """Put what each error adds to the three equations, at a set as read, into ``h_1``, ``h_2`` and ``h_3``."""
+    """Put what each error adds to the second and third equation, at a set as read, into ``h_2`` and ``h_3``."""
     drop, cells = c.t2.R_em, c.t6.R_b * u.I_b_sens
-    s.h_1[U_GAIN], s.h_1[U_BIAS] = u.U_em_ctrl, 1.0
     s.h_2[WINDING], s.h_2[MAGNETS] = drop * u.I_em_sens, c.t2.k_i * ratio * u.omega_gb_sens
     s.h_2[I_GAIN], s.h_2[I_BIAS] = -drop * u.I_em_sens, -drop
     power, inner = u.I_em_sens * u.U_em_sens, open_volts - 2.0 * cells
@@ -150,8 +149,35 @@ def _suspects(s: State) -> int:
 
 
 @kernel
+def _follow(s: State, c: Const, u: Inputs, counts: bool, dt: float) -> None:
+    """Follow what no fault is suspected in, and put what is found into the constants of T2, T5 and T6."""
+    ratio = interpolate(c.t2.f_3_x, c.t2.f_3_y, u.gear) * c.t2.u_em
+    _sensitivities(s, c, u, ratio, interpolate(c.t6.f_1_x, c.t6.f_1_y, s.t6.SoC))
+    suspects = _suspects(s)
+    machine, battery = machine_known(s, c), battery_known(s, c)
+    if suspects & (1 << INVERTER | 1 << SENSOR) == 0 or not (machine and battery):
+        _voltage(s, c, u)
+    near = counts and s.blanking.quiet == 0 and int(u.gear) == s.blanking.gear
+    if near and (suspects & (1 << INVERTER | 1 << RESISTANCE) == 0 or not machine):
+        _machine(s, c, u, ratio)
+    if suspects & (1 << SHORT | 1 << SENSOR) == 0 or not battery:
+        _battery(s, c, u)
+    # While a name is awaited its tests stay as sharp as they are; a short circuit's and a resistance's have fired.
+    awaited = s.named < 0 and s.fired != 0 and s.unisolated == 0
+    if suspects != 0 and not awaited and s.named not in (SHORT, RESISTANCE):
+        slow.age(s.ageing, c.ageing, dt)
+    e = s.ageing.taken
+    s.winding, s.magnets, s.open_volts, s.cells = e[WINDING], e[MAGNETS], e[OPEN], e[CELLS]
+    s.q2.R_em, s.q2.k_i = c.t2.R_em * (1.0 + e[WINDING]), c.t2.k_i * (1.0 + e[MAGNETS])
+    s.q5.R_em, s.q5.k_i = s.q2.R_em, s.q2.k_i
+    s.q2.R_b = s.q6.R_b = c.t6.R_b * (1.0 + e[CELLS])
+    for k in range(len(s.q6.f_1_y)):
+        s.q2.f_1_y[k] = s.q6.f_1_y[k] = c.t6.f_1_y[k] * (1.0 + e[OPEN])
+
+
+@kernel
 def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> None:
-    """Take a set, and put what is found into the constants of T2, T5 and T6 and into the readings.
+    """Take a set; what is found goes into the constants of T2, T5 and T6 and into the readings.
 
     Args:
         s: state.
@@ -161,31 +187,11 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
         counts: the clutch holds, too.
         dt: since the set before [s].
     """
-    ratio = interpolate(c.t2.f_3_x, c.t2.f_3_y, u.gear) * c.t2.u_em
-    open_volts = interpolate(c.t6.f_1_x, c.t6.f_1_y, s.t6.SoC)
-    _sensitivities(s, c, u, ratio, open_volts)
-    slow.wait(s.ageing, c.ageing, dt)
-    suspects = _suspects(s)
-    machine, battery = machine_known(s, c), battery_known(s, c)
+    slow.wait(s.ageing, dt)
+    s.h_1[U_GAIN], s.h_1[U_BIAS] = u.U_em_ctrl, 1.0
     if used:
-        if suspects & (1 << INVERTER | 1 << SENSOR) == 0 or not (machine and battery):
-            _voltage(s, c, u)
-        near = counts and s.blanking.quiet == 0 and int(u.gear) == s.blanking.gear
-        if near and (suspects & (1 << INVERTER | 1 << RESISTANCE) == 0 or not machine):
-            _machine(s, c, u, ratio)
-        if suspects & (1 << SHORT | 1 << SENSOR) == 0 or not battery:
-            _battery(s, c, u)
-        # While a name is awaited its tests stay as sharp as they are; a short circuit's and a resistance's have fired.
-        awaited = s.named < 0 and s.fired != 0 and s.unisolated == 0
-        if suspects != 0 and not awaited and s.named not in (SHORT, RESISTANCE):
-            slow.age(s.ageing, c.ageing, dt)
+        _follow(s, c, u, counts, dt)
     e = s.ageing.taken
-    s.winding, s.magnets, s.open_volts, s.cells = e[WINDING], e[MAGNETS], e[OPEN], e[CELLS]
-    s.q2.R_em, s.q2.k_i = c.t2.R_em * (1.0 + e[WINDING]), c.t2.k_i * (1.0 + e[MAGNETS])
-    s.q5.R_em, s.q5.k_i = s.q2.R_em, s.q2.k_i
-    s.q2.R_b = s.q6.R_b = c.t6.R_b * (1.0 + e[CELLS])
-    for k in range(len(s.q6.f_1_y)):
-        s.q2.f_1_y[k] = s.q6.f_1_y[k] = c.t6.f_1_y[k] * (1.0 + e[OPEN])
     v = s.corrected
     v.U_em_sens = (u.U_em_sens - e[U_BIAS]) / (1.0 + e[U_GAIN])
     v.I_em_sens = (u.I_em_sens - e[I_BIAS]) / (1.0 + e[I_GAIN])
@@ -193,19 +199,26 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
 
 
 @kernel
-def doubts(s: State, c: Const, u: Inputs) -> tuple[float, float, float, float]:
-    """Return what is not known of T1 [V], T2 [A], T5 [rad/s] and T6 [A], standard deviations."""
+def voltage_doubt(s: State, c: Const) -> float:
+    """Return what is not known of T1 [V], standard deviation."""
     if c.follows == 0:
-        return 0.0, 0.0, 0.0, 0.0
-    late = alignment.doubt(s.alignment) / slow.GUARD
+        return 0.0
+    return slow.doubt(s.ageing, c.ageing, s.h_1) + alignment.doubt(s.alignment) / slow.GUARD
+
+
+@kernel
+def doubts(s: State, c: Const, u: Inputs) -> tuple[float, float, float]:
+    """Return what is not known of T2 [A], T5 [rad/s] and T6 [A] while the machine is used, standard deviations."""
+    if c.follows == 0:
+        return 0.0, 0.0, 0.0
     inside = max(-s.h_3[B_BIAS], 1.0)
     for k in range(len(s.h)):
         s.h[k] = u.I_em_sens * (s.h_1[k] + s.h_2[k]) - s.h_3[k]
     ratio = interpolate(s.q5.f_3_x, s.q5.f_3_y, u.gear) * s.q5.u_em
-    one = slow.doubt(s.ageing, c.ageing, s.h_1) + late
+    late = alignment.doubt(s.alignment) / slow.GUARD
     two, six = slow.doubt(s.ageing, c.ageing, s.h) / inside, slow.doubt(s.ageing, c.ageing, s.h_3) / inside
     five = (slow.doubt(s.ageing, c.ageing, s.h_2) + late) / (s.q5.k_i * ratio) if ratio > 0.0 else 0.0
-    return one, two, five, six
+    return two, five, six
 
 
 @kernel

@@ -44,11 +44,11 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     if c.follows == 1:
         following.step(s, c, u, used, counts, dt)
     s.untested = following.untested(s, c, used)
-    doubt1, doubt2, doubt5, doubt6 = following.doubts(s, c, u)
     machine, battery = following.machine_known(s, c), following.battery_known(s, c)
+    doubt2, doubt5, doubt6 = following.doubts(s, c, u) if used else (0.0, 0.0, 0.0)
     s.residual[R1] = t1.step(s.t1, c.t1, v, dt)
     volts = max(abs(u.U_em_ctrl), abs(u.U_em_sens))
-    take_beyond(s, c, T1, s.residual[R1], doubt1, volts >= c.least_volts)
+    take_beyond(s, c, T1, s.residual[R1], following.voltage_doubt(s, c), volts >= c.least_volts)
     s.residual[R6] = t6.step(s.t6, s.q6, v, dt)
     take_beyond(s, c, T6, s.residual[R6], doubt6, used and battery)
     s.residual[R2] = t2.step(s.t2, s.q2, v, dt)
