@@ -52,6 +52,7 @@ def test_blocks_are_those_of_a_kalman_filter():
     assert slow.doubt(s, c, wide) == pytest.approx(np.sqrt(wide[:3] @ other.P @ wide[:3]), rel=1e-3)
 
 
+@pytest.mark.costly
 def test_what_is_a_little_beyond_its_bound_is_left_and_what_is_far_beyond_is_not_taken():
     """Of a bound of 1: 1.02 is the bound; 2 is a fault, and nothing of it is taken, nor of its group."""
     for size, taken in ((0.5, [0.5, 0.3]), (1.02, [1.0, 0.3]), (2.0, [0.0, 0.0])):
@@ -77,6 +78,7 @@ def test_what_no_equation_tells_apart_is_no_doubt_of_the_same_sum():
     assert slow.doubt(s, c, one) > 0.5
 
 
+@pytest.mark.costly
 def test_an_error_that_is_known_moves_by_its_rate_and_age_makes_a_test_doubt_by_it():
     c, s, b = filled([-1.0], [1.0], rate=1e-3)
     for _ in range(2000 * slow.BLOCK):
@@ -97,6 +99,7 @@ def moved(n, rng):
     return np.cumsum(np.where(rng.random(n) < 0.05, rng.normal(0.0, 8.0, n), rng.normal(0.0, 0.4, n)))
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("late", [-2.0, -1.0, 0.0, 0.5, 1.0, 3.0])
 @pytest.mark.parametrize("gain", [1.0, 0.5])
 def test_a_lag_is_found_and_found_again(late, gain):
@@ -117,6 +120,7 @@ def test_a_lag_is_found_and_found_again(late, gain):
     assert s.lag == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.costly
 def test_what_does_not_move_together_has_no_lag():
     print("seed", SEED)
     rng = np.random.default_rng(SEED)
