@@ -14,15 +14,7 @@ from gateway.vecu.truck.params import TruckFault, TruckParams
 
 TRUCK = TruckParams(type="truck")
 
-
-def _shipped():
-    """The shipped configuration, but with the monitor as it is by default: it follows warmth and age."""
-    config = load_config(shipped("configs/truck.toml"))
-    (entry,) = config.monitor
-    return config.model_copy(update={"monitor": (entry.model_copy(update={"follow": None, "observer": {}}),)})
-
-
-CONFIG = _shipped()
+CONFIG = load_config(shipped("configs/truck.toml"))
 UNISOLATED = "P1A1F-62"
 NAMES = (*(name for name, _, _ in QUANTITIES), "T7")
 

@@ -1,146 +1,268 @@
-"""A Kalman filter for what a plant's parameters and its sensors are off by, within the bounds that are told.
+"""A Kalman filter over slow errors, within bounds and rates.
 
-State j is what parameter or sensor j is off by, as a share x_j of its bound, so that it lies in [-1, 1]. What a
-residual r has of it comes from the model's own sensitivities around a point x0, at which the model stands: g_j is by
-how much the residual changes when the model takes x_j + 1 for x_j, to first order. With the noise v of the residual,
+An equation of a plant, with what is told of its parameters p and with sensors' readings y = (1 + g) x + b, leaves
 
-    r = - g (x - x0) + v,         x' = w,    E[w w'] = growth,    |x_j| <= 1
+    rest = h' e + noise
 
-for the residual of the corrected model, r + g (x - x0), is noise. So each sample of a residual is a measurement:
+to first order: e, shape (n,), are the relative errors of the parameters, the sensors' relative gains g and their biases
+b; h, shape (n,), is what each adds to the equation, in the equation's unit by the error's. e is a slow state:
 
-    s = g P g' + R,   k = P g' / s,   x := x + k (- r - g (x - x0)),   P := P - k g P                         (1)
+    e(t + dt) = e(t) + w,    var w_k = dt rate_k WALK (high_k - low_k)
 
-x0 follows x in steps (:func:`moved`, :func:`relinearise`): what a product of two that are off leaves is of second
-order in x - x0, and a model that moved with each sample would run after the filters of its own residual.
+so that a walk spans the bound in the time that the rate allows for it. ``add`` takes a set into a block, ``update`` a
+block into the filter: rest and h are linear in e, so the mean of a block holds the mean of its equations, and a block
+of B sets costs a B-th. Noise of a mean of B is sqrt(B) smaller; COLOURED times that is taken, as not all is white.
 
-At the beginning x_j may be anywhere between the bounds: x = 0, P = 1/3, the variance of that. A variance grows by
-``growth``, which is 1/3 within the time that is told, and no further than 1/3: so what was learned is forgotten.
+What is found is ``error``, without bounds; what a monitor takes is ``taken``. It is the most likely e within the bounds
+(:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
 
-Residuals' noise is not white (filters, what the model leaves out): it is taken as independent only once in a time tau,
-R = tau / h times its variance, h the time between two samples. After (1) x is brought back between its bounds.
+    E[e_j | e_k = bound] = m_j - P_jk / P_kk (m_k - bound)
 
-A fault that begins moves a residual as a parameter would that jumps, and parameters do not jump. So while a test has
-fired x moves no faster than its whole bound within that time (``most`` of :func:`take`), and P does not shrink: what
-ages into an alarm leaves it again; a fault that is larger than the bounds stays.
+so what lies a little beyond the bounds is left, and tests see it. What lies beyond its bound for sure is a fault: it is
+not taken at all, nor are those of its group; others do not take it up, and tests see it whole.
+
+Once the filter knows, ``taken`` changes by its rate at most, and by LEARNS times what is known better than before: a
+fault that comes at once is there long before it is followed. ``error`` does not run away from ``taken`` meanwhile.
+Several equations share one filter: what a sensor's gain does in one it does in the other, and what no equation tells
+apart is left as P has it: in what they leave it cancels.
+
+A test of an equation may doubt by :func:`doubt`, sqrt(h' P h): what is not known yet is no fault, and a threshold
+adapts itself.
 """
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Annotated
 
-from gateway.jit import Record, f8, f8s, i8, kernel, means
+from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
-#: Slow states of a monitor.
-MOST_SLOW = 24
-#: Variance of a share that may be anywhere between its bounds.
-UNKNOWN = 1.0 / 3.0
+#: Most errors of a filter.
+MOST = 12
+#: Sets of a block.
+BLOCK = 10
+#: Of the standard deviation of an equation's noise: what is not white in it.
+COLOURED = 3.0
+#: Share of a walk: the rate is what happens at most, not always.
+WALK = 0.1
+#: Of the standard deviation that a block takes away, what an error may move by.
+LEARNS = 2.0
+#: Standard deviations of what is not known by which a residual counts less.
+GUARD = 2.0
+#: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
+LEAD = 1000.0
+#: Standard deviations, and share of the bounds' width, by which an error lies beyond its bound for sure.
+SURE, BEYOND = 4.0, 0.03
+#: Passes over the bounds.
+PASSES = 3
+#: Time behind which nothing is known worse for waiting [s].
+LONG = 300.0
 
 
 class Const(Record):
-    """Constants."""
+    """Constants: ``count`` of errors; bounds, rates [1/s], standard deviations beforehand.
+
+    ``group``: errors of one are refused together.
+    """
 
     count: i8
-    growth: f8 = means("of each variance", "1/s")
-    rate: f8 = means("by which a share moves at most while a test has fired", "1/s")
+    group: Annotated[i8s, MOST]
+    low: Annotated[f8s, MOST]
+    high: Annotated[f8s, MOST]
+    rate: Annotated[f8s, MOST]
+    prior: Annotated[f8s, MOST]
 
 
 class State(Record):
-    """Shares, their covariance, the sensitivities of the residual at hand, and scratch."""
+    """State: ``error`` found, ``taken`` of it, covariance ``p``; ``now`` and ``since``: when each was followed [s].
 
-    share: Annotated[f8s, MOST_SLOW]
-    point: Annotated[f8s, MOST_SLOW] = means("shares at which the model stands")
-    covariance: Annotated[f8s, MOST_SLOW, MOST_SLOW]
-    step: Annotated[f8s, MOST_SLOW] = means("by which the model was moved last")
-    gain: Annotated[f8s, MOST_SLOW] = means("of the residual by each share")
-    product: Annotated[f8s, MOST_SLOW]
-    fitted: f8 = means("variance that the shares leave in the residual")
+    ``refused``: 1: beyond its bound for sure; the rest is scratch.
+    """
+
+    error: Annotated[f8s, MOST]
+    taken: Annotated[f8s, MOST]
+    p: Annotated[f8s, MOST, MOST]
+    now: f8
+    since: Annotated[f8s, MOST]
+    refused: Annotated[i8s, MOST]
+    wanted: Annotated[f8s, MOST]
+    passed: Annotated[f8s, MOST]
+    before: Annotated[f8s, MOST]
+    gain: Annotated[f8s, MOST]
 
 
-def prepare(c: Const, count: int, seconds: float) -> None:
-    """Fill the constants.
+class Block(Record):
+    """Sums over the sets of an equation that wait: ``h``, ``rest``, ``variance`` of the noise, ``sets``."""
+
+    h: Annotated[f8s, MOST]
+    rest: f8
+    variance: f8
+    sets: i8
+
+
+def prepare(s: State, c: Const) -> None:
+    """Let errors begin at 0 with their prior."""
+    for k in range(c.count):
+        s.p[k, k] = c.prior[k] ** 2
+
+
+@kernel
+def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
+    """Add a set to a block; tells whether it is whole.
 
     Args:
-        c: record of Const.
-        count: slow states.
-        seconds: time within which all that is off may change by its whole bound.
-
-    Raises:
-        ValueError: too many of them.
+        b: record of Block.
+        h: sensitivities, shape (MOST,).
+        rest: what the equation leaves.
+        variance: of its noise.
     """
-    if count > MOST_SLOW:
-        raise ValueError(f"{count} slow states: a monitor has room for {MOST_SLOW}")
-    c.count, c.growth, c.rate = count, UNKNOWN / seconds, 1.0 / seconds
+    for k in range(MOST):
+        b.h[k] += h[k]
+    b.rest += rest
+    b.variance += variance
+    b.sets += 1
+    return bool(b.sets >= BLOCK)
 
 
 @kernel
-def begin(s: State, c: Const) -> None:
-    """Know nothing."""
-    for i in range(c.count):
-        s.share[i] = s.point[i] = s.step[i] = 0.0
+def drop(b: Block) -> None:
+    """Forget a block."""
+    b.h[:] = 0.0
+    b.rest, b.variance, b.sets = 0.0, 0.0, 0
+
+
+@kernel
+def _refused(s: State, c: Const, k: int) -> bool:
+    """Tell whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
+    over = max(s.error[k] - c.high[k], c.low[k] - s.error[k])
+    return bool(over > max(SURE * sqrt(max(s.p[k, k], 0.0)), BEYOND * (c.high[k] - c.low[k])))
+
+
+@kernel
+def _within(s: State, c: Const, learning: bool) -> None:
+    """Put the most likely errors within the bounds into ``wanted``; what is refused is left as it is taken."""
+    for k in range(c.count):
+        s.wanted[k] = s.error[k]
+        s.refused[k] = 1 if _refused(s, c, k) else 0
+    for k in range(c.count):
         for j in range(c.count):
-            s.covariance[i, j] = UNKNOWN if i == j else 0.0
+            if s.refused[j] == 1 and c.group[j] == c.group[k]:
+                s.refused[k] = 1
+    for _ in range(PASSES):
+        for k in range(c.count):
+            over = s.wanted[k] - min(max(s.wanted[k], c.low[k]), c.high[k])
+            if over == 0.0 or s.p[k, k] <= 0.0 or s.refused[k] == 1:
+                continue
+            share = over / s.p[k, k]
+            for j in range(c.count):
+                s.wanted[j] -= s.p[j, k] * share
+    for k in range(c.count):
+        s.wanted[k] = min(max(s.wanted[k], c.low[k]), c.high[k])
+        if s.refused[k] == 1:
+            s.wanted[k] = 0.0 if learning else s.taken[k]
 
 
 @kernel
-def grow(s: State, c: Const, dt: float) -> None:
-    """Let a time pass [s]: what was learned is less sure."""
-    for i in range(c.count):
-        s.covariance[i, i] = min(s.covariance[i, i] + c.growth * dt, max(UNKNOWN, s.covariance[i, i]))
+def wait(s: State, dt: float) -> None:
+    """Let time pass [s]; an error is known less when it is followed again, or when :func:`age` says so."""
+    s.now += dt
 
 
 @kernel
-def correct(s: State, c: Const, residual: float) -> float:
-    """Return the residual of the corrected model, r + g (x - x0); leaves g P g' in ``fitted``, P g' in ``product``."""
-    total, corrected = 0.0, residual
-    for i in range(c.count):
-        row = 0.0
-        for j in range(c.count):
-            row += s.covariance[i, j] * s.gain[j]
-        s.product[i] = row
-        total += s.gain[i] * row
-        corrected += s.gain[i] * (s.share[i] - s.point[i])
-    s.fitted = max(total, 0.0)
-    return corrected
+def _walk(s: State, c: Const, k: int) -> float:
+    """Let an error walk for the time that it has waited; returns that [s]."""
+    passed = min(s.now - s.since[k], LONG)
+    s.since[k] = s.now
+    if s.p[k, k] < c.prior[k] * c.prior[k]:
+        s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+    return float(passed)
 
 
 @kernel
-def moved(s: State, c: Const, most: float) -> bool:
-    """Tell whether a share is further than ``most`` from the point at which the model stands."""
-    for i in range(c.count):
-        if abs(s.share[i] - s.point[i]) > most:
-            return True
-    return False
+def age(s: State, c: Const, dt: float) -> None:
+    """Let all errors get older: nothing is followed for now, and each may go as far as its rate lets it in dt [s].
+
+    What tests doubt, GUARD standard deviations, grows by the rate and up to the bound: what fires because of ageing
+    comes down again, what is more than that does not.
+    """
+    for k in range(c.count):
+        spread = sqrt(max(s.p[k, k], 0.0)) + dt * c.rate[k] / GUARD
+        if spread < c.prior[k]:
+            s.p[k, k] = spread * spread
 
 
 @kernel
-def relinearise(s: State, c: Const) -> None:
-    """Let the model stand where the shares are; leaves the way there in ``step``."""
-    for i in range(c.count):
-        s.step[i] = s.share[i] - s.point[i]
-        s.point[i] = s.share[i]
-
-
-@kernel
-def take(s: State, c: Const, corrected: float, variance: float, most: float) -> None:
-    """Take what :func:`correct` has returned for a measurement, (1).
+def update(s: State, c: Const, b: Block, learning: bool) -> None:
+    """Take a block, and forget it.
 
     Args:
-        s: record of State, as :func:`correct` has left it.
+        s: record of State.
         c: record of Const.
-        corrected: the residual of the corrected model.
-        variance: R.
-        most: by which a share may move; below 0: as far as (1) says.
+        b: the block.
+        learning: what is found is taken as it is, within the bounds.
     """
-    whole = s.fitted + variance
-    if s.fitted <= 0.0 or not whole > 0.0:
-        return
-    for i in range(c.count):
-        step = -s.product[i] / whole * corrected
-        if most >= 0.0:
-            step = min(max(step, -most), most)
-        s.share[i] = min(max(s.share[i] + step, -1.0), 1.0)
-    if most >= 0.0:
-        return
-    for i in range(c.count):
-        for j in range(c.count):
-            s.covariance[i, j] -= s.product[i] * s.product[j] / whole
+    n = c.count
+    for k in range(n):
+        s.passed[k] = 0.0
+        if b.h[k] != 0.0:
+            s.passed[k] = _walk(s, c, k)
+        s.before[k] = sqrt(max(s.p[k, k], 0.0))
+    sets = float(b.sets)
+    left = b.rest / sets
+    size = COLOURED * COLOURED * b.variance / (sets * sets)
+    for j in range(n):
+        total = 0.0
+        for k in range(n):
+            total += s.p[j, k] * b.h[k]
+        s.gain[j] = total / sets
+        left -= b.h[j] / sets * s.error[j]
+        size += b.h[j] / sets * s.gain[j]
+    drop(b)
+    for j in range(n):
+        s.error[j] += s.gain[j] * left / size
+        for k in range(j, n):
+            s.p[j, k] -= s.gain[j] * s.gain[k] / size
+            s.p[k, j] = s.p[j, k]
+    _within(s, c, learning)
+    for k in range(n):
+        if learning:
+            s.taken[k] = s.wanted[k]
+            continue
+        now = sqrt(max(s.p[k, k], 0.0))
+        step = c.rate[k] * s.passed[k] + LEARNS * max(s.before[k] - now, 0.0)
+        s.taken[k] += min(max(s.wanted[k] - s.taken[k], -step), step)
+        # What it may not follow is none of these errors: it does not run away from what the tests take.
+        lead = LEAD * c.rate[k] * s.passed[k] + GUARD * now
+        s.error[k] = s.taken[k] + min(max(s.error[k] - s.taken[k], -lead), lead)
+
+
+@kernel
+def doubt(s: State, c: Const, h: f8s) -> float:
+    """Return the standard deviation of what the errors still add to an equation of sensitivities ``h``."""
+    total = 0.0
+    for j in range(c.count):
+        if h[j] == 0.0:
+            continue
+        row = 0.5 * s.p[j, j] * h[j]
+        for k in range(j + 1, c.count):
+            row += s.p[j, k] * h[k]
+        total += 2.0 * h[j] * row
+    return sqrt(max(total, 0.0))
+
+
+@kernel
+def known(s: State, c: Const, h: f8s, share: float) -> bool:
+    """Tell whether the errors add less to an equation than this share of what they did beforehand."""
+    before = 0.0
+    for k in range(c.count):
+        before += h[k] * h[k] * c.prior[k] * c.prior[k]
+    return bool(doubt(s, c, h) <= share * sqrt(before))
+
+
+@kernel
+def beyond(residual: float, doubt: float) -> float:
+    """Return what is left of a residual beyond what is not known: a threshold that adapts itself."""
+    least = GUARD * doubt
+    if residual > least:
+        return residual - least
+    return residual + least if residual < -least else 0.0 * residual

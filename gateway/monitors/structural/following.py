@@ -1,6 +1,6 @@
 """Residuals without what the plant's parameters and sensors are off by, as far as that is known.
 
-The residual of the corrected model is r + g (x - x0) (:mod:`gateway.fdi.slow.filter`). What is not known of x yet
+The residual of the corrected model is r + g (x - x0) (:mod:`gateway.fdi.slow.shares`). What is not known of x yet
 leaves a variance g P g' in it, beside that of its noise, sigma^2. The tests have it as a residual of the noise that
 they were calibrated for:
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 from math import exp, isfinite, sqrt
 from typing import Annotated, Any
 
-from gateway.fdi.slow import filter as slow
+from gateway.fdi.slow import shares as slow
 from gateway.jit import Record, f8, f8s, i8, kernel, means
 from gateway.monitors.structural.decision import NU_OF_NOISE
 from gateway.monitors.structural.plan import MOST_TESTS

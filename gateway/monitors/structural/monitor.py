@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gateway.errors import InputError, nearest
-from gateway.fdi.slow.filter import prepare as prepare_slow
+from gateway.fdi.slow.shares import prepare as prepare_slow
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway.fdi.structure.generator.sources import load_source

@@ -1,6 +1,6 @@
 """What may be off of a model: its parameters, and the gain and bias of each sensor.
 
-Each of these is a slow state (:mod:`gateway.fdi.slow.filter`), a share of its bound. A residual's sensitivity to it is
+Each of these is a slow state (:mod:`gateway.fdi.slow.shares`), a share of its bound. A residual's sensitivity to it is
 taken from the generator's own code: beside the generator runs one whose parameter is off by :data:`STEP` of its bound,
 or whose sensor's reading is corrected by as much, and the difference of their residuals over :data:`STEP` is the
 sensitivity. So it holds for any model that a generator can be written for, and along the drive, states and filters
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from gateway.errors import InputError, nearest
-from gateway.fdi.slow.filter import MOST_SLOW
+from gateway.fdi.slow.shares import MOST_SLOW
 from gateway.fdi.structure.generator.records import field_name
 from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known

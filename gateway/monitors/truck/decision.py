@@ -28,10 +28,13 @@ from gateway.monitors.truck.records import (
 
 #: Use of the machine without a test that has fired, after which what had fired is forgotten [s].
 QUIET = 20.0
+#: Likewise, after which a fault that has its name is taken to be gone: its tests come down while little current flows.
+HEALS = 60.0
 #: T_norm of a test that may fire.
 ON_ITS_WAY = 0.5
-#: Sets for which a fault that may be named soon is not told as one that is not isolated.
-PENDING = 500
+#: Sets in which the machine is used, and sets in all, for which a fault that may be named yet is not told as one that
+#: is not isolated.
+PENDING, LATEST = 6000, 18000
 #: Sets between two reports of the same.
 REPEAT = 100
 #: Largest T_norm that the message can carry.
@@ -82,6 +85,30 @@ def _settled(s: State, c: Const) -> bool:
 
 
 @kernel
+def _waits(s: State, c: Const, settles: bool) -> bool:
+    """Tell whether a fault may still be named: it settles, or tests of one that explains what has fired may come.
+
+    A fault's tests fire one behind the other, as the machine is used. When that has been used for long enough, and none
+    of these tests is on its way, or when much time has passed, the tests do not tell more.
+    """
+    s.pending += 1
+    if s.used == 1:
+        s.pending_used += 1
+    if s.explained == 0 or s.pending >= LATEST:
+        return False
+    if s.pending_used < PENDING or settles:
+        return True
+    for k in range(len(c.isolation.signature)):
+        if s.explained >> k & 1 == 0:
+            continue
+        for place in range(len(s.level)):
+            awaited = c.isolation.signature[k] >> place & 1 == 1 and s.seen >> place & 1 == 0
+            if awaited and s.level[place] > ON_ITS_WAY:
+                return True
+    return False
+
+
+@kernel
 def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not."""
     fired = _weigh(s, c)
@@ -90,21 +117,23 @@ def decide(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
     if fired & ~s.seen != 0:
         s.settled = 0.0
     s.seen |= fired
-    if fired == 0 and (s.settled >= QUIET or c.system != ROBUST):
+    if fired != 0:
+        s.quiet = 0.0
+    elif s.quiet >= (QUIET if s.named < 0 else HEALS) or c.system != ROBUST:
         s.seen = 0
     # With the paper's systems what has fired decides; beyond it what has since all were quiet: a second fault's test
     # that comes down for want of use is not forgotten, nor a single one's.
-    known = s.seen if c.system == ROBUST and fired != 0 else fired
-    s.found = isolation.isolated(c.isolation, known)
-    waits = s.found >= 0 and s.found != s.named and not _settled(s, c)
-    s.pending = s.pending + 1 if waits else 0
-    if waits:
+    s.found = isolation.isolated(c.isolation, s.seen if c.system == ROBUST else fired)
+    s.explained = isolation.candidates(c.isolation, s.seen if c.system == ROBUST else fired)
+    settles = s.found >= 0 and s.settled < c.settle
+    if s.found != s.named and (fired == 0 or (s.found >= 0 and not _settled(s, c))):
         s.found = -1  # a second fault's tests may be on their way
-    unisolated = fired != 0 and s.found < 0 and not 0 < s.pending < PENDING
+    unisolated = fired != 0 and s.found < 0 and not _waits(s, c, settles)
+    if s.seen == 0 or s.found >= 0:
+        s.pending = s.pending_used = 0
     changed = changed or s.found != s.named or unisolated != (s.unisolated == 1)
     s.unisolated = unisolated
     s.named = s.found
-    s.explained = isolation.candidates(c.isolation, known)
     s.reported += 1
     if not changed and s.reported < REPEAT:
         return

@@ -19,7 +19,7 @@ from gateway.monitors.contract import (
     Quantity,
     Readout,
 )
-from gateway.monitors.truck import blanking, collection, decision, gate, isolation, motion, observer, static
+from gateway.monitors.truck import alignment, blanking, collection, decision, gate, isolation, motion, observer, static
 from gateway.monitors.truck.faults import BLAMES, faults_of
 from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
 from gateway.monitors.truck.messages import Inputs, connect
@@ -75,8 +75,10 @@ def _take(s: State, c: Const, u: Inputs, steps: int, out: Out[Evidence, decision
         s.three.on, s.four.on, s.watched, steps = 0, 0, 0, 0
     s.sets += 1
     dt = steps * c.period
-    static.step(s, c, u, dt)
-    motion.step(s, c, u, dt)
+    alignment.align(s.alignment, u, steps, c.most_lag, c.voltage_noise)
+    s.lag_ms = s.alignment.lag.lag * c.period * 1e3
+    static.step(s, c, s.alignment.out, dt)
+    motion.step(s, c, s.alignment.out, dt)
     decision.decide(s, c, out)
     if s.sets % SENT == 0:
         decision.tell(s, out)
@@ -111,7 +113,19 @@ MONITOR = Monitor(
             lambda s: (*s["residual"], *s["level"]),
         ),
         Readout(
-            ("sets", "apart", "valid", "fired", "explained", "untested", "winding", "magnets", "open_volts", "cells")
+            (
+                "sets",
+                "apart",
+                "valid",
+                "fired",
+                "explained",
+                "untested",
+                "winding",
+                "magnets",
+                "open_volts",
+                "cells",
+                "lag_ms",
+            )
         ),
     ),
 )

@@ -114,7 +114,7 @@ class Table(StrictModel):
 
 
 class Following(StrictModel):
-    """Parameters that are followed within bounds (monitors/truck/slow.py has their sources)."""
+    """Parameters that are followed within bounds (monitors/truck/following.py has their sources)."""
 
     resistance: Slow = Field(
         Slow(low=-0.45, high=0.6, rate=2e-3), description="of the winding: copper, -30 to 150 degC around 20 to 60 degC"
@@ -124,6 +124,29 @@ class Following(StrictModel):
     open_circuit_voltage: Slow = Field(Slow(low=-0.025, high=0.025, rate=5e-5), description="age, error of the curve")
     voltage_noise: float = Field(1.0, gt=0, description="of what e8 leaves, at the machine, beside the speed's [V]")
     power_noise: float = Field(400.0, gt=0, description="of what e11 leaves [W]")
+    lag_ms: float = Field(
+        30.0,
+        ge=0,
+        le=400,
+        description="by which the electric sensors may be late, or early, behind what is asked for: found from the"
+        " voltages; at most 4 periods; 0: they are not [ms]",
+    )
+
+
+class Sensor(StrictModel):
+    """Accuracy of a sensor, of its data sheet: largest errors over warmth and life."""
+
+    gain: float = Field(ge=0, lt=0.2, description="relative")
+    bias: float = Field(ge=0, description="in the sensor's unit")
+
+
+class Sensors(StrictModel):
+    """Accuracy of the electric sensors: what is within it is followed, and is no fault."""
+
+    U_em: Sensor = Field(Sensor(gain=0.005, bias=0.5), description="voltage of the machine, bias [V]")
+    I_em: Sensor = Field(Sensor(gain=0.005, bias=1.0), description="current of the machine, bias [A]")
+    I_b: Sensor = Field(Sensor(gain=0.005, bias=1.0), description="current of the battery, bias [A]")
+    over_s: float = Field(1000.0, gt=0, description="in which an error may come up, of use [s]")
 
 
 class Params(MonitorParams):
@@ -153,6 +176,7 @@ class Params(MonitorParams):
         description="warmth and age of machine and battery, within bounds; false: not; default: with RDS as given"
         " there, else not",
     )
+    sensors: Sensors = Sensors()
     settle_s: float = Field(
         0.5,
         ge=0,

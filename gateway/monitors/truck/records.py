@@ -7,13 +7,16 @@ from typing import Annotated, Any
 import numpy as np
 
 from gateway.common.resources import shipped
-from gateway.errors import InputError, nearest
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.fdi import cusum
+from gateway.fdi.slow import filter as slow
+from gateway.fdi.slow import lag
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.jit import Record, f8, f8s, i8, u1
-from gateway.monitors.truck import blanking, collection, dynamic, excitation, gate, isolation, observer, slow
+from gateway.monitors.truck import alignment, blanking, collection, dynamic, excitation, gate, isolation, observer
 from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
+from gateway.monitors.truck.messages import Inputs
 from gateway.monitors.truck.params import QUANTITIES, Params
 
 #: Places of the test quantities.
@@ -37,6 +40,12 @@ R1, R2, R3, R4, R3_MIXED, R4_MIXED, R5, R6, R7 = range(9)
 RESIDUAL_NAMES = ("T1", "T2", "T3", "T4", "T3 (mixed)", "T4 (mixed)", "T5", "T6", "T7")
 RESIDUALS = len(RESIDUAL_NAMES)
 
+#: Errors that are followed, by their place: of winding, magnets, open circuit voltage, cells; gain and bias of the
+#: sensors of voltage, of the machine's and of the battery's current.
+WINDING, MAGNETS, OPEN, CELLS, U_GAIN, U_BIAS, I_GAIN, I_BIAS, B_GAIN, B_BIAS = range(10)
+#: Groups that are refused together; what is in none has its own number.
+MACHINE, BATTERY = slow.MOST, slow.MOST + 1
+
 #: Systems by their place.
 SYSTEMS = tuple(isolation.TESTS)
 ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
@@ -56,8 +65,8 @@ class Const(Record):
     isolation: isolation.Const
     observer: observer.Const
     follows: i8
-    machine: slow.Const
-    battery: slow.Const
+    ageing: slow.Const
+    most_lag: f8
     voltage_noise: f8
     speed_noise: f8
     power_noise: f8
@@ -79,12 +88,18 @@ class State(Record):
     ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and T4
     with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
     ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
-    ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``apart``: sets of which not all frames
-    came; ``counter``, ``taken_ns``: of the last set that was taken; ``machine``, ``battery``: what is followed of
-    them, and ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``pending``: sets for which a name has
-    waited; ``unisolated``: that is told; ``settled``: use of the machine since a test fired last [s]; ``named``: the
-    fault that was reported last; ``seen``: tests that have fired since all were quiet, as bits; ``doubts``: of the
-    residuals that wait in ``blanking``; ``machine_waited``, ``battery_waited``: time since they were followed [s].
+    ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``lag_ms``: by which the electric sensors
+    are late; ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken.
+
+    ``alignment``: of a set's signals to one time; ``corrected``: the set without what is found of the sensors' errors;
+    ``ageing``: what is followed, by ``blocks`` of the three equations, whose sensitivities are ``h_1``, ``h_2``,
+    ``h_3`` (``h``: scratch); blocks of machine and battery that were ``taken``, and in which they were ``known``;
+    ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``doubts``: of the residuals that wait in ``blanking``.
+
+    ``pending``: sets for which a name has been awaited, ``pending_used``: those with the machine in use (``used``: it
+    is); ``unisolated``: that is told; ``settled``: use of the machine since a test fired that had not [s], ``quiet``:
+    since the last test came down [s]; ``named``: the fault that was reported last; ``seen``: tests that have fired
+    since all were quiet, as bits.
     """
 
     sets: i8
@@ -103,6 +118,7 @@ class State(Record):
     magnets: f8
     open_volts: f8
     cells: f8
+    lag_ms: f8
     level: Annotated[f8s, isolation.MOST_TESTS]
     blanking: blanking.State
     observer: observer.State
@@ -112,16 +128,27 @@ class State(Record):
     three: dynamic.State
     four: dynamic.State
     cusum: Annotated[list[cusum.State], len(QUANTITIES)]
-    machine: slow.State
-    battery: slow.State
+    alignment: alignment.State
+    corrected: Inputs
+    ageing: slow.State
+    blocks: Annotated[list[slow.Block], 3]
+    h_1: Annotated[f8s, slow.MOST]
+    h_2: Annotated[f8s, slow.MOST]
+    h_3: Annotated[f8s, slow.MOST]
+    h: Annotated[f8s, slow.MOST]
+    machine_known: i8
+    machine_taken: i8
+    battery_known: i8
+    battery_taken: i8
     q2: t2.Const
     q5: t5.Const
     q6: t6.Const
     doubts: Annotated[f8s, blanking.MOST, blanking.LANES]
-    machine_waited: f8
-    battery_waited: f8
     settled: f8
+    quiet: f8
+    used: i8
     pending: i8
+    pending_used: i8
     unisolated: u1
     named: i8
     seen: i8
@@ -140,13 +167,26 @@ def prepare(p: Params, s: State, c: Const) -> None:
     """Fill constants and state before the first step.
 
     Raises:
-        InputError: a parameter that the model does not have.
+        InputError: a parameter that the model does not have, or a table with more points than the model's.
+        InputErrors: several.
     """
     model = load_model(shipped("models/truck.toml"))
-    for name, value in p.parameters.items():
-        if name not in model.parameters:
-            text = f"models/truck.toml has no such parameter{nearest(name, model.parameters)}"
-            raise InputError(text, key=f"parameters.{name}", value=value)
+    wrong = [
+        InputError(
+            f"models/truck.toml has no such parameter{nearest(name, model.parameters)}",
+            key=f"parameters.{name}",
+            value=value,
+        )
+        for name, value in p.parameters.items()
+        if name not in model.parameters
+    ]
+    wrong += [
+        InputError(f"{len(table.x)} points; at most {room}", key=f"tables.{name}")
+        for name, table in p.tables.items()
+        if len(table.x) > (room := len(model.tables[name].x))
+    ]
+    if wrong:
+        raise InputErrors(wrong) if len(wrong) > 1 else wrong[0]
     c.period, c.system = 1e-3 * p.period_ms, SYSTEMS.index(p.system)
     c.tests = len(isolation.TESTS[p.system])
     c.blank = min(round(p.blank_ms / p.period_ms), blanking.MOST - 1)
@@ -174,18 +214,11 @@ def prepare(p: Params, s: State, c: Const) -> None:
 
 
 def _set_tables(p: Params, c: Any) -> None:
-    """Put the tables of the configuration into the constants of a residual generator.
-
-    Raises:
-        InputError: a table has more points than the model's.
-    """
+    """Put the tables of the configuration into the constants of a residual generator."""
     for name, table in p.tables.items():
         if f"{name}_x" not in c.dtype.names:
             continue
-        room = len(c[f"{name}_x"])
-        if len(table.x) > room:
-            raise InputError(f"{len(table.x)} points; at most {room}", key=f"tables.{name}")
-        spare = room - len(table.x)
+        spare = len(c[f"{name}_x"]) - len(table.x)
         c[f"{name}_x"] = [*table.x, *(table.x[-1] + 1e-6 * (k + 1) for k in range(spare))]
         c[f"{name}_y"] = [*table.y, *[table.y[-1]] * spare]
 
@@ -201,17 +234,32 @@ def _prepare_following(p: Params, s: State, c: Const) -> None:
     c.follows = followed is not None
     if followed is None:
         return
-    pairs = (
-        (c.machine, (followed.resistance, followed.torque_constant)),
-        (c.battery, (followed.open_circuit_voltage, followed.battery_resistance)),
-    )
-    for place, pair in pairs:
-        for k, one in enumerate(pair):
-            place.low[k], place.high[k], place.rate[k] = one.low, one.high, one.rate
-            place.prior[k] = max(-one.low, one.high)
+    e = c.ageing
+    e.count = B_BIAS + 1
+    for k, one in (
+        (WINDING, followed.resistance),
+        (MAGNETS, followed.torque_constant),
+        (OPEN, followed.open_circuit_voltage),
+        (CELLS, followed.battery_resistance),
+    ):
+        e.low[k], e.high[k], e.rate[k], e.prior[k] = one.low, one.high, one.rate, max(-one.low, one.high)
+        # A sensor that is wrong from the start bends what is found of both: what one is told is nearer then.
+        e.group[k] = MACHINE if k in (WINDING, MAGNETS) else BATTERY
+    sensors = p.sensors
+    for k, most in (
+        (U_GAIN, sensors.U_em.gain),
+        (U_BIAS, sensors.U_em.bias),
+        (I_GAIN, sensors.I_em.gain),
+        (I_BIAS, sensors.I_em.bias),
+        (B_GAIN, sensors.I_b.gain),
+        (B_BIAS, sensors.I_b.bias),
+    ):
+        # A data sheet has the largest error: two standard deviations.
+        e.low[k], e.high[k], e.rate[k], e.prior[k] = -most, most, most / sensors.over_s, 0.5 * most
+        e.group[k] = BATTERY if k in (B_GAIN, B_BIAS) else k
     c.voltage_noise, c.power_noise, c.speed_noise = followed.voltage_noise, followed.power_noise, p.observer.speed
-    slow.prepare(s.machine, c.machine)
-    slow.prepare(s.battery, c.battery)
+    c.most_lag = min(followed.lag_ms / p.period_ms, lag.MOST)
+    slow.prepare(s.ageing, e)
 
 
 def _prepare_observer(p: Params, s: observer.State, c: observer.Const, least: float) -> None:

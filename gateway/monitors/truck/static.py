@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from gateway.fdi import cusum
+from gateway.fdi.slow import filter as slow
 from gateway.jit import kernel
-from gateway.monitors.truck import blanking, following, gate, slow
+from gateway.monitors.truck import alignment, blanking, following, gate
 from gateway.monitors.truck.generated import t1, t2, t5, t6
 from gateway.monitors.truck.messages import Inputs
 from gateway.monitors.truck.records import R1, R2, R5, R6, T1, T2, T5, T6, Const, State
@@ -35,23 +36,27 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     They need no speed of the vehicle, but a machine that is used: at rest no fault shows, and T would come down (V-C).
     """
     used = abs(u.I_em_sens) >= c.least_amps
+    s.used = 1 if used else 0
     gear = int(u.gear)
     counts = used and u.u_c >= gate.ENGAGED and gear > 0
+    v = s.corrected
+    alignment.hold(v, u)
     if c.follows == 1:
         following.step(s, c, u, used, counts, dt)
     s.untested = following.untested(s, c, used)
-    doubt2, doubt5, doubt6 = following.doubts(s, c, u)
     machine, battery = following.machine_known(s, c), following.battery_known(s, c)
-    s.residual[R1] = t1.step(s.t1, c.t1, u, dt)
+    doubt2, doubt5, doubt6 = following.doubts(s, c, u) if used else (0.0, 0.0, 0.0)
+    s.residual[R1] = t1.step(s.t1, c.t1, v, dt)
     volts = max(abs(u.U_em_ctrl), abs(u.U_em_sens))
-    take(s, c, T1, s.residual[R1], volts >= c.least_volts)
-    s.residual[R6] = t6.step(s.t6, s.q6, u, dt)
+    take_beyond(s, c, T1, s.residual[R1], following.voltage_doubt(s, c), volts >= c.least_volts)
+    s.residual[R6] = t6.step(s.t6, s.q6, v, dt)
     take_beyond(s, c, T6, s.residual[R6], doubt6, used and battery)
-    s.residual[R2] = t2.step(s.t2, s.q2, u, dt)
-    s.residual[R5] = t5.step(s.t5, s.q5, u, dt)
+    s.residual[R2] = t2.step(s.t2, s.q2, v, dt)
+    s.residual[R5] = t5.step(s.t5, s.q5, v, dt)
     place = blanking.put(s.blanking, c.blank, gear, counts, s.residual[R2], s.residual[R5])
     s.doubts[(s.blanking.at - 1) % blanking.MOST, 0], s.doubts[(s.blanking.at - 1) % blanking.MOST, 1] = doubt2, doubt5
     if place >= 0:
         take_beyond(s, c, T2, s.blanking.held[place, 0], s.doubts[place, 0], machine and battery)
         take_beyond(s, c, T5, s.blanking.held[place, 1], s.doubts[place, 1], machine)
         s.settled += dt
+        s.quiet += dt

@@ -10,7 +10,7 @@ from structural_config import named
 
 from gateway.config.load import load_config
 from gateway.errors import InputErrors
-from gateway.fdi.slow import filter as slow
+from gateway.fdi.slow import shares as slow
 from gateway.jit import COMPILED, zeros
 from gateway.runtime.app import Gateway
 

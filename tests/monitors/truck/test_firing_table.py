@@ -17,11 +17,10 @@ from gateway.vecu.truck.params import TruckFault
 pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of frames")
 
 
-def right(events, dtc, onset):
-    """Whether the fault's DTC was set, no other fault's, and nothing before the onset."""
+def right(events, dtc, onset, others=()):
+    """Whether the fault's DTC was set, alone but for these others, and nothing before the onset."""
     failed = {(code, t) for t, code, now in events if now}
-    codes = {code for code, _ in failed}
-    return dtc in codes and codes <= {dtc, UNISOLATED} and min(t for _, t in failed) >= onset
+    return {dtc} <= {code for code, _ in failed} <= {dtc, *others} and min(t for _, t in failed) >= onset
 
 
 ONSETS = (0.0, 400.0, 840.0, 1200.0)
@@ -46,7 +45,8 @@ def test_exactly_the_tests_of_the_signature_fire(fault, dtc, paper, robust, onse
 def test_the_papers_systems_name_the_fault(fault, dtc, system):
     config = configured(system=system)
     for seed in range(5100, 5100 + amount(20, 1)):
-        assert right(run(driven(fault, 400.0), seed, config)[2], dtc, 400.0), seed
+        # MCDS waits for the voltage sensor for a quarter of an hour.
+        assert right(run(driven(fault, 400.0), seed, config)[2], dtc, 400.0, {UNISOLATED}), seed
 
 
 @pytest.mark.long
@@ -63,22 +63,25 @@ def test_no_alarm_without_a_fault():
 
 @pytest.mark.parametrize(("system", "bits", "ranked"), [("ICDS", 0b1001, 52), ("RDS", 0b01001, 52)])
 def test_one_test_alone_is_an_ambiguity_group_and_the_second_isolates(system, bits, ranked):
-    """The voltage sensor: T1 within a second, then only sensor and inverter explain it; T4 or T6 tells which."""
+    """The voltage sensor: T1 within a second, then only sensor and inverter explain it; T4 or T6 tells which.
+
+    Meanwhile nothing is told: a fault has one code, its name.
+    """
     frames = frames_of(TRUCK, driven("machine_voltage_sensor", 400.0), bus=0, rng=np.random.default_rng(3))
     names = faults_of(TESTS[system])[0].evidence
     tests, explained = names[len(TESTS[system])], names[len(TESTS[system]) + 1]
     gateway, events = Gateway(configured(system=system)), []
     gateway.listen(lambda e: events.append(e) if e["event"] == "dtc" else None)
     gateway.start(0)
-    gateway.feed(frames)
-    first = next(e for e in events if e["dtc"] == UNISOLATED)
-    assert 400.0 <= first["t_ns"] * 1e-9 < 400.2
-    assert first["evidence"][tests] == 1  # T1
-    assert first["evidence"][explained] in (ranked, 25)
-    second = next(e for e in events if e["dtc"] == "P1A14-64")
-    assert second["t_ns"] > first["t_ns"]
-    assert second["evidence"][tests] == bits
-    assert second["evidence"][explained] == 5
+    gateway.feed(frames[: 4 * 40_020])
+    state = gateway.engine.state_of(0)[0]
+    assert state["fired"] == 1  # T1
+    assert state["explained"] == sum(1 << int(digit) - 1 for digit in str(ranked))
+    assert events == []
+    gateway.feed(frames[4 * 40_020 : 4 * 60_000])
+    assert [(e["dtc"], e["status"] & 1) for e in events] == [("P1A14-64", 1)]
+    assert events[0]["evidence"][tests] == bits
+    assert events[0]["evidence"][explained] == 5
     gateway.close()
 
 

@@ -3,8 +3,10 @@
 import pytest
 
 from gateway.common.resources import shipped
+from gateway.common.tomlfile import read_toml
 from gateway.config.load import load_config
-from gateway.errors import InputError
+from gateway.errors import InputError, InputErrors
+from gateway.monitors.truck.params import Params
 from gateway.runtime.assemble import prepare
 
 
@@ -19,3 +21,26 @@ def test_a_name_that_is_none(name, nearest, tmp_path):
     assert f"monitor[0].parameters.{name} = 1.0" in str(told.value)
     assert nearest in str(told.value)
     assert str(path) in str(told.value)
+
+
+def test_each_wrong_name_is_told_at_once_and_tables_that_are_too_long(tmp_path):
+    text = shipped("configs/truck.toml").read_text().replace("../dbc", str(shipped("dbc")))
+    path = tmp_path / "truck.toml"
+    points = list(range(1, 14))
+    path.write_text(
+        text.replace(
+            'type = "hybrid_powertrain"\n',
+            'type = "hybrid_powertrain"\nparameters = { m_v = 1.0, R_m = 1.0, k_i = 1.0, J_tott = 1.0 }\n'
+            f"tables = {{ f_3 = {{ x = {points}, y = {points} }} }}\n",
+        )
+    )
+    with pytest.raises(InputErrors) as told:
+        prepare(load_config(path), path)
+    assert [error.key.rpartition(".")[2] for error in told.value.errors] == ["m_v", "R_m", "J_tott", "f_3"]
+
+
+def test_the_shipped_configuration_follows_warmth_and_age():
+    table = read_toml(shipped("configs/truck.toml"))["monitor"][0]
+    told = Params.model_validate({key: value for key, value in table.items() if key in Params.model_fields})
+    assert told.followed is not None
+    assert told.observer == Params().observer

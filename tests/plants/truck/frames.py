@@ -84,12 +84,20 @@ def database():
     return "\n".join(lines)
 
 
-def read_by_sensors(rows, given, rng):
-    """Return columns as the bus has them: bias, gain, noise; the voltage sensor's fault."""
+def read_by_sensors(rows, given, rng, errors=None, late=0):
+    """Return columns as the bus has them: bias, gain, noise; the voltage sensor's fault.
+
+    ``errors``: bias and gain by name, drawn if not given; ``late``: sets by which the electric sensors are.
+    """
     columns = {name: rows[:, k].copy() for k, name in enumerate(COLUMNS)}
-    for name, (noise, bias) in NOISE.items():
-        gain = 1.0 + rng.uniform(-0.002, 0.002) * (name not in ("omega_e", "omega_gb"))
-        columns[name] = columns[name] * gain + rng.uniform(-bias, bias) + rng.normal(0.0, noise, len(rows))
+    for name, (noise, most) in NOISE.items():
+        gain = rng.uniform(-0.002, 0.002) * (name not in ("omega_e", "omega_gb"))
+        bias = rng.uniform(-most, most)
+        if errors is not None:
+            bias, gain = errors.get(name, (0.0, 0.0))
+        if name in ("I_b", "U_em", "I_em"):
+            columns[name] = np.concatenate([np.full(late, rows[0, COLUMNS.index(name)]), columns[name]])[: len(rows)]
+        columns[name] = columns[name] * (1.0 + gain) + bias + rng.normal(0.0, noise, len(rows))
     columns["omega_e"] = np.maximum(columns["omega_e"], 0.0)
     columns["U_em"] += given[:, 4]
     columns["soc0"] = np.full(len(rows), rows[0, COLUMNS.index("soc")])
