@@ -186,7 +186,7 @@ def test_healthy_drives_have_none(tmp_path):
 @compiled
 def test_two_faults_at_once_have_no_single_name(tmp_path):
     """Friction and the current's sensor fire all four tests: that no fault alone explains."""
-    rows = motor_data.drive(SECONDS, seed=8, f_b=1.0, f_i=1.0, onset=10.0)
+    rows = motor_data.drive(32, seed=8, f_b=1.0, f_i=1.0, onset=10.0)
     run = Run(configuration(tmp_path, TURNS + "confirm_s = 3\n")).feed(motor_data.frames_of(rows))
     assert run.failed() == ["unisolated"]
 
