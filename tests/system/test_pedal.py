@@ -15,6 +15,8 @@ from gateway.common.resources import shipped
 
 pytestmark = pytest.mark.system
 
+SCENARIO = shipped("scenarios/pedal_faults.toml")
+
 #: DTC -> a part of the evidence that it must have been kept with.
 EVIDENCE = {
     "P057A-14": ("reading", lambda v: v == 0),
@@ -29,16 +31,16 @@ EVIDENCE = {
 }
 
 
-def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
+def driven(folder):
+    """Return what `simulate` said, the qualities that the voted brake had, the daemon's exit code, and its events."""
     voted = cantools.database.load_file(shipped("dbc/pedal.dbc")).get_message_by_name("GW_BrakePedal")
-    config = patient(shipped("configs/pedal.toml"), tmp_path)
-    scenario = shipped("scenarios/pedal_faults.toml")
+    config = patient(shipped("configs/pedal.toml"), folder)
     with ExitStack() as stack:
-        uri = stack.enter_context(bus(tmp_path))
+        uri = stack.enter_context(bus(folder))
         host, _, port = uri.removeprefix("loopback:").rpartition(":")
         daemon = stack.enter_context(
             process("run", config, "--bus", uri, "--json",
-                    "--memory", "f.sqlite", cwd=tmp_path, ready="monitoring")
+                    "--memory", "f.sqlite", cwd=folder, ready="monitoring")
         )  # fmt: skip
         tester = stack.enter_context(
             can.Bus(
@@ -58,16 +60,27 @@ def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
-        drive = gateway("simulate", unhurried(scenario, tmp_path), "--check", "--bus", uri, cwd=tmp_path)
-        assert drive.returncode == 0, drive.stdout + drive.stderr
-        assert drive.stdout.count("healed at") == len(EVIDENCE)
+        drive = gateway("simulate", unhurried(SCENARIO, folder), "--check", "--bus", uri, cwd=folder)
         stop.set()
         reader.join(10)
-        assert {"agreed", "one channel", "degraded", "estimated", "invalid"} <= set(map(str, qualities))
-    assert daemon.code == 0
-    assert not unexpected(scenario, events_in(tmp_path))
+    return drive, qualities, daemon.code, events_in(folder)
+
+
+def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
+    """Driven again, at most twice, where the machine was so busy that the scenario stood still."""
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        drive, qualities, code, events = driven(folder)
+        if drive.returncode == 0 or "stood still" not in drive.stdout + drive.stderr:
+            break
+    assert drive.returncode == 0, drive.stdout + drive.stderr
+    assert drive.stdout.count("healed at") == len(EVIDENCE)
+    assert {"agreed", "one channel", "degraded", "estimated", "invalid"} <= qualities
+    assert code == 0
+    assert not unexpected(SCENARIO, events)
     for dtc, (name, good) in EVIDENCE.items():
-        shown = gateway("faults", "show", dtc, "--memory", "f.sqlite", "--json", cwd=tmp_path)
+        shown = gateway("faults", "show", dtc, "--memory", "f.sqlite", "--json", cwd=folder)
         entry = json.loads(shown.stdout)
         entry = entry[0] if isinstance(entry, list) else entry
         assert good(entry["evidence"][name]), (dtc, entry["evidence"])
