@@ -1,5 +1,7 @@
 """Matrices of a plant whose entries are off: SciPy's exponential, and its derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm, expm_frechet
@@ -82,3 +84,29 @@ def test_a_filter_predicts_with_errors_that_its_matrices_do_not_have_yet():
     exact = (expm(at(moved, given)) @ np.concatenate([x, u]))[:4]
     stale = (expm(at(0.0 * moved, given)) @ np.concatenate([x, u]))[:4]
     np.testing.assert_array_less(np.abs(s.z[0, :4] - exact), 0.02 * np.abs(stale - exact).max())
+
+
+def test_a_sample_is_taken_as_an_extended_kalman_filter_does_with_gains_that_may_be_off():
+    """Sensor by sensor, y = (1 + g) C x + s, against matrices; seed printed."""
+    print("seed 17")
+    rng = np.random.default_rng(17)
+    given = replace(told(0.005), gains=np.full(3, 0.02))
+    s, c = zeros(1, filters.State)[0], zeros(1, filters.Const)[0]
+    prepare(c, given)
+    size, first = int(c.total), 4 + len(given.entries) + 2
+    assert size == first + 6
+    root = rng.normal(size=(size, size)) * 0.1
+    x, p = rng.normal(size=size), root @ root.T
+    x[first + 3 :] *= 0.05
+    s["z"][0, :size], s["cov"][0, :size, :size] = x, p
+    y = np.array(C) @ x[:4] + rng.normal(size=3) * 0.05
+    filters.correct(s, c, 0, np.pad(y, (0, 3)), True, False)
+    for j in range(3):
+        h = np.zeros(size)
+        h[:4] = (1 + x[first + 3 + j]) * np.array(C)[j]
+        h[first + j], h[first + 3 + j] = 1.0, np.array(C)[j] @ x[:4]
+        expected = (1 + x[first + 3 + j]) * (np.array(C)[j] @ x[:4]) + x[first + j]
+        gain = p @ h / (h @ p @ h + 0.01)
+        x, p = x + gain * (y[j] - expected), p - np.outer(gain, h @ p)
+    np.testing.assert_allclose(s["z"][0, :size], x, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(s["cov"][0, :size, :size], p, rtol=1e-7, atol=1e-10)
