@@ -9,6 +9,7 @@ from typing import Annotated
 from pydantic import PlainSerializer, PlainValidator
 
 _SHORT = re.compile(r"(\d+)((?:-\d+){1,2})")
+_EQUAL = re.compile(r"(\d+)(?:-0)?")
 _ADDED = re.compile(r"(\d+)\+1")
 #: Wheels whose gaps do not lie evenly, by their names: Subaru's with 13, 16 and 1 teeth between three gaps,
 #: Mitsubishi's with 11, 11 and 10, and Mazda's four teeth that are 70 and 110 degrees apart.
@@ -19,8 +20,11 @@ _KNOWN = {
 }
 _RUN = re.compile(r"(?:(\d+)\*)?(\d+(?:\.\d+)?)")
 
-#: Teeth that a wheel can have.
-MOST_TEETH = 128
+#: Pulses that a wheel can have: one of equal pitches, and one with a gap.
+MOST_TEETH, MOST_GAPPED = 360, 128
+#: A wheel of fewer pulses is laid out over several turns, of at least so many pulses together; so is one of equal
+#: pitches with fewer than the third.
+FEW, LAID_OUT, FEW_EVEN = 4, 8, 12
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,23 @@ class Wheel:
         )
 
     @property
+    def even(self) -> bool:
+        """Whether all pitches are equal: then the pulses do not tell a place on the wheel."""
+        return self.repeats == 1
+
+    @property
+    def tiles(self) -> int:
+        """Turns that lie one behind the other in :attr:`laid_out`: 1, of a wheel of few pulses whole working cycles."""
+        if self.pulses >= (FEW_EVEN if self.even else FEW):
+            return 1
+        return next(turns for turns in (2, 4, 8) if turns * self.pulses >= LAID_OUT)
+
+    @property
+    def laid_out(self) -> Wheel:
+        """The wheel over so many turns that its pulses are enough to be followed; a turn is one of its equal parts."""
+        return self if self.tiles == 1 else Wheel(self.text, self.pitches * self.tiles)
+
+    @property
     def positions(self) -> tuple[float, ...]:
         """Angle of each pulse [pitch], pulse 0 at zero."""
         angles, angle = [], 0.0
@@ -76,14 +97,18 @@ class Wheel:
           and 10.
         * ``4-2``: Mazda's, with teeth 70 and 110 degrees apart, twice a turn.
         * ``12+1``: 12 teeth and one more halfway between two of them.
+        * ``24``, ``24-0``: 24 equal pitches, no gap. 1 to 360.
         * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs.
 
         Raises:
-            ValueError: anything else, or a wheel of fewer than 4 or more than 128 pulses.
+            ValueError: anything else, or a wheel of more pulses than :data:`MOST_GAPPED` (of equal pitches
+                :data:`MOST_TEETH`).
         """
         compact = text.replace(" ", "")
         compact = _KNOWN.get(compact, compact)
-        if found := _ADDED.fullmatch(compact):
+        if found := _EQUAL.fullmatch(compact):
+            pitches = [1.0] * min(int(found[1]), MOST_TEETH + 1)
+        elif found := _ADDED.fullmatch(compact):
             teeth = int(found[1])
             pitches = [1.0] * (teeth - 1) + [0.5, 0.5]
         elif found := _SHORT.fullmatch(compact):
@@ -94,13 +119,18 @@ class Wheel:
                 run = _RUN.fullmatch(part)
                 if run is None:
                     raise ValueError(
-                        f'{text!r} is not a wheel: write "60-2", "36-2-1", "12+1", or its pitches as "57*1,3"'
+                        f'{text!r} is not a wheel: write "60-2", "36-2-1", "12+1", "24", or its pitches as "57*1,3"'
                     )
                 pitches += [float(run[2])] * int(run[1] or 1)
-        if not 4 <= len(pitches) <= MOST_TEETH or min(pitches) <= 0:
-            raise ValueError(f"{text!r}: a wheel has 4 to {MOST_TEETH} pulses, all pitches above zero")
+        if not pitches or min(pitches) <= 0:
+            raise ValueError(f"{text!r}: a wheel has at least one pulse, and all pitches above zero")
         if len(set(pitches)) == 1:
-            raise ValueError(f"{text!r}: all pitches are equal, so no place on the wheel can be told")
+            pitches = [1.0] * len(pitches)
+        most = MOST_TEETH if len(set(pitches)) == 1 else MOST_GAPPED
+        if len(pitches) > most:
+            raise ValueError(
+                f"{text!r}: a wheel has 1 to {MOST_GAPPED} pulses, one whose pitches are equal 1 to {MOST_TEETH}"
+            )
         largest = max(range(len(pitches)), key=lambda k: pitches[k])
         turned = pitches[largest + 1 :] + pitches[: largest + 1]
         return cls(text, tuple(turned))

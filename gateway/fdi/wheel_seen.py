@@ -31,7 +31,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.wheel import MOST_TEETH, Wheel
+from gateway.fdi.wheel import MOST_GAPPED, Wheel
 from gateway.jit import Record, f8, f8s, i4, i4s, i8, kernel, zeros
 
 #: Turns in a row that have to be the same before a wheel is claimed.
@@ -39,7 +39,7 @@ TURNS = 3
 #: Least pulses of a turn.
 LEAST_PULSES = 4
 #: Marks that are kept: of three turns, each pulse a mark.
-RING = TURNS * MOST_TEETH
+RING = TURNS * MOST_GAPPED
 #: An interval that differs by less than this share from those before it is regular.
 BAND = 0.22
 #: A mark differs by so much from the regular intervals beside it, in logarithms, and by so many times their spread;
@@ -71,7 +71,7 @@ DOUBTED = 5
 #: Turns that another wheel needs in a row to take the place of one that was claimed for as many and more.
 STUBBORN = 8
 #: Regular pulses in a row that no gap lies between: then there is none.
-EVEN = 2 * MOST_TEETH
+EVEN = 2 * MOST_GAPPED
 
 
 class Seen(Record):
@@ -104,9 +104,9 @@ class Seen(Record):
     turns: i8
     total: i8
     intervals: Annotated[f8s, MOST_OPEN]
-    pitches: Annotated[f8s, MOST_TEETH]
-    draft: Annotated[f8s, MOST_TEETH]
-    means: Annotated[f8s, MOST_TEETH]
+    pitches: Annotated[f8s, MOST_GAPPED]
+    draft: Annotated[f8s, MOST_GAPPED]
+    means: Annotated[f8s, MOST_GAPPED]
     widths: Annotated[f8s, RING]
     steps: Annotated[i4s, RING]
 
@@ -146,7 +146,7 @@ def note(se: Seen, y: float) -> None:
 @kernel
 def sure(se: Seen) -> int:
     """Return the pulses of a turn, while the last :data:`TURNS` turns and more have shown the wheel; else 0."""
-    return int(se.pulses) if se.turns >= TURNS and se.run <= MOST_TEETH else 0
+    return int(se.pulses) if se.turns >= TURNS and se.run <= MOST_GAPPED else 0
 
 
 @kernel
@@ -249,7 +249,7 @@ def _mark(se: Seen, width: float, same: float, spread: float) -> None:
         same: by how much it may differ from the one a turn before.
         spread: of regular intervals [share of a pitch].
     """
-    step = min(se.run + 1, MOST_TEETH + 1)
+    step = min(se.run + 1, MOST_GAPPED + 1)
     se.even = max(se.even, se.run)
     se.run = 0
     se.square = 0.0
@@ -285,7 +285,7 @@ def _search(se: Seen, same: float) -> None:
     pulses = 0
     for period in range(1, min(se.marks, RING) // TURNS + 1):
         pulses += se.steps[(se.marks - period) % RING]
-        if pulses > MOST_TEETH:
+        if pulses > MOST_GAPPED:
             return
         k = 1
         while k <= (TURNS - 1) * period and _again(se, se.marks - k, period, same):
@@ -493,7 +493,7 @@ class WheelSeen:
 
     def __str__(self) -> str:
         if not self.pitches:
-            return f"no gap seen in {self.even} pulses"
+            return f"no gap seen in {self.even} pulses: all pitches are equal, and how many a turn has is not told"
         return f"{self.wheel} ({len(self.pitches)} pulses a turn, {self.turns} turns)"
 
 

@@ -61,6 +61,8 @@ LEAST_US = 0.1
 ABRUPT = 4.0
 #: The neighbours of the largest gap, so many on each side, are never taken the short way.
 NEAR = 2
+#: Variance of the edges [pitch^2] below which intervals are those of a wheel of equal pitches.
+MOST_UNEVEN = 0.2**2 / 2.0
 #: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
 BEYOND = 0.45
 
@@ -139,7 +141,8 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         wrong_wheel.note(s, c, y, out)
     if s.wrong == 1:
         return
-    if s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
+    shows = c.even == 0 and c.turns == 1  # a wheel of few pulses looks the same turned back
+    if shows and s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
         reversal.tell(s.reversal, out, c.told == 1)
         search(s, c)
     if s.phase == SEARCHING:
@@ -316,7 +319,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.reversal.stood = 1
         restart(s.search)
     index = seek(s.search, c.logs, c.repeats, y)
-    if index >= 0:
+    if index >= 0 and (c.even == 0 or s.search.variance < MOST_UNEVEN):
         se = s.search
         begin(s.tracker, index, se.period, se.growth, se.variance)
         s.tracker.wander = unlearned(c, se.period)
@@ -376,5 +379,5 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     new_ahead = profile.smooth(s.profile, s.index)
     if new_behind != old_behind or new_ahead != old_ahead:
         transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, s.index))
-    if s.phase == TENTATIVE and s.hole == 0 and agreed(tr):
+    if s.phase == TENTATIVE and (s.hole == 0 or c.even == 1) and agreed(tr):
         prove(s, c, out)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1s
+from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
 from gateway.monitors.contract import report
 from gateway.monitors.crank.faults import CAM_CORRELATION, CAM_SILENT, Reports
 
@@ -22,9 +22,10 @@ PATIENCE = 4
 
 
 class Const(Record):
-    """Constants."""
+    """Constants; ``tells``: its edges are told nearer than half a tooth, so that they tell one from the next."""
 
     edges: i4
+    tells: u1
     tolerance: f8
     tooth_0: f8
     angles: Annotated[f8s, MOST_EDGES]
@@ -32,10 +33,14 @@ class Const(Record):
 
 
 class State(Record):
-    """State: ``half`` 0 or 1 of the working cycle, -1: not known; ``quiet`` revolutions since the last edge."""
+    """State: ``half`` 0 or 1 of the working cycle, -1: not known; ``quiet`` revolutions since the last edge.
+
+    ``misfits``: edges in a row that did not fit.
+    """
 
     half: i4
     quiet: i4
+    misfits: i4
     counter: i8
     seen: i8
 
@@ -46,6 +51,7 @@ def prepare(
     edges: tuple[tuple[float, int], ...],
     tolerance_deg: float,
     tooth_0_deg: float,
+    teeth: int,
 ) -> None:
     """Fill state and constants.
 
@@ -55,11 +61,18 @@ def prepare(
         edges: (crank angle 0..720 [deg], level after it) of each edge.
         tolerance_deg: of an edge's angle [deg]; as much as variable valve timing moves it.
         tooth_0_deg: crank angle of tooth 0 [deg].
+        teeth: of the crank's wheel.
     """
+    c.tells = tells(edges, tolerance_deg, teeth)
     s.half, s.counter = -1, -1
     c.edges, c.tolerance, c.tooth_0 = len(edges), tolerance_deg, tooth_0_deg
     c.angles[: len(edges)] = [angle for angle, _ in edges]
     c.levels[: len(edges)] = [level for _, level in edges]
+
+
+def tells(edges: tuple[tuple[float, int], ...], tolerance_deg: float, teeth: int) -> bool:
+    """Tell whether the edges of a cam can tell one tooth of a wheel of equal pitches from the next."""
+    return bool(edges) and tolerance_deg < 180.0 / teeth
 
 
 @kernel
@@ -84,7 +97,23 @@ def fits(c: Const, angle: float, level: int) -> bool:
 
 
 @kernel
-def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports) -> None:
+def fits_cycle(c: Const, angle: float, level: int, slack: float) -> bool:
+    """Tell whether an edge of the cam is at an angle of the cycle [deg], tooth 0 at zero.
+
+    Args:
+        c: record of Const.
+        angle: of the edge, modulo 720.
+        level: after it.
+        slack: by which it may be farther off than the tolerance [deg].
+    """
+    for k in range(c.edges):
+        if c.levels[k] == level and abs(_off(angle, c.angles[k] - c.tooth_0, 720.0)) <= c.tolerance + slack:
+            return True
+    return False
+
+
+@kernel
+def edge(s: State, c: Const, angle: float, ahead: int, level: int, slack: float, out: Reports) -> None:
     """Take an edge.
 
     Args:
@@ -93,6 +122,7 @@ def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports)
         angle: crank angle of the edge within its revolution, tooth 0 at zero [deg].
         ahead: revolutions from the present one to that of the edge (-1, 0, 1).
         level: after the edge.
+        slack: by which it may be farther off than the tolerance [deg].
         out: record of Out.
     """
     s.quiet = 0
@@ -105,7 +135,7 @@ def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports)
         place = (c.angles[k] - c.tooth_0) % 720.0
         off = _off(angle, place, 360.0)
         nearest = off if abs(off) < abs(nearest) else nearest
-        if abs(off) <= c.tolerance:
+        if abs(off) <= c.tolerance + slack:
             found += 1
             # An edge just before tooth 0 may be counted to the revolution behind it.
             turn = int(np.rint((place + off - angle) / 360.0))
@@ -115,8 +145,10 @@ def edge(s: State, c: Const, angle: float, ahead: int, level: int, out: Reports)
         now = (half - ahead) % 2
         wrong = s.half >= 0 and s.half != now
         _tell(out, wrong, nearest, c.tolerance, angle, level)
+        s.misfits = s.misfits + 1 if wrong else 0
         s.half = now
     elif found == 0:
+        s.misfits += 1
         _tell(out, True, nearest, c.tolerance, angle, level)
 
 
@@ -144,3 +176,4 @@ def forget(s: State) -> None:
     """The crank lost its place: the half is not known any more."""
     s.half = -1
     s.quiet = 0
+    s.misfits = 0

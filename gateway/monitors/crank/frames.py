@@ -11,7 +11,7 @@ however long: what it means is for the method to say, by the speed before it.
 from __future__ import annotations
 
 from gateway.jit import kernel
-from gateway.monitors.crank import adaptive, constant_speed, noise, place
+from gateway.monitors.crank import adaptive, constant_speed, noise, phase, place
 from gateway.monitors.crank.faults import Reports
 from gateway.monitors.crank.records import CLASSIC_INTERVALS, Const, Inputs, State
 from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
@@ -24,6 +24,7 @@ def stand(s: State, c: Const, out: Reports) -> None:
         if s.fast.burst.count > 0:
             noise.tell(s.fast.burst, out)
         place.stand(s.fast, c.fast)
+        phase.forget(s.phase)
     else:
         constant_speed.search(s.paper)
 
@@ -32,6 +33,7 @@ def stand(s: State, c: Const, out: Reports) -> None:
 def _lost(s: State, c: Const, number: int, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
+    phase.restart(s.phase)
     if c.adaptive == 1:
         adaptive.lost(s.fast, c.fast, number, out)
     else:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import begin_later
 from gateway.fdi.pulse_tracking.hypotheses import HOPELESS
@@ -31,7 +29,18 @@ from gateway.monitors.crank.faults import (
     Reports,
     Shape,
 )
-from gateway.monitors.crank.place import CONFIRMED, TENTATIVE, Const, State, doubt, search, speed, unlearned
+from gateway.monitors.crank.place import (
+    BY_CAM,
+    CONFIRMED,
+    TENTATIVE,
+    Const,
+    State,
+    doubt,
+    search,
+    speed,
+    tooth_of,
+    unlearned,
+)
 
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = 3
@@ -57,6 +66,8 @@ LATE = 8
 PARTS = 8
 #: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
 SURE = 3
+#: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
+EVEN_TURNS = 2
 #: Tooth of the next revolution by which one has to be decided to count.
 DECIDED_BY = 4
 #: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
@@ -97,7 +108,8 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
     if s.phase == CONFIRMED:
         s.losses += 1
     keep_best(s.tracker)
-    noise.begin(s.burst, best(s.tracker), count, speed(s, c), known)
+    h = best(s.tracker)
+    noise.begin(s.burst, h, count, speed(s, c), known, tooth_of(s, c, h.index))
     anchor.skip(s.anchor, c.pulses, c.pulses)
     anchor.restart(s.anchor)
     doubt(s)
@@ -107,7 +119,7 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
 def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
     """Fill the evidence of missed or added pulses; ``first`` is the tooth concerned."""
     e.count = number
-    e.tooth = first % c.pulses
+    e.tooth = tooth_of(s, c, first)
     e.speed = speed(s, c)
     for k in range(RESIDUALS):
         e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
@@ -221,7 +233,7 @@ def _tell_noise(s: State, c: Const, out: Reports) -> None:
     s.named = s.teeth
     s.burst.told = s.teeth
     e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
-    e.count, e.tooth, e.speed = s.burst_added, s.burst_tooth, speed(s, c)
+    e.count, e.tooth, e.speed = s.burst_added, tooth_of(s, c, s.burst_tooth), speed(s, c)
 
 
 @kernel
@@ -279,8 +291,13 @@ def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
     Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. None does while it is
-    filled by a pulse each turn.
+    filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that
+    are missing of it in each turn.
     """
+    if c.even == 1:
+        if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
+            confirm(s, out)
+        return
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1:
         return
@@ -313,8 +330,7 @@ def confirm(s: State, out: Reports) -> None:
 def _trust(s: State, c: Const) -> None:
     """Trust the pitches as far as they are learned, and as the turns repeat."""
     turns = s.profile.turns
-    measured = 2.0 * s.profile.rest * (2.0 * np.pi * profile.REST_ORDER / c.wheel.whole) ** 2
-    wander = max(Q3, measured * measured)
+    wander = max(Q3, s.profile.rest * s.profile.rest * c.rest)
     s.tracker.wander = unlearned(c, best(s.tracker).period) if turns == 0 else wander
     for i in range(c.pulses):
         s.tracker.slack[i] = c.slack[i] / (1 + turns * turns)
@@ -359,7 +375,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     if s.profile.turns != before or before == 0:
         _trust(s, c)
     if s.profile.turns != before:
-        runout.take(s.law, 60e6 / us, s.profile.even, s.profile.odd)
+        runout.take(s.law, 60e6 * c.turns / us, s.profile.even, s.profile.odd)
     doubled = s.doubled
     s.doubled = 0
     if s.phase != CONFIRMED:
@@ -372,7 +388,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
         d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
     s.unclean = 0 if clean else s.unclean + 1
     if clean:
-        _note_speed(s, 60e6 / us)
+        _note_speed(s, 60e6 * c.turns / us)
     elif s.unclean >= UNCLEAN:
         _note_speed(s, speed(s, c))
     if not clean:
@@ -387,7 +403,7 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
     report(out, NOISE, False, 0.0, 0.0)
     report(out, TWO_PLACES, False, 0.0, 0.0)
     report(out, WRONG_WHEEL, False, 0.0, 0.0)
-    if s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
+    if c.turns == 1 and s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         _judge_wheel(s, c, out)
 
 
@@ -406,12 +422,12 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
     learned_rpm = 60e6 / (s.profile.period * c.wheel.whole)
     amplitude, most = runout.geometry(s.law, learned_rpm, s.profile.first, c.runout)
     r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
-    r.amplitude, r.tooth = amplitude, s.profile.worst
+    r.amplitude, r.tooth = amplitude, tooth_of(s, c, s.profile.worst)
     r.speed = s.speed_rpm
     off = s.profile.off
     limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
-    d.tooth, d.off, d.speed = s.profile.bent, off, s.speed_rpm
+    d.tooth, d.off, d.speed = tooth_of(s, c, s.profile.bent), off, s.speed_rpm
 
 
 @kernel
@@ -420,10 +436,14 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
 
     What frames that were lost had hidden is proven by the gap that comes where it is expected, all hypotheses agreeing.
     The intervals of a turn in which pulses were missed or added are not those of the wheel, and say nothing of another
-    place.
+    place. A wheel of equal pitches has none.
     """
     an = s.anchor
-    if s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
+    if c.even == 1:
+        if an.age >= c.pulses:
+            an.age = 0
+        an.verified = 1
+    elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
         _witness(s, c, out)
     elif an.age >= c.pulses + 2:
         an.age = 2
@@ -498,6 +518,20 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
 
 
 @kernel
+def place_by_cam(s: State, c: Const, number: int) -> None:
+    """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
+    s.placed = BY_CAM
+    if number == 0:
+        return
+    shift(s.tracker, c.pulses, number)
+    s.index = best(s.tracker).index
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    _trust(s, c)
+    defects.clear(s.defects)
+
+
+@kernel
 def _witness(s: State, c: Const, out: Reports) -> None:
     """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
     h = best(s.tracker)
@@ -551,18 +585,21 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     """
     wa = s.waiting
     waiting.note(wa, s.y2, s.y1, y)
-    waiting.look(wa, s.anchor, c.anchor, c.pulses, c.repeats)
+    if c.even == 0:
+        waiting.look(wa, s.anchor, c.anchor, c.pulses, c.repeats)
     patience = PATIENCE * c.pulses + PATIENCE_PULSES
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
     share = wa.short / wa.pulses - c.short
-    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM
+    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
     if share > DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
+    elif c.even == 1:
+        pass  # it has no gap that could be missing
     elif wrong_wheel.expected(s) and wa.pulses < LONG_PATIENCE * patience:
         return  # it may be another wheel
-    elif waiting.contradicts(wa, fires, c.pulses) or (fires and wa.pulses >= LONG_PATIENCE * patience):
+    elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
         g.teeth, g.widest = s.teeth, wa.widest
     else:

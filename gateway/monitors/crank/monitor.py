@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from gateway.fdi.wheel import WheelText
+from gateway.fdi.wheel import FEW, WheelText
 from gateway.jit import kernel
 from gateway.monitors.contract import (
     TIMER,
@@ -28,7 +28,7 @@ from gateway.monitors.contract import (
     Readout,
     Signal,
 )
-from gateway.monitors.crank import cam, constant_speed, frames, isolation, place, rival
+from gateway.monitors.crank import cam, constant_speed, frames, isolation, phase, place, rival, wrong_wheel
 from gateway.monitors.crank.faults import BLAMES, FAULTS, Evidence
 from gateway.monitors.crank.records import (
     CLASSIC_INTERVALS,
@@ -42,6 +42,15 @@ from gateway.signals.tooth_codec import LONGEST_LONG_US
 
 #: Longest interval of CTW_FD27: 16 bits of 0.5 us << 7 [us].
 LONGEST_FD_US = 65535 * 64
+#: Pitch from which on it is a gap to the method paper [pitch].
+LEAST_GAP = 1.5
+#: Share of the angle since the last pulse by which a cam's edge may be off on a wheel of few pulses: the engine's speed
+#: is not known better within one of its pitches.
+UNEVEN = 0.25
+#: Edges of the cam in a row that contradict the place that the cam has told, and end it.
+CONTRADICTED = 3
+#: Largest tooth that the message carries; one beyond it is shown as this.
+MOST_INDEX = 255
 #: The engine's speed and angle go out at most so often without a change of synchronisation [ns].
 SYNC_EVERY_NS = 10_000_000
 
@@ -92,6 +101,14 @@ class Params(MonitorParams):
         description="paper: learn the pitch time anew after every clean turn; false: as printed",
     )
 
+    @model_validator(mode="after")
+    def _paper_needs_a_gap(self) -> Params:
+        if self.method == "paper" and (self.wheel.pulses < FEW or max(self.wheel.pitches) < LEAST_GAP):
+            raise ValueError(
+                f"the method paper needs a wheel of {FEW} pulses and more with a gap; {self.wheel} is none"
+            )
+        return self
+
 
 def _connect(p: Params) -> Mapping[str, Connection]:
     fd = p.frame == "fd"
@@ -137,12 +154,50 @@ def lowest_rpm(p: Params) -> float:
     return max(by_gap, p.reversal_rpm)
 
 
+def sure_rpm(p: Params) -> float:
+    """Return the speed above which one pulse missed cannot be the engine that slows down [rpm].
+
+    An engine that takes two pitches' time over one has lost three quarters of the square of its speed v [pitch/s]:
+    with a deceleration a, ``2 a = 3/4 v^2``. The deceleration is that which :data:`place.BRAKE` allows.
+    """
+    a = place.BRAKE * p.acceleration / 60 * p.wheel.turn
+    return float(60.0 / p.wheel.turn * (2.0 * a / 0.75) ** 0.5)
+
+
 def _facts(p: Params) -> tuple[str, ...]:
     if p.method != "adaptive":
         return ()
     low = lowest_rpm(p)
     why = "reversal_rpm" if low == p.reversal_rpm else "stall_ms and the gap"
-    return (f"wheel {p.wheel}: followed from {low:.0f} rpm on ({why})",)
+    return (f"wheel {p.wheel}: followed from {low:.0f} rpm on ({why})", *_limits(p))
+
+
+def _limits(p: Params) -> tuple[str, ...]:
+    """Return what can be found on a wheel that tells no place, or little of one, and what cannot."""
+    wheel, told = p.wheel, []
+    half = 180.0 / wheel.pulses
+    if wheel.even and cam.tells(p.cam, p.cam_tolerance_deg, wheel.pulses):
+        told.append(f"wheel {wheel}: its pitches are equal, so the cam's edges tell the place; until then speed only")
+    elif wheel.even and p.cam:
+        told.append(
+            f"wheel {wheel}: speed only: cam_tolerance_deg = {p.cam_tolerance_deg:g} is not below half a tooth,"
+            f" {half:.3g} deg, so the cam does not tell the place"
+        )
+    elif wheel.even:
+        told.append(
+            f"wheel {wheel}: speed only: its pitches are equal, so without a cam no place, angle or tooth is known,"
+            " and another number of teeth looks like another speed"
+        )
+    if wheel.tiles > 1:
+        sure = sure_rpm(p)
+        told.append(
+            f"wheel {wheel}: {wheel.pulses} a turn: one pulse missed or added is named from about {sure:.0f} rpm on;"
+            " slower, the engine itself may change its speed as much"
+        )
+        told.append(f"wheel {wheel}: runout, a bent tooth and an engine that turns back are not told by so few pulses")
+    elif wheel.even:
+        told.append(f"wheel {wheel}: an engine that turns back is not told, nor a tooth broken off from another wheel")
+    return tuple(told)
 
 
 def _faults(_: Params) -> tuple[Fault, ...]:
@@ -165,8 +220,9 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
     c.fast.told = p.report_reversal
     c.fast.longest_us = min(c.fast.longest_us, p.stall_ms * 1e3 * (1 - 1e-9))
-    constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
-    cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg)
+    if p.method == "paper":
+        constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
+    cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg, p.wheel.pulses)
     s.counter = -1
     s.base_counter = -1
     s.stray = -1
@@ -179,7 +235,36 @@ def _degrees(c: Const, f: place.State, tooth: int, delay_us: float) -> float:
     for i in range(tooth):
         total += c.fast.wheel.nominal[i]
     total += min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
-    return float(total / c.fast.wheel.whole * 360.0)
+    return float(total / c.fast.turn * 360.0)
+
+
+@kernel
+def _slack(c: Const, f: place.State, delay_us: float) -> float:
+    """Return by how much the angle of an edge so long behind a tooth may be wrong on a wheel of few pulses [deg]."""
+    if c.fast.turns == 1:
+        return 0.0
+    return float(UNEVEN * min(delay_us / place.period(f), c.fast.gap) / c.fast.turn * 360.0)
+
+
+@kernel
+def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs]) -> None:
+    """Take an edge of the cam as what tells the place on a wheel of equal pitches, and its number of pulses."""
+    f, teeth = s.fast, c.fast.teeth
+    part = min(u.cam_delay / place.period(f), 1.0) if f.phase != place.SEARCHING else 0.5
+    pulses = phase.count(s.phase, c.cam, u.cam_pulse + part)
+    if pulses > 0 and phase.another(pulses, teeth):
+        wrong_wheel.counted(f, c.fast, 0.5 * pulses, out)
+        return
+    if pulses > 0:
+        f.wrong = 0
+    if f.phase != place.CONFIRMED or c.cam.tells == 0:
+        phase.restart(s.phase)
+        return
+    at = place.revolutions(f, c.fast) % 2 * teeth + f.index % teeth + since
+    number = phase.take(s.phase, c.cam, teeth, at + part, int(u.cam_level), _slack(c, f, u.cam_delay))
+    if number != phase.NONE:
+        isolation.place_by_cam(f, c.fast, number)
+        cam.forget(s.cam)
 
 
 @kernel
@@ -188,15 +273,21 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     s.cam.counter = int(u.cam_counter)
     f = s.fast
     two = f.phase == place.TENTATIVE and f.rival.other != rival.NONE
-    if not (place.proven(f) or two) or s.counted == 0:
+    if s.counted == 0:
         return
     pulses = c.fast.pulses
     since = frames.wrapped(int(u.cam_pulse) - s.count)
     if abs(since) > pulses:
         return
-    at = f.index + since
-    tooth = at % pulses
+    if f.placed == place.NOT_TOLD:
+        _place(s, c, u, since, out)
+        return
+    if not (place.proven(f) or two):
+        return
+    at = f.index % c.fast.teeth + since
+    tooth = at % c.fast.teeth
     if two:
+        tooth = (f.index + since) % pulses
         other = rival.place_of(f.rival, c.fast.wheel.nominal, pulses, f.index)
         if other == rival.NONE:
             return
@@ -207,7 +298,12 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         if decided > 0:
             isolation.settle(f, c.fast, out, decided == 2)
         return
-    cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // pulses, int(u.cam_level), out)
+    slack = _slack(c, f, u.cam_delay)
+    cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // c.fast.teeth, int(u.cam_level), slack, out)
+    if f.placed == place.BY_CAM and s.cam.misfits >= CONTRADICTED:
+        place.displace(f)
+        phase.restart(s.phase)
+        cam.forget(s.cam)
 
 
 @kernel
@@ -215,8 +311,8 @@ def _show(s: State, c: Const) -> float:
     """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
     if c.adaptive == 1:
         f = s.fast
-        s.sync = place.TENTATIVE if f.phase == place.CONFIRMED and not place.proven(f) else f.phase
-        s.revolutions = f.revolutions
+        s.sync = place.shown(f)
+        s.revolutions = place.revolutions(f, c.fast)
         s.speed_rpm = f.speed_rpm
         s.slowest_rpm = f.slowest_rpm
         s.fastest_rpm = f.fastest_rpm
@@ -252,7 +348,7 @@ def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Ou
     s.sent_corrections = s.corrections
     if c.adaptive == 1:
         turn = place.angle(s.fast, c.fast) + max(s.cam.half, 0)
-        index = int(s.fast.index)
+        index = max(place.tooth_of(s.fast, c.fast, s.fast.index), 0)
     else:
         turn = constant_speed.angle(s.paper, c.paper)
         index = int(s.paper.index)
@@ -262,14 +358,14 @@ def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Ou
     out.values.angle = (turn * 360.0 + c.tooth_0_deg) % cycle
     out.values.speed = speed_rpm
     out.values.corrections = (s.corrections + 128) % 256 - 128
-    out.values.index = index
+    out.values.index = min(index, MOST_INDEX)
     out.values.cycle_known = s.cam.half >= 0
 
 
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
-    turns = s.fast.revolutions
+    turns = place.revolutions(s.fast, c.fast)
     if u.trigger == TIMER:
         frames.stand(s, c, out)
     elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:
@@ -283,7 +379,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         frames.classic(s, c, u, out)
     if c.cam.edges > 0:
         if s.fast.phase == place.CONFIRMED:
-            cam.turned(s.cam, out, s.fast.revolutions - turns)
+            cam.turned(s.cam, out, place.revolutions(s.fast, c.fast) - turns)
         else:
             cam.forget(s.cam)
     _send(s, c, u.t_ns, _show(s, c), out)

@@ -29,14 +29,15 @@ MOST_TEETH_PASSED, NEAR = 10, 0.3
 class Burst(Record):
     """A burst that is not told yet.
 
-    ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``us`` since that tooth,
-    ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was proven before it. ``crowd`` pulses
-    that came sooner than half a pitch, one behind the other, the latest of them as pulse number ``crowded``;
-    ``told`` the pulse at which a burst was last told.
+    ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``named`` the same as it is
+    told, ``us`` since that tooth, ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was
+    proven before it. ``crowd`` pulses that came sooner than half a pitch, one behind the other, the latest of them as
+    pulse number ``crowded``; ``told`` the pulse at which a burst was last told.
     """
 
     count: i4
     tooth: i4
+    named: i4
     us: f8
     period: f8
     rpm: f8
@@ -62,7 +63,7 @@ def crowd(b: Burst, number: int) -> int:
 
 
 @kernel
-def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool) -> None:
+def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool, named: int) -> None:
     """Begin a burst.
 
     Args:
@@ -71,7 +72,9 @@ def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool) -> None:
         count: its pulses so far.
         rpm: speed before it.
         known: whether the place was proven before it.
+        named: the tooth as it is told; -1: no place is.
     """
+    b.named = named
     b.count, b.tooth, b.us, b.period = count, h.index, h.elapsed, h.period
     b.rpm, b.known = rpm, known
 
@@ -112,5 +115,5 @@ def goes_on(b: Burst, y: float, out: Reports) -> bool:
 def tell(b: Burst, out: Reports) -> None:
     """Report the burst, and forget it."""
     e = report(out, NOISE, True, b.count, BURST).noise
-    e.count, e.tooth, e.speed = b.count, b.tooth, b.rpm
+    e.count, e.tooth, e.speed = b.count, b.named, b.rpm
     b.count = 0

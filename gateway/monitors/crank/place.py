@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway.fdi.pulse_tracking.acquisition import Search, restart
-from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, LearnedWheel, Profile, forget, harmonics
+from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, REST_ORDER, LearnedWheel, Profile, forget, harmonics
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
 from gateway.fdi.wheel_seen import Seen, skip
@@ -32,6 +32,14 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 BRAKE = 4.0
 #: A pitch that is less than this share of the one before is short: with ripple it may look like a pulse too many.
 SHORT = 0.7
+#: Largest change of the growth from pitch to pitch, as a multiple of the speed's ripple, where a pitch is as long as
+#: half of the ripple's wave: of a wheel of few pulses every other one may be longer.
+ALTERNATING = 8.0
+#: How the cam's edges have told the place of a wheel of equal pitches: not yet, or they have; a wheel with a gap tells
+#: its place itself.
+NOT_TOLD, BY_CAM, BY_GAP = range(3)
+#: What goes out for a place that is not told: the speed is followed, and no place is known.
+SPEED_ONLY = 3
 #: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
 KICK = 2.0
 
@@ -42,9 +50,18 @@ class Const(Record):
     ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
     ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported; ``short`` share of
     the wheel's own pitches that are much shorter than the one before.
+
+    ``pulses`` are those of the wheel as it is laid out: over ``turns`` turns, each of ``teeth`` pulses and ``turn``
+    pitches (see :attr:`gateway.fdi.wheel.Wheel.laid_out`). ``even``: its pitches are equal. ``rest``: growth's process
+    noise that one of ripple which is not learned needs.
     """
 
     pulses: i4
+    teeth: i4
+    turns: i4
+    turn: f8
+    even: u1
+    rest: f8
     repeats: i4
     acceleration: f8
     ripple: f8
@@ -77,10 +94,12 @@ class State(Record):
     ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
     the one at which pulses were last found missed or added;
     ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
-    one, and whether its gap is ``filled`` each turn.
+    one, and whether its gap is ``filled`` each turn; ``placed`` how the place is told, once it is (:data:`NOT_TOLD`,
+    :data:`BY_CAM`, :data:`BY_GAP`).
     """
 
     phase: i4
+    placed: u1
     index: i4
     since: i8
     teeth: i8
@@ -144,14 +163,18 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
         runout: variation of the pitch once a revolution that is a fault, amplitude as a share.
         reversal_rpm: below this speed the engine may have turned back [rpm].
     """
-    pitches = np.asarray(wheel.pitches)
+    laid = wheel.laid_out
+    pitches = np.asarray(laid.pitches)
     count = len(pitches)
-    c.pulses = count
+    c.pulses, c.teeth, c.turns, c.turn = count, wheel.pulses, wheel.tiles, wheel.turn
+    c.even = wheel.even
     c.repeats = wheel.repeats
     c.acceleration = acceleration / 60 * wheel.turn
-    c.ripple = RIPPLE * 2 * 2 * (2 * np.pi / wheel.turn)
-    c.unlearned = (2 * UNLEARNED * (UNLEARNED_ORDER * 2 * np.pi / wheel.turn) ** 2) ** 2
-    c.usual = (2 * RIPPLE * (2 * 2 * np.pi / wheel.turn) ** 2) ** 2
+    few = wheel.tiles > 1
+    c.ripple = RIPPLE * 2 * (wheel.turn / 2 if few else 2) * (2 * np.pi / wheel.turn)
+    c.unlearned = _changes(UNLEARNED, UNLEARNED_ORDER, wheel)
+    c.usual = _changes(RIPPLE, 2.0, wheel)
+    c.rest = _changes(1.0, REST_ORDER, wheel)
     c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
@@ -167,10 +190,10 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.slack[:count] = np.where(gap, GAP_ERROR**2, 0.0)
     wh = c.wheel
     wh.gap[:count] = gap
-    wh.pulses, wh.whole = count, wheel.turn
-    wh.orders = min(MOST_ORDERS, count // 5)
+    wh.pulses, wh.whole = count, laid.turn
+    wh.orders = 0 if few else min(MOST_ORDERS, count // 5)
     wh.nominal[:count] = pitches
-    middle = 2 * np.pi * (np.asarray(wheel.positions) + pitches / 2) / wheel.turn
+    middle = 2 * np.pi * (np.asarray(laid.positions) + pitches / 2) / laid.turn
     harmonics(wh, middle)
     tr = s.tracker
     tr.pitches[:count] = pitches
@@ -178,6 +201,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     tr.wander = c.unlearned
     s.held_fault = -1
     s.looks = 1
+    s.placed = NOT_TOLD if wheel.even else BY_GAP
     s.rival.other = rival.NONE
     s.defects.next = -1
     s.doubted = NEVER
@@ -185,6 +209,19 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     s.uneven = NEVER
     s.burst.told = NEVER
     s.reversal.index = -1
+
+
+def _changes(amplitude: float, order: float, wheel: Wheel) -> float:
+    """Return the process noise of the growth per pitch that a ripple of the speed needs.
+
+    Args:
+        amplitude: of the speed.
+        order: per turn.
+        wheel: the wheel.
+    """
+    if wheel.tiles > 1:
+        return (ALTERNATING * amplitude) ** 2
+    return float((2 * amplitude * (order * 2 * np.pi / wheel.turn) ** 2) ** 2)
 
 
 @kernel
@@ -200,6 +237,7 @@ def search(s: State, c: Const) -> None:
     if s.phase == CONFIRMED:
         waiting.clear(s.waiting)
     s.phase = SEARCHING
+    displace(s)
     s.looks = 1
     s.doubted = NEVER
     rival.clear(s.rival)
@@ -220,6 +258,13 @@ def search(s: State, c: Const) -> None:
         s.tracker.slack[i] = c.slack[i]
     anchor.restart(s.anchor)
     restart(s.search)
+
+
+@kernel
+def displace(s: State) -> None:
+    """The place that the cam has told is not known any more."""
+    if s.placed == BY_CAM:
+        s.placed = NOT_TOLD
 
 
 @kernel
@@ -245,6 +290,7 @@ def doubt(s: State) -> None:
         s.phase = TENTATIVE
         s.doubted = s.teeth
         waiting.clear(s.waiting)
+    displace(s)
     s.since = 0
     s.suspects = 0
     s.recurring = 0
@@ -259,7 +305,27 @@ def proven(s: State) -> bool:
     None is just behind a crowd of pulses, whose end may be yet to come.
     """
     crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST
-    return bool(s.phase == CONFIRMED and not crowded and unanimous(s.tracker))
+    return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not crowded and unanimous(s.tracker))
+
+
+@kernel
+def shown(s: State) -> int:
+    """Return what is told of synchronisation: SEARCHING, TENTATIVE, CONFIRMED, or SPEED_ONLY."""
+    if s.phase != CONFIRMED or proven(s):
+        return int(s.phase)
+    return SPEED_ONLY if s.placed == NOT_TOLD else TENTATIVE
+
+
+@kernel
+def tooth_of(s: State, c: Const, index: int) -> int:
+    """Return the tooth of a turn that a place of the wheel as it is laid out is; -1: no place is told."""
+    return int(index % c.teeth) if s.placed > NOT_TOLD else -1
+
+
+@kernel
+def revolutions(s: State, c: Const) -> int:
+    """Return how many turns the engine has made."""
+    return int(s.revolutions * c.turns + s.index // c.teeth)
 
 
 @kernel
@@ -267,7 +333,7 @@ def speed(s: State, c: Const) -> float:
     """Return the speed at the last tooth [rpm], 0 while it is not known."""
     if s.phase == SEARCHING:
         return 0.0
-    return float(60e6 / (best(s.tracker).period * c.wheel.whole))
+    return float(60e6 / (best(s.tracker).period * c.turn))
 
 
 @kernel
@@ -280,6 +346,6 @@ def period(s: State) -> float:
 def angle(s: State, c: Const) -> float:
     """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
     total = 0.0
-    for i in range(s.index):
+    for i in range(s.index % c.teeth):
         total += c.wheel.nominal[i]
-    return float(total / c.wheel.whole)
+    return float(total / c.turn)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from gateway.jit import Record, f8, f8s, i8, means, u1
 from gateway.monitors import contract
-from gateway.monitors.crank import cam, constant_speed, place
+from gateway.monitors.crank import cam, constant_speed, phase, place
 
 #: Intervals that one frame can carry (CTW_FD27, CTW_PT4).
 MOST_INTERVALS, CLASSIC_INTERVALS = 27, 4
@@ -59,6 +59,7 @@ class State(Record):
     reversals: i8
     half: i8
     cam: cam.State
+    phase: phase.Phase
     fast: place.State
     paper: constant_speed.State
 
@@ -81,7 +82,7 @@ class Inputs(contract.Inputs):
 class Outputs(Record):
     """What it sends."""
 
-    sync: f8 = means("whether the place on the wheel is known: 0 no, 1 not proven, 2 proven")
+    sync: f8 = means("whether the place on the wheel is known: 0 no, 1 not proven, 2 proven, 3 speed only")
     angle: f8 = means("crank angle", "deg")
     speed: f8 = means(unit="rpm")
     corrections: f8 = means("pulses that were missed less those added")

@@ -118,7 +118,7 @@ def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
     Args:
         wa: record of Waiting.
         fires: whether the engine is faster than its starter turns it.
-        pulses: of a turn.
+        pulses: of one turn of the wheel.
     """
     if not fires and pulses < FEW:
         return False

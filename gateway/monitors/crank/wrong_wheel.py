@@ -14,7 +14,7 @@ from gateway.fdi import wheel_seen
 from gateway.fdi.wheel import MOST_TEETH
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import waiting
+from gateway.monitors.crank import runout, waiting
 from gateway.monitors.crank.faults import ADDED, WRONG_WHEEL, Reports
 from gateway.monitors.crank.place import CONFIRMED, SEARCHING, Const, State, search
 
@@ -36,6 +36,8 @@ def note(s: State, c: Const, y: float, out: Reports) -> None:
     """Note an interval [us] while the wheel is looked at."""
     before = int(s.seen.turns)
     wheel_seen.note(s.seen, y)
+    if c.even == 1 and s.phase == CONFIRMED and s.seen.run >= wheel_seen.EVEN:
+        s.looks = 0
     if s.seen.turns != before:
         _judge(s, c, out)
 
@@ -117,10 +119,16 @@ def _filled(s: State, c: Const) -> int:
 
 
 @kernel
+def _cranked(s: State, c: Const) -> bool:
+    """Tell whether the engine is so slow that a compression may look like a gap to a wheel of few pulses."""
+    return bool(waiting.turn_us(s.anchor, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
+
+
+@kernel
 def _tell_filled(s: State, c: Const, tooth: int, out: Reports) -> None:
     """Report the pulse too many in a gap. Meanwhile nothing is proven, and the gap is not told as missing."""
     e = report(out, ADDED, True, s.seen.turns, TURNS).pulses
-    e.count, e.tooth, e.speed = 1.0, tooth, 60e6 / (s.seen.pitch * c.wheel.whole)
+    e.count, e.tooth, e.speed = 1.0, tooth, 60e6 / (s.seen.pitch * c.turn)
     waiting.clear(s.waiting)
 
 
@@ -132,10 +140,10 @@ def _judge(s: State, c: Const, out: Reports) -> None:
         s.wrong = 0
         return
     whole = _whole(s)
-    same = abs(whole - c.wheel.whole) < SAME
+    same = abs(whole - c.turn) < SAME
     same = same or abs(whole * c.pulses - c.wheel.whole * c.repeats) < EQUAL * c.pulses
     same = same or s.seen.pulses == c.repeats
-    if same or _is_left(s, c, whole):
+    if same or (c.turns == 1 and _is_left(s, c, whole)):
         s.wrong = 0
         if s.phase == CONFIRMED:
             s.looks = 0
@@ -145,12 +153,27 @@ def _judge(s: State, c: Const, out: Reports) -> None:
                 s.filled = 1
                 _tell_filled(s, c, tooth, out)
         return
-    if s.seen.turns < TURNS or s.reversal.stood == 1:
+    if s.seen.turns < TURNS or s.reversal.stood == 1 or (c.turns > 1 and _cranked(s, c)):
         return
     if s.wrong == 0 or s.seen.turns % AGAIN == 0:
         e = report(out, WRONG_WHEEL, True, s.seen.turns, TURNS).wrong_wheel
         e.teeth, e.pulses, e.gap = whole, s.seen.pulses, s.seen.pitches[s.seen.pulses - 1]
+    _refuse(s, c)
+
+
+@kernel
+def _refuse(s: State, c: Const) -> None:
+    """Follow the pulses of another wheel no more."""
     s.wrong = 1
     waiting.clear(s.waiting)
     if s.phase != SEARCHING:
         search(s, c)
+
+
+@kernel
+def counted(s: State, c: Const, teeth: float, out: Reports) -> None:
+    """Tell of a wheel of equal pitches that the cam has counted another number of them a turn, several times."""
+    if s.wrong == 0:
+        e = report(out, WRONG_WHEEL, True, TURNS, TURNS).wrong_wheel
+        e.teeth, e.pulses, e.gap = teeth, teeth, 1.0
+    _refuse(s, c)
