@@ -35,6 +35,7 @@ from gateway.monitors.crank.place import (
     TENTATIVE,
     Const,
     State,
+    decides,
     doubt,
     search,
     speed,
@@ -299,7 +300,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
             confirm(s, out)
         return
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1:
+    if s.since < proof or s.filled == 1 or not decides(s, c):
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
@@ -445,6 +446,9 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         an.verified = 1
     elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
         _witness(s, c, out)
+    elif an.age >= c.pulses + 2 and not decides(s, c):
+        an.age = 2
+        an.verified = 1
     elif an.age >= c.pulses + 2:
         an.age = 2
         an.verified = 0
@@ -538,7 +542,7 @@ def _witness(s: State, c: Const, out: Reports) -> None:
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
-    if s.phase != TENTATIVE or not told:
+    if s.phase != TENTATIVE or not told or not decides(s, c):
         return
     if s.recurring == 1 and not _told_apart(s, c):
         return

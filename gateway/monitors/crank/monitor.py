@@ -47,6 +47,8 @@ LEAST_GAP = 1.5
 #: Share of the angle since the last pulse by which a cam's edge may be off on a wheel of few pulses: the engine's speed
 #: is not known better within one of its pitches.
 UNEVEN = 0.25
+#: Pitches since the last pulse from which on a pulse may have been missed before the edge.
+OVERDUE = 1.2
 #: Edges of the cam in a row that contradict the place that the cam has told, and end it.
 CONTRADICTED = 3
 #: Largest tooth that the message carries; one beyond it is shown as this.
@@ -249,6 +251,7 @@ def _slack(c: Const, f: place.State, delay_us: float) -> float:
 @kernel
 def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs]) -> None:
     """Take an edge of the cam as what tells the place on a wheel of equal pitches, and its number of pulses."""
+    s.cam.quiet = 0
     f, teeth = s.fast, c.fast.teeth
     part = min(u.cam_delay / place.period(f), 1.0) if f.phase != place.SEARCHING else 0.5
     pulses = phase.count(s.phase, c.cam, u.cam_pulse + part)
@@ -297,6 +300,9 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         decided = rival.take_edge(f.rival, here, there)
         if decided > 0:
             isolation.settle(f, c.fast, out, decided == 2)
+        return
+    if f.placed == place.BY_CAM and u.cam_delay > OVERDUE * place.period(f):
+        s.cam.quiet = 0  # the pulse before it may be one that was missed
         return
     slack = _slack(c, f, u.cam_delay)
     cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // c.fast.teeth, int(u.cam_level), slack, out)

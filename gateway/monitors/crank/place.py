@@ -15,7 +15,7 @@ from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
 from gateway.monitors.crank import anchor, defects, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
-from gateway.monitors.crank.runout import Law
+from gateway.monitors.crank.runout import ALLOWED, ALLOWED_RPM, Law
 
 #: Synchronisation: none, a place that one more revolution has to prove, proven.
 SEARCHING, TENTATIVE, CONFIRMED = range(3)
@@ -35,6 +35,9 @@ SHORT = 0.7
 #: Largest change of the growth from pitch to pitch, as a multiple of the speed's ripple, where a pitch is as long as
 #: half of the ripple's wave: of a wheel of few pulses every other one may be longer.
 ALTERNATING = 8.0
+#: Ripple of the speed that an engine may have at most, amplitude (it falls with the square of the speed, as
+#: :data:`runout.ALLOWED` says), and how many times that much two places have to be apart by their contrasts.
+MOST_RIPPLE, CONTRASTS = 0.4, 5.0
 #: How the cam's edges have told the place of a wheel of equal pitches: not yet, or they have; a wheel with a gap tells
 #: its place itself.
 NOT_TOLD, BY_CAM, BY_GAP = range(3)
@@ -53,7 +56,8 @@ class Const(Record):
 
     ``pulses`` are those of the wheel as it is laid out: over ``turns`` turns, each of ``teeth`` pulses and ``turn``
     pitches (see :attr:`gateway.fdi.wheel.Wheel.laid_out`). ``even``: its pitches are equal. ``rest``: growth's process
-    noise that one of ripple which is not learned needs.
+    noise that one of ripple which is not learned needs. ``proof_us``: longest turn by which a place is proven; on a
+    wheel of few pulses a slower engine's ripple may be as large as what tells the places from each other.
     """
 
     pulses: i4
@@ -62,6 +66,7 @@ class Const(Record):
     turn: f8
     even: u1
     rest: f8
+    proof_us: f8
     repeats: i4
     acceleration: f8
     ripple: f8
@@ -175,6 +180,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.unlearned = _changes(UNLEARNED, UNLEARNED_ORDER, wheel)
     c.usual = _changes(RIPPLE, 2.0, wheel)
     c.rest = _changes(1.0, REST_ORDER, wheel)
+    c.proof_us = 60e6 / proof_rpm(wheel)
     c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
     c.runout = runout
     c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
@@ -222,6 +228,27 @@ def _changes(amplitude: float, order: float, wheel: Wheel) -> float:
     if wheel.tiles > 1:
         return (ALTERNATING * amplitude) ** 2
     return float((2 * amplitude * (order * 2 * np.pi / wheel.turn) ** 2) ** 2)
+
+
+def proof_rpm(wheel: Wheel) -> float:
+    """Return the speed from which on the intervals of a wheel of few pulses prove a place [rpm]; 1: no limit.
+
+    A place is mistaken for another one only if ripple changes the contrasts of the intervals by half of what tells the
+    two apart. A ripple of amplitude A changes one by up to 2 A.
+    """
+    if wheel.even or wheel.tiles == 1:
+        return 1.0
+    logs = np.log(np.asarray(wheel.pitches))
+    contrasts = logs - (np.roll(logs, 1) + np.roll(logs, -1)) / 2
+    apart = min(float(np.abs(contrasts - np.roll(contrasts, k)).max()) for k in range(1, wheel.repeats))
+    most = apart / CONTRASTS
+    return 1.0 if most > MOST_RIPPLE else ALLOWED_RPM * float(np.sqrt(ALLOWED / most))
+
+
+@kernel
+def decides(s: State, c: Const) -> bool:
+    """Tell whether the engine is fast enough for the intervals to tell the place."""
+    return bool(best(s.tracker).period * c.turn <= c.proof_us)
 
 
 @kernel
