@@ -18,8 +18,8 @@ and a pulse that is missed or added now and then makes a turn that does not repe
 until another one has repeated for as long (:data:`STUBBORN`).
 
 What cannot be told from pulses: a wheel of equal parts (``9*1,3`` three times a turn) is seen as one of its parts, its
-smallest repeat. A tooth that is missed in each turn is a gap. A pattern that repeats after fewer than 4 pulses is no
-wheel here.
+smallest repeat. A tooth that is missed in each turn is a gap. A pattern that repeats after 3 pulses is a wheel here
+when an even engine shows it for long; one of 2 pulses is none, because none of its intervals is regular.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ from gateway.jit import Record, f8, f8s, i4, i4s, i8, kernel, zeros
 
 #: Turns in a row that have to be the same before a wheel is claimed.
 TURNS = 3
-#: Least pulses of a turn.
-LEAST_PULSES = 4
+#: Least pulses of a turn, and of one that takes so many turns, none of them uneven: in three pulses a ripple of that order
+#: looks like a gap for a while.
+LEAST_PULSES, FEWEST_PULSES, FEWEST_TURNS = 4, 3, 32
 #: Marks that are kept: of three turns, each pulse a mark.
 RING = TURNS * MOST_GAPPED
 #: An interval that differs by less than this share from those before it is regular.
@@ -145,8 +146,12 @@ def note(se: Seen, y: float) -> None:
 
 @kernel
 def sure(se: Seen) -> int:
-    """Return the pulses of a turn, while the last :data:`TURNS` turns and more have shown the wheel; else 0."""
-    return int(se.pulses) if se.turns >= TURNS and se.run <= MOST_GAPPED else 0
+    """Return the pulses of a turn, while the last :data:`TURNS` turns and more have shown the wheel; else 0.
+
+    None of fewer than :data:`LEAST_PULSES`.
+    """
+    shown = se.turns >= TURNS and se.run <= MOST_GAPPED and se.pulses >= LEAST_PULSES
+    return int(se.pulses) if shown else 0
 
 
 @kernel
@@ -309,7 +314,8 @@ def _turn(se: Seen, spread: float) -> None:
     averaged = min(turns, AVERAGED, RING // se.period)
     _average(se, averaged)
     pulses = _drafted(se, spread, spread / sqrt(averaged))
-    if pulses < LEAST_PULSES:
+    few = turns * _pulses(se) < FEWEST_TURNS * pulses or spread > EVEN_SPREAD
+    if pulses < FEWEST_PULSES or (pulses < LEAST_PULSES and few):
         return
     parts = _pulses(se) // pulses
     if se.pulses != pulses or not fits(se, se.draft, pulses):

@@ -42,7 +42,8 @@ def test_convert_teeth_says_when_nothing_repeats(tmp_path, capsys, monkeypatch):
     assert ended.out.splitlines()[1] == "wheel seen: none that repeats"
     capture = written(tmp_path / "even.csv", np.arange(1, 402) * 1e3)
     ended = command(capsys, monkeypatch, "convert", "teeth", capture, tmp_path / "even.log")
-    assert ended.out.splitlines()[1] == "wheel seen: no gap seen in 399 pulses"
+    equal = "all pitches are equal, and how many a turn has is not told"
+    assert ended.out.splitlines()[1] == f"wheel seen: no gap seen in 399 pulses: {equal}"
 
 
 @pytest.mark.parametrize(("frame", "message"), [("classic", "CTW_PT4"), ("fd", "CTW_FD27")])

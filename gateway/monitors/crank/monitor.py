@@ -190,15 +190,18 @@ def _limits(p: Params) -> tuple[str, ...]:
             f"wheel {wheel}: speed only: its pitches are equal, so without a cam no place, angle or tooth is known,"
             " and another number of teeth looks like another speed"
         )
+    untested = ["runout", "damaged_tooth", "reversed"] if wheel.tiles > 1 else []
+    if wheel.even:
+        untested += ["no_gap", "relocated", "two_places"] + ([] if untested else ["reversed"])
     if wheel.tiles > 1:
-        sure = sure_rpm(p)
         told.append(
-            f"wheel {wheel}: {wheel.pulses} a turn: one pulse missed or added is named from about {sure:.0f} rpm on;"
-            " slower, the engine itself may change its speed as much"
+            f"wheel {wheel}: one pulse missed or added is named from {sure_rpm(p):.0f} rpm on, once the turns are"
+            " learned; slower, an engine may change its speed as much"
         )
-        told.append(f"wheel {wheel}: runout, a bent tooth and an engine that turns back are not told by so few pulses")
-    elif wheel.even:
-        told.append(f"wheel {wheel}: an engine that turns back is not told, nor a tooth broken off from another wheel")
+        if not wheel.even:
+            told.append(f"wheel {wheel}: its place is proven from {place.proof_rpm(wheel):.0f} rpm on (ripple)")
+    if untested:
+        told.append(f"wheel {wheel}: not tested: {', '.join(untested)}")
     return tuple(told)
 
 
@@ -251,7 +254,6 @@ def _slack(c: Const, f: place.State, delay_us: float) -> float:
 @kernel
 def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs]) -> None:
     """Take an edge of the cam as what tells the place on a wheel of equal pitches, and its number of pulses."""
-    s.cam.quiet = 0
     f, teeth = s.fast, c.fast.teeth
     part = min(u.cam_delay / place.period(f), 1.0) if f.phase != place.SEARCHING else 0.5
     pulses = phase.count(s.phase, c.cam, u.cam_pulse + part)
@@ -274,6 +276,7 @@ def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs
 def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take CTW_CAM: an edge, so many microseconds after a pulse of the crank."""
     s.cam.counter = int(u.cam_counter)
+    s.cam.quiet = 0
     f = s.fast
     two = f.phase == place.TENTATIVE and f.rival.other != rival.NONE
     if s.counted == 0:
@@ -302,8 +305,7 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
             isolation.settle(f, c.fast, out, decided == 2)
         return
     if f.placed == place.BY_CAM and u.cam_delay > OVERDUE * place.period(f):
-        s.cam.quiet = 0  # the pulse before it may be one that was missed
-        return
+        return  # the pulse before it may be one that was missed
     slack = _slack(c, f, u.cam_delay)
     cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // c.fast.teeth, int(u.cam_level), slack, out)
     if f.placed == place.BY_CAM and s.cam.misfits >= CONTRADICTED:

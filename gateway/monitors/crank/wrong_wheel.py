@@ -11,7 +11,7 @@ pulse, and the monitor's other tests name the rest.
 from __future__ import annotations
 
 from gateway.fdi import wheel_seen
-from gateway.fdi.wheel import MOST_TEETH
+from gateway.fdi.wheel import MOST_GAPPED
 from gateway.jit import kernel
 from gateway.monitors.contract import report
 from gateway.monitors.crank import runout, waiting
@@ -23,7 +23,7 @@ TURNS, AGAIN = 6, 64
 #: Two pitches are the same within this, and two turns [pitch].
 EQUAL, SAME = 0.4, 0.75
 #: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
-MOST_WAIT = 8 * MOST_TEETH
+MOST_WAIT = 8 * MOST_GAPPED
 #: Teeth that may be missing of the configured wheel: one may be so by chance where all parts of the turn become equal,
 #: two are not (36-1 without a tooth at 120 and at 240 degrees would be what 12-1 shows at three times the speed).
 MOST_MISSING = 1

@@ -66,7 +66,7 @@ def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports
         taken = adaptive.regular(s, c, y, k, y.shape[0])
         for j in range(taken):
             teeth[k + j] = s.index - taken + 1 + j
-            proven[k + j] = True
+            proven[k + j] = s.placed > place.NOT_TOLD
         k += taken
         if k < y.shape[0]:
             out.n = 0
