@@ -36,7 +36,7 @@ from gateway.jit import Record, f8, f8s, i4, i4s, i8, kernel, zeros
 
 #: Turns in a row that have to be the same before a wheel is claimed.
 TURNS = 3
-#: Least pulses of a turn, and of one that takes so many turns, none of them uneven: in three pulses a ripple of that order
+#: Least pulses of a turn, and of one that takes so many turns, none uneven: in three pulses a ripple of that order
 #: looks like a gap for a while.
 LEAST_PULSES, FEWEST_PULSES, FEWEST_TURNS = 4, 3, 32
 #: Marks that are kept: of three turns, each pulse a mark.

@@ -44,7 +44,7 @@ from gateway.monitors.crank.place import (
 )
 
 #: Pulses missed in a row from which on it is loss of signal.
-LOSS = 3
+LOSS = wrong_wheel.LOSS
 #: Pulses within which missed (or added) ones are one disturbance, its count their sum.
 TOGETHER = 8
 #: Revolutions, and pulses beyond, without synchronisation after which the reason is named.

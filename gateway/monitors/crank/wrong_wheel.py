@@ -15,7 +15,7 @@ from gateway.fdi.wheel import MOST_GAPPED
 from gateway.jit import kernel
 from gateway.monitors.contract import report
 from gateway.monitors.crank import runout, waiting
-from gateway.monitors.crank.faults import ADDED, WRONG_WHEEL, Reports
+from gateway.monitors.crank.faults import ADDED, MISSED, PULSES_LOST, WRONG_WHEEL, Reports
 from gateway.monitors.crank.place import CONFIRMED, SEARCHING, Const, State, search
 
 #: Turns in a row that have to show another wheel, and after which it is told again.
@@ -27,6 +27,8 @@ MOST_WAIT = 8 * MOST_GAPPED
 #: Teeth that may be missing of the configured wheel: one may be so by chance where all parts of the turn become equal,
 #: two are not (36-1 without a tooth at 120 and at 240 degrees would be what 12-1 shows at three times the speed).
 MOST_MISSING = 1
+#: Teeth missing in a row from which on it is loss of signal.
+LOSS = 3
 #: A pitch from which on it is a gap, that a pulse can fill [pitch].
 LEAST_GAP = 1.3
 
@@ -133,6 +135,14 @@ def _tell_filled(s: State, c: Const, tooth: int, out: Reports) -> None:
 
 
 @kernel
+def _tell_broken(s: State, c: Const, out: Reports) -> None:
+    """Report teeth broken off a wheel of equal pitches, of so few that none of its turns is even enough to follow."""
+    missing = c.teeth - s.seen.pulses
+    e = report(out, MISSED if missing < LOSS else PULSES_LOST, True, s.seen.turns, TURNS).pulses
+    e.count, e.tooth, e.speed = missing, -1.0, 60e6 / (s.seen.pitch * c.turn)
+
+
+@kernel
 def _judge(s: State, c: Const, out: Reports) -> None:
     """Compare the wheel that is seen with the configured one, at the end of a turn."""
     s.filled = 0
@@ -149,7 +159,9 @@ def _judge(s: State, c: Const, out: Reports) -> None:
             s.looks = 0
         elif s.seen.turns >= TURNS and s.reversal.stood == 0:
             tooth = _filled(s, c)
-            if tooth >= 0:
+            if c.even == 1:
+                _tell_broken(s, c, out)
+            elif tooth >= 0:
                 s.filled = 1
                 _tell_filled(s, c, tooth, out)
         return

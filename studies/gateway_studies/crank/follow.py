@@ -64,9 +64,10 @@ def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports
     n = k = 0
     while k < y.shape[0]:
         taken = adaptive.regular(s, c, y, k, y.shape[0])
+        told = s.placed > place.NOT_TOLD
         for j in range(taken):
             teeth[k + j] = s.index - taken + 1 + j
-            proven[k + j] = s.placed > place.NOT_TOLD
+            proven[k + j] = told
         k += taken
         if k < y.shape[0]:
             out.n = 0

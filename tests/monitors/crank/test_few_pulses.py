@@ -201,3 +201,15 @@ def test_few_pulses_are_laid_out_over_whole_working_cycles(text, turns):
     wheel = Wheel.parse(text)
     assert wheel.tiles == turns
     assert wheel.laid_out.pitches == wheel.pitches * turns
+
+
+@pytest.mark.parametrize(("text", "followed"), [("6", False), ("9", False), ("12", True), ("60", True)])
+def test_a_tooth_broken_off_a_wheel_of_equal_pitches_is_a_missed_pulse_each_turn(text, followed):
+    """It is as well a wheel with a gap of two; as many pitches a turn as configured are no other wheel."""
+    wheel = Wheel.parse(text)
+    times = rippled(wheel, 1500, 60, np.random.default_rng(9), [(2.0, 0.02, 1.0)])
+    found = follower("adaptive", wheel)(times[np.arange(len(times)) % wheel.pulses != 2])
+    assert {FAULTS[k].name for k in found.fault} == {"missed_pulse"}
+    assert len(found.fault) > 40
+    assert set(found.tooth.tolist()) == {-1}
+    assert bool((found.teeth >= 0).mean() > 0.9) == followed
