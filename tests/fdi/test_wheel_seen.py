@@ -122,8 +122,16 @@ def test_equal_parts_are_seen_as_one():
     assert seen.wheel == "12-2"
 
 
-def test_a_pattern_of_three_pulses_is_no_wheel():
-    assert see(np.tile([1000.0, 1000.0, 2000.0], 100)) is None
+def test_a_pattern_of_three_pulses_is_a_wheel_after_many_even_turns():
+    assert see(np.tile([1000.0, 1000.0, 2000.0], 20)) is None
+    assert see(np.tile([1000.0, 1000.0, 2000.0], 100)).wheel == "4-1"
+    uneven = np.random.default_rng(5).normal(1.0, 0.1, (100, 3))
+    print("seed 5")
+    assert see((uneven * [1000.0, 1000.0, 2000.0]).ravel()) is None
+
+
+def test_a_pattern_of_two_pulses_is_no_wheel():
+    assert see(np.tile([1000.0, 2000.0], 100)) is None
 
 
 def test_it_is_sure_after_three_turns_and_not_when_pulses_were_lost():
