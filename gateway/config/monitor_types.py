@@ -6,7 +6,7 @@ from typing import Any
 
 from gateway.common.tomlfile import validate
 from gateway.config.model import MonitorConfig
-from gateway.errors import InputError, nearest
+from gateway.errors import InputError, InputErrors, nearest
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import made
 from gateway.monitors.contract import Family, Monitor, MonitorParams
@@ -43,7 +43,14 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], Monit
     try:
         return made(monitor, params, entry.folder), params
     except InputError as error:
-        if error.file is not None:  # of the model, or of the family itself
-            raise
-        own = ".".join(part for part in (key, error.key) if part) or None
-        raise InputError(error.message, key=own, value=error.value) from error
+        raise _placed(error, key) from error
+    except InputErrors as errors:
+        raise InputErrors([_placed(error, key) for error in errors.errors]) from errors
+
+
+def _placed(error: InputError, key: str) -> InputError:
+    """Return an error of a family with the whole path of its key, unless it is in a file of its own, as a model is."""
+    if error.file is not None:
+        return error
+    own = ".".join(part for part in (key, error.key) if part) or None
+    return InputError(error.message, key=own, value=error.value)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.fdi.structure.units import differ
 
 _PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 _SIZED = re.compile(r"\s*([0-9.eE+-]+)\s*(\S.*?)?\s*")
@@ -53,6 +55,17 @@ def _sized(value: Any) -> Sized:
 
 #: A size above 0 in TOML, "0.1 V" or 0.1.
 SizeText = Annotated[Sized, PlainValidator(_sized, json_schema_input_type=str | float), PlainSerializer(str)]
+
+
+def in_unit(unit: str) -> Callable[[Sized], Sized]:
+    """Return a validator that refuses a size in another unit; one without a unit is taken to be in this one."""
+
+    def checked(size: Sized) -> Sized:
+        if differ(size.unit, unit):
+            raise ValueError(f'its unit is "{unit}"')
+        return size
+
+    return checked
 
 
 class Accuracy(StrictModel):

@@ -22,12 +22,12 @@ def filled(low, high, rate=1e-9, groups=None):
     return c, s, b
 
 
-def feed(c, s, b, h, rest, variance=1.0, learning=True):
+def feed(c, s, b, h, rest, variance=1.0, mode=slow.LEARNS):
     wide = np.zeros(slow.MOST)
     wide[: len(h)] = h
     slow.wait(s, 0.01)
     if slow.add(b, wide, rest, variance):
-        slow.update(s, c, b, learning)
+        slow.update(s, c, b, mode)
 
 
 def test_blocks_are_those_of_a_kalman_filter():
@@ -84,7 +84,7 @@ def test_an_error_that_is_known_moves_by_its_rate_and_age_makes_a_test_doubt_by_
     for _ in range(2000 * slow.BLOCK):
         feed(c, s, b, [1.0], 0.0, 1e-4)
     for _ in range(10 * slow.BLOCK):
-        feed(c, s, b, [1.0], 0.9, 1e-4, learning=False)
+        feed(c, s, b, [1.0], 0.9, 1e-4, mode=slow.FOLLOWING)
     assert 0.0 < s.taken[0] < 0.1, "one second"
     one = np.zeros(slow.MOST)
     one[0] = 1.0
@@ -92,6 +92,20 @@ def test_an_error_that_is_known_moves_by_its_rate_and_age_makes_a_test_doubt_by_
     for _ in range(100):
         slow.age(s, c, 1.0)
     assert slow.GUARD * slow.doubt(s, c, one) - before == pytest.approx(0.1, rel=1e-6)
+
+
+def test_an_error_that_is_held_moves_by_its_rate_and_becomes_no_surer():
+    c, s, _ = filled([-1.0, -1.0], [1.0, 1.0], rate=1e-3)
+    h = np.zeros(slow.MOST)
+    h[:2] = [1.0, -2.0]
+    for k in range(1, 6):
+        slow.wait(s, 0.5)
+        slow.measure(s, c, h, 5.0, 0.01, slow.HELD)
+        assert list(s.error[:2]) == pytest.approx([5e-4 * k, -5e-4 * k])
+        assert list(s.taken[:2]) == pytest.approx(s.error[:2])
+    assert list(np.diag(s.p)[:2]) == pytest.approx([1.0, 1.0])
+    slow.measure(s, c, h, 5.0, 0.01, slow.LEARNS)
+    assert abs(s.error[1]) > 0.5, "and is found at once when it is let go"
 
 
 def moved(n, rng):

@@ -9,9 +9,10 @@ b; h, shape (n,), is what each adds to the equation, in the equation's unit by t
 
     e(t + dt) = e(t) + w,    var w_k = dt rate_k WALK (high_k - low_k)
 
-so that a walk spans the bound in the time that the rate allows for it. ``add`` takes a set into a block, ``update`` a
-block into the filter: rest and h are linear in e, so the mean of a block holds the mean of its equations, and a block
-of B sets costs a B-th. Noise of a mean of B is sqrt(B) smaller; COLOURED times that is taken, as not all is white.
+so that a walk spans the bound in the time that the rate allows for it. :func:`measure` takes a set. Where there are
+many, :func:`add` takes them into a block, :func:`update` a block into the filter: rest and h are linear in e, so the
+mean of a block holds the mean of its equations, and a block of B sets costs a B-th. Noise of a mean of B is sqrt(B)
+smaller; COLOURED times that is taken, as not all is white.
 
 What is found is ``error``, without bounds; what a monitor takes is ``taken``. It is the most likely e within the bounds
 (:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
@@ -21,8 +22,10 @@ What is found is ``error``, without bounds; what a monitor takes is ``taken``. I
 so what lies a little beyond the bounds is left, and tests see it. What lies beyond its bound for sure is a fault: it is
 not taken at all, nor are those of its group; others do not take it up, and tests see it whole.
 
-Once the filter knows, ``taken`` changes by its rate at most, and by LEARNS times what is known better than before: a
-fault that comes at once is there long before it is followed. ``error`` does not run away from ``taken`` meanwhile.
+``taken`` is what is found while the filter LEARNS. While it is FOLLOWING, ``taken`` changes by its rate at most, and by
+BETTER times what is known better than before: a fault that comes at once is there long before it is followed.
+``error`` does not run away from ``taken`` meanwhile. While it is HELD, because the set may have a fault, ``error`` as
+well moves by its rate at most, and nothing becomes surer.
 Several equations share one filter: what a sensor's gain does in one it does in the other, and what no equation tells
 apart is left as P has it: in what they leave it cancels.
 
@@ -38,15 +41,17 @@ from typing import Annotated
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 
 #: Most errors of a filter.
-MOST = 12
+MOST = 24
 #: Sets of a block.
 BLOCK = 10
 #: Of the standard deviation of an equation's noise: what is not white in it.
 COLOURED = 3.0
 #: Share of a walk: the rate is what happens at most, not always.
 WALK = 0.1
-#: Of the standard deviation that a block takes away, what an error may move by.
-LEARNS = 2.0
+#: What is done with what is found.
+LEARNS, FOLLOWING, HELD = range(3)
+#: Of the standard deviation that a set takes away, what an error may move by.
+BETTER = 2.0
 #: Standard deviations of what is not known by which a residual counts less.
 GUARD = 2.0
 #: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
@@ -116,8 +121,7 @@ def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
         rest: what the equation leaves.
         variance: of its noise.
     """
-    for k in range(MOST):
-        b.h[k] += h[k]
+    b.h += h
     b.rest += rest
     b.variance += variance
     b.sets += 1
@@ -192,44 +196,64 @@ def age(s: State, c: Const, dt: float) -> None:
 
 
 @kernel
-def update(s: State, c: Const, b: Block, learning: bool) -> None:
+def update(s: State, c: Const, b: Block, mode: int) -> None:
     """Take a block, and forget it.
 
     Args:
         s: record of State.
         c: record of Const.
         b: the block.
-        learning: what is found is taken as it is, within the bounds.
+        mode: LEARNS, FOLLOWING or HELD.
     """
-    n = c.count
-    for k in range(n):
-        s.passed[k] = 0.0
-        if b.h[k] != 0.0:
-            s.passed[k] = _walk(s, c, k)
-        s.before[k] = sqrt(max(s.p[k, k], 0.0))
     sets = float(b.sets)
-    left = b.rest / sets
-    size = COLOURED * COLOURED * b.variance / (sets * sets)
+    for k in range(c.count):
+        b.h[k] /= sets
+    measure(s, c, b.h, b.rest / sets, COLOURED * COLOURED * b.variance / (sets * sets), mode)
+    drop(b)
+
+
+@kernel
+def measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
+    """Take an equation's rest.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        h: sensitivities, shape (MOST,).
+        rest: what the equation leaves.
+        variance: of its noise.
+        mode: LEARNS, FOLLOWING or HELD.
+    """
+    n, left, size = c.count, rest, variance
+    for k in range(n):
+        s.passed[k] = _walk(s, c, k) if h[k] != 0.0 else 0.0
+        s.before[k] = sqrt(max(s.p[k, k], 0.0))
     for j in range(n):
         total = 0.0
         for k in range(n):
-            total += s.p[j, k] * b.h[k]
-        s.gain[j] = total / sets
-        left -= b.h[j] / sets * s.error[j]
-        size += b.h[j] / sets * s.gain[j]
-    drop(b)
+            total += s.p[j, k] * h[k]
+        s.gain[j] = total
+        left -= h[j] * s.error[j]
+        size += h[j] * total
+    if not size > 0.0:
+        return
     for j in range(n):
-        s.error[j] += s.gain[j] * left / size
+        step = s.gain[j] * left / size
+        if mode == HELD:
+            most = c.rate[j] * s.passed[j]
+            s.error[j] += min(max(step, -most), most)
+            continue
+        s.error[j] += step
         for k in range(j, n):
             s.p[j, k] -= s.gain[j] * s.gain[k] / size
             s.p[k, j] = s.p[j, k]
-    _within(s, c, learning)
+    _within(s, c, mode == LEARNS)
     for k in range(n):
-        if learning:
+        if mode == LEARNS:
             s.taken[k] = s.wanted[k]
             continue
         now = sqrt(max(s.p[k, k], 0.0))
-        step = c.rate[k] * s.passed[k] + LEARNS * max(s.before[k] - now, 0.0)
+        step = c.rate[k] * s.passed[k] + BETTER * max(s.before[k] - now, 0.0)
         s.taken[k] += min(max(s.wanted[k] - s.taken[k], -step), step)
         # What it may not follow is none of these errors: it does not run away from what the tests take.
         lead = LEAD * c.rate[k] * s.passed[k] + GUARD * now
@@ -248,15 +272,6 @@ def doubt(s: State, c: Const, h: f8s) -> float:
             row += s.p[j, k] * h[k]
         total += 2.0 * h[j] * row
     return sqrt(max(total, 0.0))
-
-
-@kernel
-def known(s: State, c: Const, h: f8s, share: float) -> bool:
-    """Tell whether the errors add less to an equation than this share of what they did beforehand."""
-    before = 0.0
-    for k in range(c.count):
-        before += h[k] * h[k] * c.prior[k] * c.prior[k]
-    return bool(doubt(s, c, h) <= share * sqrt(before))
 
 
 @kernel

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from gateway.common.tomlfile import StrictModel
 from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+from gateway.fdi.structure.units import differ
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 from gateway.monitors import contract
 from gateway.monitors.accuracy import Accuracy
@@ -120,7 +121,7 @@ class Output(StrictModel):
     @model_validator(mode="after")
     def _has_its_unit(self) -> Self:
         bias = None if self.accuracy is None else self.accuracy.bias
-        if bias is not None and self.unit and bias.unit and bias.unit != self.unit:
+        if bias is not None and differ(bias.unit, self.unit or ""):
             raise ValueError(f'accuracy.bias = "{bias}": its unit is "{self.unit}"')
         return self
 

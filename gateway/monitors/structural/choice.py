@@ -50,7 +50,6 @@ def choose(model: Model, p: Params) -> Plan:
         InputError: a test that is not there or cannot be computed; a fault that no test sees; too many of them.
     """
     need("structure", "monitors made from a structural model", key="type")
-    _known_names(model, p)
     progress.say(f"{model.name}: tests are chosen and their code is written; the next start finds it")
     chosen = tuple(_auto(model, p) if p.tests == "auto" else _named(model, p))
     if not chosen:
@@ -92,19 +91,6 @@ def _meters(model: Model, p: Params, tests: Sequence[Test], faults: Sequence[str
         if found:
             best = min(found, key=lambda one: (bool(one.differentiated), bool(one.guessed)))
             yield replace(best, name=f"size of {fault}")
-
-
-def _known_names(model: Model, p: Params) -> None:
-    for key, names, known in (
-        ("unseen", p.unseen, model.faults),
-        ("parameters", p.parameters, model.parameters),
-        ("start", p.start, model.states),
-    ):
-        for name in names:
-            if name not in known:
-                what = "state" if key == "start" else key.removesuffix("s") if key == "parameters" else "fault"
-                text = f"the model has no such {what}{nearest(name, known)}"
-                raise InputError(text, key=key if key == "unseen" else f"{key}.{name}", value=name)
 
 
 def _named(model: Model, p: Params) -> Iterator[Test]:

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.errors import InputError, nearest
-from gateway.fdi.slow.shares import prepare as prepare_slow
+from gateway.errors import Gathered, InputError
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway.fdi.structure.generator.sources import load_source
@@ -131,15 +130,18 @@ class _Made:
     ) -> dict[str, PartParams]:
         assert isinstance(p, Params)
         needed = self._needed(p)
-        connected = tuple(z for z in self.model.knowns if self._found(z, find, needed=z in needed))
-        names = names_of(self.plan)
+        names, wrong = names_of(self.plan), Gathered()
+        connected = []
+        for z in self.model.knowns:
+            with wrong:
+                connected += [z] if self._found(z, find, needed=z in needed) else []
         for name in p.codes:
-            if name not in names:
-                text = f"the faults and groups are {', '.join(names)}{nearest(name, names)}"
-                raise InputError(text, key=f"codes.{name}", value=name)
+            with wrong:
+                uncertain.check_name(name, names, "faults and groups", f"codes.{name}")
+        wrong.check()
         own = {f"{self.model.name}.{name}": name for name in names if name not in p.codes}
         given = {own[name]: code for name, code in give(own).items()}
-        return {"": PartParams(**p.model_dump(exclude_unset=True), connected=connected, given=p.codes | given)}
+        return {"": PartParams(**p.model_dump(exclude_unset=True), connected=tuple(connected), given=p.codes | given)}
 
     def _needed(self, p: Params) -> set[str]:
         program = _condition(self.model, p)
@@ -228,14 +230,13 @@ class _Made:
 
     def _fill_slow(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what follows all that may be off, and the models that it moves."""
-        prepare_slow(c.follow.slow, len(self.slow), p.drift_s)
-        c.follow.bound[: len(self.slow)] = [one.bound for one in self.slow]
+        following.prepare(s.follow, c.follow, [one.bound for one in self.slow], p.drift_s)
         for k, (test, field) in enumerate(zip(self.plan.generators, source.fields_of(self.plan), strict=True)):
             models = [s[f"model_{k}"]]
             if k < len(self.plan.tests):
                 fitted = filters.bandwidths(test, p)
                 apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
-                following.prepare(c.follow, k, p.nu.get(test.name, math.inf), apart_s)
+                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s)
                 near = uncertain.neighbours(self.slow, test)
                 models += [s[f"near_{k}"][i] for i in range(len(near))]
                 if near:
@@ -297,6 +298,8 @@ def _condition(model: Model, p: Params) -> Program | None:
     return program
 
 
+#: What the names of a parameter of the monitor are.
+_NAMED = {"parameters": "parameters", "start": "states", "unseen": "faults", "noise": "known variables"}
 #: Monitors by the names of their plans, and what may be off: the same one for the same model.
 _MONITORS: dict[tuple[str, tuple[uncertain.Slow, ...]], _Made] = {}
 
@@ -316,8 +319,22 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
         "start": sorted(p.start.items()), "sizes": p.sizes,
     }  # fmt: skip
     key = kept.key_of(path.read_bytes(), asked)
-    _condition(model, p)
-    slow = uncertain.slow_of(model, p)
+    wrong = Gathered()
+    slow: tuple[uncertain.Slow, ...] = ()
+    with wrong:
+        _condition(model, p)
+    with wrong:
+        slow = uncertain.slow_of(model, p)
+    for field, names, known in (
+        ("parameters", p.parameters, model.parameters),
+        ("start", p.start, model.states),
+        ("unseen", p.unseen, model.faults),
+        ("noise", p.noise, model.knowns),
+    ):
+        for name in names:
+            with wrong:
+                uncertain.check_name(name, known, _NAMED[field], field if field == "unseen" else f"{field}.{name}")
+    wrong.check()
     if (key, slow) not in _MONITORS:
         plan = kept.read(key)
         if plan is None:
@@ -328,39 +345,37 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
         _MONITORS[key, slow] = _Made(model, plan, slow)
     made_of = _MONITORS[key, slow]
     monitor = made_of.monitor
-    _check_names(monitor, p, model)
-    modes.refuse_diverging(model, made_of.plan, p)
+    with wrong:
+        _check_tests(monitor, p)
+    with wrong:
+        modes.refuse_diverging(model, made_of.plan, p)
+    wrong.check()
     return monitor
 
 
-def _check_names(monitor: Monitor[Params], p: Params, model: Model) -> None:
+def _check_tests(monitor: Monitor[Params], p: Params) -> None:
+    """Raise InputError or InputErrors if there is no such test, or another one of its name than nu was found for."""
     calibration = monitor.capability(CusumCalibration)
     assert calibration is not None
-    tests = [name for name, _ in calibration.quantities]
-    for key, names, known in (
-        ("digests", p.digests, tests),
-        ("nu", p.nu, tests),
-        ("thresholds", p.thresholds, tests),
-        ("parameters", p.parameters, model.parameters),
-        ("noise", p.noise, model.knowns),
-    ):
-        for name in names:
-            if name not in known:
-                what = {"parameters": "parameters", "noise": "known variables"}.get(key, "tests")
-                text = f"the {what} are {', '.join(known)}{nearest(name, known)}"
-                if what == "tests" and p.digests:
-                    text += "; the model, or which tests are chosen, has changed since: gateway calibrate --write"
-                raise InputError(text, key=f"{key}.{name}", value=name)
     assert calibration.digests is not None
+    tests = [name for name, _ in calibration.quantities]
+    more = "; the model, or which tests are chosen, has changed since: gateway calibrate --write" if p.digests else ""
+    wrong = Gathered()
+    for key, names in (("digests", p.digests), ("nu", p.nu), ("thresholds", p.thresholds)):
+        for name in names:
+            with wrong:
+                uncertain.check_name(name, tests, "tests", f"{key}.{name}", more)
     now = calibration.digests(p)
     for name, digest in p.digests.items():
-        if digest != now[name] and (name in p.nu or name in p.thresholds):
+        if name in now and digest != now[name] and (name in p.nu or name in p.thresholds):
             text = (
                 f"nu and thresholds are of another test of this name, this one is {now[name]}: its equations,"
                 " causality, filter, decision or what is uncertain have changed since; gateway calibrate --write finds"
                 " new ones"
             )
-            raise InputError(text, key=f"digests.{name}", value=digest)
+            with wrong:
+                raise InputError(text, key=f"digests.{name}", value=digest)
+    wrong.check()
 
 
 FAMILY = Family(type=TYPE, api=API, params=Params, made=made)

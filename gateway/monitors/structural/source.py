@@ -79,7 +79,7 @@ def _readings(slow: Sequence[Slow], knowns: Sequence[str], rates: Sequence[str])
 
         def amount(kind: str) -> str:
             j = off[kind, z]
-            return f"c.follow.bound[{j}] * (s.follow.slow.point[{j}]{f' + {STEP!r}' if j == beside else ''})"
+            return f"c.follow.bound[{j}] * (s.follow.point[{j}]{f' + {STEP!r}' if j == beside else ''})"
 
         text = f"s.own.taken[{place[z]}]"
         if ("bias", z) in off:
@@ -115,7 +115,7 @@ def _carried(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
             f"{pad}a = 0.0",
             f"{pad}for i in range({count}):",
             f"{pad}    b = s.beside_{k}[i].{name}{at} - s.{g}.{name}{at}",
-            f"{pad}    a += {1.0 / STEP!r} * b * s.follow.slow.step[c.acts_{k}[i]]",
+            f"{pad}    a += {1.0 / STEP!r} * b * s.follow.step[c.acts_{k}[i]]",
             f"{pad}if isfinite(a):",
             f"{pad}    s.{g}.{name}{at} += a",
             f"{pad}    for i in range({count}):",
@@ -134,7 +134,7 @@ def _moved(plan: Plan, slow: Sequence[Slow]) -> list[str]:
         for j in (j for j in neighbours(slow, generator) if slow[j].kind == "parameter"):
             name = field_name(slow[j].name)
             lines.append(f"b = c.{g}.{name} * c.follow.bound[{j}]")
-            lines.append(f"s.model_{k}.{name} = c.{g}.{name} + b * s.follow.slow.point[{j}]")
+            lines.append(f"s.model_{k}.{name} = c.{g}.{name} + b * s.follow.point[{j}]")
             if counts[k]:
                 lines += [
                     f"for i in range({counts[k]}):",
@@ -150,7 +150,7 @@ def _moved(plan: Plan, slow: Sequence[Slow]) -> list[str]:
 def _corrected(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
     """Return the lines that correct a test's residual ``r`` by what is known of what may be off."""
     count = _counts(plan, slow)[k]
-    lines = [f"for j in range({len(slow)}):", "    s.follow.slow.gain[j] = 0.0"]
+    lines = [f"for j in range({len(slow)}):", "    s.follow.h[j] = 0.0"]
     if count:
         lines += [
             f"for i in range({count}):",
@@ -158,7 +158,7 @@ def _corrected(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
             "    if not isfinite(b):",
             f"        m{k}.start(s.beside_{k}[i], s.near_{k}[i], s.read[c.acts_{k}[i]])",
             "    elif isfinite(r):",
-            f"        s.follow.slow.gain[c.acts_{k}[i]] = (b - r) * {1.0 / STEP!r}",
+            f"        s.follow.h[c.acts_{k}[i]] = (r - b) * {1.0 / STEP!r}",
         ]
     return [*lines, f"s.own.residual[{k}] = following.correct(s.follow, c.follow, s.own, c.own, {k}, r)"]
 
@@ -262,7 +262,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *(f"        {line}" for line in _residuals(plan, slow)),
             "        decision.decide(s.own, c.own, out)",
             *(f"        s.{name} = s.own.sizes[{j}]" for j, name in enumerate(sizes_of(plan))),
-            *(f"        s.{one.field} = c.follow.bound[{j}] * s.follow.slow.share[{j}]" for j, one in enumerate(slow)),
+            *(f"        s.{one.field} = c.follow.bound[{j}] * s.follow.slow.taken[{j}]" for j, one in enumerate(slow)),
             "        what = sampling.again(s.own, c.own, u)",
             *(f"    s.{name} = s.own.{field}" for name, field in COUNTS.items()),
             "",

@@ -1,6 +1,6 @@
 """What may be off of a model: its parameters, and the gain and bias of each sensor.
 
-Each of these is a slow state (:mod:`gateway.fdi.slow.shares`), a share of its bound. A residual's sensitivity to it is
+Each of these is a slow state (:mod:`gateway.fdi.slow.filter`), a share of its bound. A residual's sensitivity to it is
 taken from the generator's own code: beside the generator runs one whose parameter is off by :data:`STEP` of its bound,
 or whose sensor's reading is corrected by as much, and the difference of their residuals over :data:`STEP` is the
 sensitivity. So it holds for any model that a generator can be written for, and along the drive, states and filters
@@ -10,11 +10,11 @@ with it.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from gateway.errors import InputError, nearest
-from gateway.fdi.slow.shares import MOST_SLOW
+from gateway.errors import Gathered, InputError, nearest
+from gateway.fdi.slow.filter import MOST as MOST_SLOW
 from gateway.fdi.structure.generator.records import field_name
 from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known
@@ -55,30 +55,44 @@ def slow_of(model: Model, p: Params) -> tuple[Slow, ...]:
     """Return the slow states that a configuration asks for.
 
     Raises:
-        InputError: a name that the model does not have, a bias in another unit, or too many of them.
+        InputError, InputErrors: names that the model does not have, a bias in another unit, or too many of them.
     """
-    found = []
+    found: list[Slow] = []
+    wrong = Gathered()
     for name, share in p.uncertain.items():
-        if name not in model.parameters:
-            text = f"the parameters are {', '.join(model.parameters)}{nearest(name, model.parameters)}"
-            raise InputError(text, key=f"uncertain.{name}", value=name)
-        found.append(Slow("parameter", name, share))
+        with wrong:
+            check_name(name, model.parameters, "parameters", f"uncertain.{name}")
+            found.append(Slow("parameter", name, share))
     for name, sensor in p.sensors.items():
-        if name not in model.knowns:
-            text = f"the known variables are {', '.join(model.knowns)}{nearest(name, model.knowns)}"
-            raise InputError(text, key=f"sensors.{name}", value=name)
-        unit = model.quantities.get(name, Known()).unit
-        if sensor.bias is not None and differ(sensor.bias.unit, unit):
-            text = f'{name} of the model is in "{unit}"'
-            raise InputError(text, key=f"sensors.{name}.bias", value=str(sensor.bias))
-        if sensor.gain:
-            found.append(Slow("gain", name, sensor.gain))
-        if sensor.bias is not None and sensor.bias.value:
-            found.append(Slow("bias", name, sensor.bias.value))
+        with wrong:
+            check_name(name, model.knowns, "known variables", f"sensors.{name}")
+            if sensor.gain:
+                found.append(Slow("gain", name, sensor.gain))
+            if sensor.bias is not None:
+                unit = model.quantities.get(name, Known()).unit
+                if differ(sensor.bias.unit, unit):
+                    text = f'{name} of the model is in "{unit}"'
+                    raise InputError(text, key=f"sensors.{name}.bias", value=str(sensor.bias))
+                found.append(Slow("bias", name, sensor.bias.value))
+    wrong.check()
     if len(found) > MOST_SLOW:
         text = f"{len(found)} parameters, gains and biases that may be off: a monitor has room for {MOST_SLOW}"
         raise InputError(text, key="uncertain")
     return tuple(found)
+
+
+def check_name(name: str, known: Sequence[str] | Mapping[str, object], what: str, key: str, more: str = "") -> None:
+    """Raise InputError if a name is none of these.
+
+    Args:
+        name: as the configuration has it.
+        known: all that there are.
+        what: these are.
+        key: of the configuration.
+        more: what else is to be said.
+    """
+    if name not in known:
+        raise InputError(f"the {what} are {', '.join(known)}{nearest(name, known)}{more}", key=key, value=name)
 
 
 def acts_on(slow: Slow, test: Test) -> bool:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from gateway.common.tomlfile import StrictModel
+from gateway.monitors.accuracy import Accuracy, Share, Sized, SizeText, in_unit
 from gateway.monitors.contract import MonitorParams
 
 #: Test quantities by their place: name, residual, condition of excitation ("" for static tests).
@@ -133,19 +134,30 @@ class Following(StrictModel):
     )
 
 
-class Sensor(StrictModel):
-    """Accuracy of a sensor, of its data sheet: largest errors over warmth and life."""
+#: A sensor's gain: what is followed is followed to first order.
+Gain = Annotated[Share, Field(lt=0.2, description='of its reading, as "0.5 %"')]
 
-    gain: float = Field(ge=0, lt=0.2, description="relative")
-    bias: float = Field(ge=0, description="in the sensor's unit")
+
+class Voltmeter(Accuracy):
+    """Accuracy of a voltage sensor, of its data sheet: largest errors over warmth and life."""
+
+    gain: Gain = 0.005
+    bias: Annotated[SizeText, AfterValidator(in_unit("V"))] = Field(Sized(0.5, "V"), description='as "0.5 V"')
+
+
+class Ammeter(Accuracy):
+    """Likewise of a current sensor."""
+
+    gain: Gain = 0.005
+    bias: Annotated[SizeText, AfterValidator(in_unit("A"))] = Field(Sized(1.0, "A"), description='as "1 A"')
 
 
 class Sensors(StrictModel):
     """Accuracy of the electric sensors: what is within it is followed, and is no fault."""
 
-    U_em: Sensor = Field(Sensor(gain=0.005, bias=0.5), description="voltage of the machine, bias [V]")
-    I_em: Sensor = Field(Sensor(gain=0.005, bias=1.0), description="current of the machine, bias [A]")
-    I_b: Sensor = Field(Sensor(gain=0.005, bias=1.0), description="current of the battery, bias [A]")
+    U_em: Voltmeter = Field(Voltmeter(), description="voltage of the machine")
+    I_em: Ammeter = Field(Ammeter(), description="current of the machine")
+    I_b: Ammeter = Field(Ammeter(), description="current of the battery")
     over_s: float = Field(1000.0, gt=0, description="in which an error may come up, of use [s]")
 
 

@@ -248,11 +248,11 @@ def _prepare_following(p: Params, s: State, c: Const) -> None:
     sensors = p.sensors
     for k, most in (
         (U_GAIN, sensors.U_em.gain),
-        (U_BIAS, sensors.U_em.bias),
+        (U_BIAS, sensors.U_em.bias.value),
         (I_GAIN, sensors.I_em.gain),
-        (I_BIAS, sensors.I_em.bias),
+        (I_BIAS, sensors.I_em.bias.value),
         (B_GAIN, sensors.I_b.gain),
-        (B_BIAS, sensors.I_b.bias),
+        (B_BIAS, sensors.I_b.bias.value),
     ):
         # A data sheet has the largest error: two standard deviations.
         e.low[k], e.high[k], e.rate[k], e.prior[k] = -most, most, most / sensors.over_s, 0.5 * most

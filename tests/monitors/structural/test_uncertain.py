@@ -10,8 +10,7 @@ from structural_config import named
 
 from gateway.config.load import load_config
 from gateway.errors import InputErrors
-from gateway.fdi.slow import shares as slow
-from gateway.jit import COMPILED, zeros
+from gateway.jit import COMPILED
 from gateway.runtime.app import Gateway
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
@@ -139,39 +138,31 @@ def test_check_warns_of_an_oscillation_that_cannot_be_followed(tmp_path):
     assert any("oscillation runs" in line and "rad away" in line for line in told)
 
 
-def test_the_filter_is_the_kalman_filter_of_its_equations():
-    """Against the textbook's form with matrices, on random measurements; seed printed."""
-    seed = 31
-    print("seed", seed)
-    rng = np.random.default_rng(seed)
-    s, c = zeros(1, slow.State)[0], zeros(1, slow.Const)[0]
-    slow.prepare(c, 3, 100.0)
-    slow.begin(s, c)
-    x, p = np.zeros(3), np.eye(3) / 3
-    for _ in range(50):
-        slow.grow(s, c, 0.1)
-        p += np.diag(np.where(np.diag(p) < 1 / 3, np.minimum(0.1 / 300, 1 / 3 - np.diag(p)), 0))
-        g, residual = rng.normal(size=3), rng.normal() * 0.1
-        s["gain"][:3] = g
-        corrected = slow.correct(s, c, residual)
-        assert corrected == pytest.approx(residual + g @ x)
-        assert s["fitted"] == pytest.approx(g @ p @ g)
-        slow.take(s, c, corrected, 0.5, -1.0)
-        gain = p @ g / (g @ p @ g + 0.5)
-        x = np.clip(x - gain * (residual + g @ x), -1, 1)
-        p = p - np.outer(gain, g @ p)
-        np.testing.assert_allclose(s["share"][:3], x, atol=1e-12)
-        np.testing.assert_allclose(s["covariance"][:3, :3], p, atol=1e-12)
-
-
-def test_a_share_that_is_held_back_moves_no_faster_and_nothing_becomes_surer():
-    s, c = zeros(1, slow.State)[0], zeros(1, slow.Const)[0]
-    slow.prepare(c, 2, 100.0)
-    slow.begin(s, c)
-    s["gain"][:2] = (1.0, -2.0)
-    slow.take(s, c, slow.correct(s, c, 5.0), 0.01, 1e-3)
-    np.testing.assert_allclose(s["share"][:2], (-1e-3, 1e-3))
-    np.testing.assert_allclose(np.diag(s["covariance"][:2, :2]), 1 / 3)
-    for _ in range(1000):
-        slow.take(s, c, slow.correct(s, c, 5.0), 0.01, -1.0)
-    assert np.abs(s["share"][:2]).max() <= 1.0
+def test_each_mistake_is_told_at_once(tmp_path):
+    lines = (
+        'uncertain = { q = 0.1, R = 0.2, r = "5 %" }\nsensors = { x = { gain = 0.1 }, i = { bias = "1 V" } }\n'
+        'parameters = { K = 1.0 }\nunseen = ["f_q"]\nnoise = { I = 0.1 }\nactive = "q > 1"\n'
+    )
+    plant = replace(MOTOR, options="start = { J = 1.0 }\n", model=MOTOR.model.replace("i = {}", 'i = { unit = "A" }'))
+    with pytest.raises(InputErrors) as told:
+        load_config(configuration(plant, tmp_path, lines))
+    keys = [
+        "active",
+        "uncertain.q",
+        "uncertain.r",
+        "sensors.x",
+        "sensors.i.bias",
+        "parameters.K",
+        "start.J",
+        "unseen",
+        "noise.I",
+    ]
+    assert [error.key for error in told.value.errors] == [f"monitor[0].{key}" for key in keys]
+    lines = "nu = { e3 = 1.0, e77 = 1.0 }\nthresholds = { e78 = 2.0 }\n"
+    with pytest.raises(InputErrors) as told:
+        load_config(configuration(MOTOR, tmp_path, lines))
+    assert [error.key for error in told.value.errors] == ["monitor[0].nu.e77", "monitor[0].thresholds.e78"]
+    config = configuration(MOTOR, tmp_path, 'codes = { f_q = "P1234", f_r = "P1235" }\n')
+    with pytest.raises(InputErrors) as told:
+        Gateway(load_config(config), None, file=config)
+    assert [error.key for error in told.value.errors] == ["monitor[0].codes.f_q", "monitor[0].codes.f_r"]

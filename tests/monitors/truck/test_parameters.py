@@ -44,3 +44,31 @@ def test_the_shipped_configuration_follows_warmth_and_age():
     told = Params.model_validate({key: value for key, value in table.items() if key in Params.model_fields})
     assert told.followed is not None
     assert told.observer == Params().observer
+
+
+def test_the_accuracy_of_a_sensor_is_as_its_data_sheet_says_it():
+    told = Params.model_validate({"sensors": {"U_em": {"gain": "1 %", "bias": "2 V"}, "I_b": {"bias": 0.25}}}).sensors
+    assert (told.U_em.gain, told.U_em.bias.value) == (0.01, 2.0)
+    assert (told.I_b.gain, told.I_b.bias.value) == (0.005, 0.25), "what is left out keeps its default"
+    assert told.I_em == Params().sensors.I_em
+
+
+def test_each_wrong_accuracy_is_told_at_once_with_its_key(tmp_path):
+    text = shipped("configs/truck.toml").read_text().replace("../dbc", str(shipped("dbc")))
+    path = tmp_path / "truck.toml"
+    asked = (
+        'sensors = { U_em = { gain = "30 %", bias = "1 A" }, I_em = { bias = "1 V", offset = 1 }, I_c = {} }\n'
+        "setle_s = 1\nfollow = { resistence = { low = -0.1, high = 0.1, rate = 1e-3 } }\n"
+    )
+    path.write_text("\n".join(asked if line.startswith("sensors") else line for line in text.splitlines()))
+    with pytest.raises(InputErrors) as told:
+        load_config(path)
+    keys = {error.key for error in told.value.errors}
+    assert keys == {
+        f"monitor[0].{key}"
+        for key in (
+            "sensors.U_em.gain", "sensors.U_em.bias", "sensors.I_em.bias", "sensors.I_em.offset", "sensors.I_c",
+            "setle_s", "follow.resistence",
+        )
+    }  # fmt: skip
+    assert 'its unit is "V"' in str(told.value)

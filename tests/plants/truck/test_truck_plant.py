@@ -80,11 +80,14 @@ def test_sensors_as_bought_on_a_cold_truck_accuse_nobody(tmp_path):
 
 def test_sensors_of_no_error_leave_a_battery_at_the_edge_to_the_tests(tmp_path):
     """Without bounds for the sensors the same drives accuse the battery: the key does it."""
-    told = "sensors = " + "{ " + ", ".join(f"{k} = {{ gain = 0.0, bias = 0.0 }}" for k in AS_BOUGHT) + " }"
+    exact, bought = (
+        "sensors = { " + ", ".join(f'{k} = {{ gain = "{gain}", bias = {bias} }}' for k in AS_BOUGHT) + " }"
+        for gain, bias in (("1e-7 %", 1e-9), ("2 %", 3.0))
+    )
     worse = {"I_b": (2.0, 0.02), "U_em": (-0.6, -0.01), "I_em": (-2.0, -0.02)}
     accused = [
         {fault for _, fault, now in watched(tmp_path, "motorway", 500.0, SEEDS + 520, COLD, (), extra, worse)[0] if now}
-        for extra in (told, told.replace("gain = 0.0, bias = 0.0", "gain = 0.02, bias = 3.0"))
+        for extra in (exact, bought)
     ]
     assert accused[0]
     assert accused[1] == set()
