@@ -9,14 +9,13 @@ import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from gateway.learn.claims import Claim, fitting, proven
+from gateway.learn.claims import Claim, called_checksum, fitting, proven
 from gateway.learn.counters import CounterFound, signal_of
 from gateway.learn.crcs import crcs
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.crc import KNOWN
-from gateway.signals.protection.params import CHECKSUMS
 from gateway.signals.protection.rules import RULES
 
 Keys = dict[str, Any]
@@ -29,11 +28,6 @@ LEAST_BITS, LEAST_BITS_UNNAMED, MOST_BITS = 4, 8, 64
 MOST_UNNAMED = 8
 #: A field that is not called a checksum is taken for one if so many bytes beside it and the counter change.
 LEAST_BYTES = 2
-
-
-def called_checksum(name: str) -> bool:
-    """Tell whether a signal is called as checksums are."""
-    return name.upper().rstrip("0123456789_").endswith(CHECKSUMS)
 
 
 def candidates(message: Message, frames: Payloads, counter: CounterFound | None) -> list[Signal]:

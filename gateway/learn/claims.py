@@ -8,17 +8,22 @@ from typing import Any
 
 import numpy as np
 from cantools.database.can import Message
+from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from gateway.errors import InputError
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import mask_of
-from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.payloads import bits_of
+from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 
-#: Evidence that a claim needs beyond what was free to be chosen [bit]: chance claims one in 10^12.
-LEAST_EVIDENCE = 40
-#: Least frames that a claim is proven on, none of which it was found with.
-LEAST_PROOF = 16
+#: Chance explains what is claimed with a probability below one in 10^9: so many bits beyond what was free to be chosen.
+LEAST_EVIDENCE = 9.0 / np.log10(2.0)
+#: Frames whose bits are turned, one at a time, to see what a rule covers.
+TURNED = 4
+#: Share of the pairs that must be right: the bus may have disturbed a frame that the recorder kept.
+RIGHT = 0.99
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,11 @@ class Claim:
     note: str = ""
 
 
+def called_checksum(name: str) -> bool:
+    """Tell whether a signal is called as checksums are."""
+    return name.upper().rstrip("0123456789_").endswith(CHECKSUMS)
+
+
 def fitting(message: Message, keys: Mapping[str, Any]) -> Protection | None:
     """Return the protection of keys of [[bus.check]], None where they do not fit the message."""
     try:
@@ -48,16 +58,68 @@ def fitting(message: Message, keys: Mapping[str, Any]) -> Protection | None:
         return None
 
 
-def evidence(payloads: Payloads, asked: Protection, free_bits: int, hypotheses: int) -> float:
-    """Return how much more frames say for a protection than was free to be chosen [bit].
+def covered(payloads: Payloads, asked: Protection, length: int) -> NDArray[np.uint64]:
+    """Return the bits of a payload that a checksum covers, uint64, shape (8,).
 
-    Frames that are equal but for the checksum say the same thing once.
+    They are found by turning each: only what changes the computed checksum goes in.
+
+    Args:
+        payloads: frames of the message.
+        asked: the protection.
+        length: of the message [byte].
     """
-    assert asked.checksum is not None
+    mask = np.zeros(8, np.uint64)
+    turned = np.zeros((8 * length, 8), np.uint64)
+    for bit in range(8 * length):
+        turned[bit, bit // 64] = np.uint64(1) << np.uint64(bit % 64)
+    for k in np.unique(np.linspace(0, len(payloads) - 1, TURNED).astype(np.int64)):
+        lengths = np.full(8 * length, payloads.lengths[k])
+        plain = judged(payloads[k : k + 1], asked).computed[0]
+        moved = judged(Payloads(payloads.words[k] ^ turned, lengths), asked).computed != plain
+        mask |= np.bitwise_or.reduce(turned[moved], axis=0, initial=np.uint64(0))
+    own: NDArray[np.uint64] = owned_by_checksum(asked)
+    return mask & ~own
+
+
+def distinct_pairs(payloads: Payloads, asked: Protection, mask: NDArray[np.uint64]) -> NDArray[np.intp]:
+    """Return one frame for each pair of what is covered and its checksum: frames that repeat a pair say nothing new."""
+    both = payloads.words & (mask | owned_by_checksum(asked))
+    _, places = np.unique(both, axis=0, return_index=True)
+    return np.sort(places)
+
+
+def evidence(pairs: Payloads, asked: Protection, free_bits: int, hypotheses: int, *, called: bool) -> float:
+    """Return how much more distinct pairs say for a protection than was free to be chosen [bit].
+
+    Chance is a permutation: the same checksums, dealt out to what they cover in any order. All are right in one of
+    n! / (n1! n2! ...) orders, n1, n2 being how often each value comes (Fisher's exact test); so a field that hardly
+    changes proves little, however many frames there are. A field that is known to be a checksum before a frame is seen
+    says its width for each of its values.
+
+    Args:
+        pairs: a frame for each pair.
+        asked: the protection.
+        free_bits: what was chosen so that frames fit [bit].
+        hypotheses: how many others were tried.
+        called: the database calls the field a checksum.
+    """
     width = int(asked.field["length"])
-    cleared = payloads.words & ~owned_by_checksum(asked)
-    different = len(np.unique(cleared, axis=0))
-    return float(width * (different - 1) - free_bits - np.log2(max(hypotheses, 1)))
+    _, counts = np.unique(bits_of(pairs.words, asked.field), return_counts=True)
+    orders = (gammaln(len(pairs) + 1) - gammaln(counts + 1).sum()) / np.log(2.0)
+    said = min(width * len(pairs), float(orders))
+    if called:
+        said = max(said, float(width * len(counts)))
+    return float(said - free_bits - np.log2(max(hypotheses, 1)))
+
+
+def _copies(pairs: Payloads, mask: NDArray[np.uint64], width: int) -> bool:
+    """Tell whether one byte alone may say what is taken for a checksum: a copy of it, not a sum.
+
+    A table of as many constants as that byte has values would explain the frames; what is said beyond it counts.
+    """
+    bytes_ = Payloads(pairs.words & mask, pairs.lengths).bytes
+    most = max(len(np.unique(bytes_[:, k])) for k in range(bytes_.shape[1]))
+    return bool(width * (len(pairs) - most) < LEAST_EVIDENCE)
 
 
 def owned_by_checksum(asked: Protection) -> Any:
@@ -85,10 +147,18 @@ def proven(
         note: see :class:`Claim`.
     """
     asked = protection_for(message, ProtectionParams.model_validate(dict(keys)))
-    if len(proof) < LEAST_PROOF or evidence(proof, asked, free_bits, hypotheses) < LEAST_EVIDENCE:
+    if not len(proof):
         return None
-    good = int(judged(proof, asked).good.sum())
-    # A frame that the bus disturbed and the recorder kept is no proof against it; one in a hundred is.
-    if good < 0.99 * len(proof):
+    called = any(called_checksum(str(part.get("signal", ""))) for part in keys.values() if isinstance(part, Mapping))
+    mask = covered(proof, asked, message.length)
+    pairs = proof[distinct_pairs(proof, asked, mask)]
+    if evidence(pairs, asked, free_bits, hypotheses, called=called) < LEAST_EVIDENCE:
         return None
-    return Claim(keys, asked, len(proof), good, note)
+    if not called and "e2e" not in keys:  # a profile says itself what it covers
+        changing = np.bitwise_or.reduce(proof.words ^ proof.words[0], axis=0)
+        if (changing & ~(mask | owned_by_checksum(asked))).any() or _copies(pairs, mask, int(asked.field["length"])):
+            return None
+    good = judged(proof, asked).good
+    if good.mean() < RIGHT or judged(pairs, asked).good.mean() < RIGHT:
+        return None
+    return Claim(keys, asked, len(proof), int(good.sum()), note)

@@ -14,7 +14,7 @@ import numpy as np
 from cantools.database.can.signal import Signal
 
 from gateway.learn import gaps
-from gateway.learn.checksums import called_checksum
+from gateway.learn.claims import called_checksum
 from gateway.learn.counters import called_counter, signal_of
 from gateway.learn.course import Course
 from gateway.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown

@@ -12,8 +12,8 @@ from cantools.database.can import Message
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
-from gateway.learn.checksums import any_claim, called_checksum, rule_claim
-from gateway.learn.claims import Claim, proven
+from gateway.learn.checksums import any_claim, rule_claim
+from gateway.learn.claims import Claim, called_checksum, proven
 from gateway.learn.counters import CounterFound, candidates, of_raw
 from gateway.learn.judged import Payloads
 from gateway.learn.profiles import e2e_claim
@@ -64,8 +64,9 @@ def protection_found(message: Message, file: Path, runs: Sequence[Payloads], *, 
     claim = None
     if len(found_with):
         claim = (
-            _as_the_database_says(message, file, proof)
-            or rule_claim(message, counter, found_with, proof)
+            _as_the_database_says(message, file, _all(found_with, proof))
+            # A maker's rule has no constant of its own that frames could have been taken for: all of them prove it.
+            or rule_claim(message, counter, found_with, _all(found_with, proof))
             or e2e_claim(message, found_with, proof)
             or any_claim(message, counter, found_with, proof)
         )
@@ -108,6 +109,10 @@ def _split(frames: Payloads) -> tuple[Payloads, Payloads]:
     rest = places[half:]
     step = max(1, len(rest) // MOST_PROOF)
     return frames[places[:half]], frames[rest[::step]]
+
+
+def _all(one: Payloads, other: Payloads) -> Payloads:
+    return Payloads(np.concatenate([one.words, other.words]), np.concatenate([one.lengths, other.lengths]))
 
 
 def _as_the_database_says(message: Message, file: Path, proof: Payloads) -> Claim | None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from cantools.database.can.signal import Signal
 
-from gateway.learn.checksums import called_checksum
+from gateway.learn.claims import called_checksum
 from gateway.learn.counters import called_counter
 from gateway.learn.lines import RULE, Line, inline, short, shown
 from gateway.learn.observe import Observation, Seen

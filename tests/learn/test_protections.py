@@ -194,13 +194,63 @@ def test_frames_that_do_not_change_prove_nothing():
 
 
 def test_a_claim_needs_more_evidence_than_was_free_to_be_chosen():
-    """Twenty different frames of 8 bits say 152 bits: 112 of them may have been chosen, not one more."""
+    """Twenty values of a field called CHECKSUM say 160 bits: 130 of them may have been chosen, not one more."""
     message = message_of(4, Signal("CHECKSUM", 24, 8))
     frames = payloads([bytes([k, 7, 9, (k + 16 + 4 + 0x24) & 0xFF]) for k in range(20)])
     keys = {"checksum": {"rule": "toyota", "signal": "CHECKSUM"}}
-    assert proven(message, keys, frames, free_bits=112).matched == 20
-    assert proven(message, keys, frames, free_bits=113) is None
-    assert proven(message, keys, frames[:15]) is None, "too few, whatever they say"
+    assert proven(message, keys, frames, free_bits=130).matched == 20
+    assert proven(message, keys, frames, free_bits=131) is None
+    assert proven(message, keys, frames[:4]).matched == 4
+    assert proven(message, keys, frames[:3]) is None, "24 bits: chance is one in 17 million"
+
+
+def test_a_field_not_called_so_is_judged_by_the_orders_of_its_values():
+    """Chance deals 13 different values out rightly in one of 13! orders, 12 in more than one in 10^9."""
+    message = message_of(4, Signal("Moment", 24, 8))
+    each = [(k % 7, 7 * (k // 7), 49 * (k * k % 4)) for k in range(40)]
+    frames = [bytes([a, b, c, (a + b + c + 28) & 0xFF]) for a, b, c in each]
+    keys = {"checksum": {"rule": "sum", "signal": "Moment", "plus": 28}}
+    assert proven(message, keys, payloads(frames)).matched == 40
+    assert proven(message, keys, payloads(frames[:12])) is None
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_torque_that_another_byte_repeats_is_no_checksum(seed):
+    """An engine at idle: its speed changes in each frame, its torque hardly, and another byte is that torque less 1."""
+    rng = np.random.default_rng(seed)
+    torque = 16 + (rng.random(400) < 0.4).astype(int)
+    more = rng.random(400) < 0.02 * (seed % 2)
+    rpm = 3200 + rng.integers(0, 200, 400)
+    frames = [bytes([0, 3, n & 0xFF, n >> 8, m, 0, int(x), m + 15]) for n, m, x in zip(rpm, torque, more, strict=True)]
+    message = message_of(8, Signal("Moment", 32, 8))
+    for over in ({}, {"over": [5, 8]}, {"over": [7, 8]}):
+        keys = {"checksum": {"rule": "sum", "signal": "Moment", "plus": 241, **over}}
+        assert proven(message, keys, payloads(frames)) is None, over
+    assert protection_found(message, NOWHERE, [payloads(frames)]).claim is None, f"seed {seed}"
+
+
+def test_a_copy_of_one_byte_is_no_checksum():
+    """A sum over two bytes, one of which rests in all frames but three: what the other says, it says alone."""
+    rng = np.random.default_rng(5)
+    first = rng.integers(0, 200, 500)
+    rare = np.isin(np.arange(500), (100, 200, 300)).astype(int)
+    frames = payloads([bytes([a, b, a + b]) for a, b in zip(first.tolist(), rare.tolist(), strict=True)])
+    keys = {"checksum": {"rule": "sum", "signal": "Copy"}}
+    message = message_of(3, Signal("Copy", 16, 8))
+    assert proven(message, keys, frames) is None
+    both = payloads([bytes([a, b, a + b]) for a, b in rng.integers(0, 120, (500, 2)).tolist()])
+    assert proven(message, keys, both).matched == 500
+
+
+def test_a_message_with_few_payloads_has_the_rule_that_its_name_says(tmp_path):
+    """Eight payloads in all: that the field is called a checksum, and the file Toyota's, is known before."""
+    file = tmp_path / "toyota_x.dbc"
+    file.write_text('VERSION ""\nBS_:\nBU_: A\nBO_ 291 M: 8 A\n SG_ CHECKSUM : 63|8@0+ (1,0) [0|255] "" A\n')
+    message = load_database([file]).message("M")
+    made = [bytes([k % 8, 0, 0, 0, 0, 0, 0, (k % 8 + 8 + 0x01 + 0x23) & 0xFF]) for k in range(300)]
+    found = protection_found(message, file, [payloads(made)])
+    assert found.claim.keys["checksum"]["rule"] == "toyota"
+    assert found.claim.matched == 8
 
 
 def test_what_a_database_says_is_believed_only_with_proof(tmp_path):
