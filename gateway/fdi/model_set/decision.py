@@ -19,6 +19,7 @@ from __future__ import annotations
 from math import log, sqrt
 from typing import Annotated
 
+from gateway.fdi.isolation import followed
 from gateway.fdi.model_set import design, filters
 from gateway.fdi.model_set.filters import (
     GAIN,
@@ -95,11 +96,10 @@ class State(Record):
 
     ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each
     hypothesis, samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm;
-    ``ahead``: of these, in which ``first`` was named; ``confirmed``: the fault's size has counted; ``well``: samples in
-    which it did not; ``unexplained``; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum
-    of normalised innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples;
-    ``forgiven``: alarms that nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the
-    older at ``older``.
+    ``ahead``: of these, in which ``first`` was named; ``suspect``: whether the size of the named fault counts;
+    ``unexplained``; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum of normalised
+    innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that
+    nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
     """
 
     filters: filters.State
@@ -112,9 +112,7 @@ class State(Record):
     undecided: i8
     ahead: i8
     first: i8
-    confirmed: i8
-    doubted: i8
-    well: i8
+    suspect: followed.State
     misfit: i8
     unexplained: i8
     agreed: i8
@@ -190,8 +188,9 @@ def restart(s: State, c: Const) -> None:
     else:
         filters.ignorant(s.filters, f, 0)
     filters.unknown(s.filters, f, 0)
-    s.done = s.active = s.undecided = s.ahead = s.well = s.misfit = s.unexplained = s.agreed = s.tested = 0
-    s.confirmed = s.doubted = s.calm = s.forgiven = 0
+    s.done = s.active = s.undecided = s.ahead = s.misfit = s.unexplained = s.agreed = s.tested = 0
+    s.calm = s.forgiven = 0
+    followed.begin(s.suspect)
     s.first = NONE
     for h in range(f.hypotheses):
         s.evidence[h] = 0.0
@@ -252,7 +251,8 @@ def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
         x.cov[0, f.n + k, f.n + k] = f.prior[k]
         x.z[0, f.n + k] = 0.0
     filters.separate(x, f)
-    s.active = s.undecided = s.ahead = s.well = s.misfit = s.confirmed = s.doubted = s.calm = 0
+    s.active = s.undecided = s.ahead = s.misfit = s.calm = 0
+    followed.begin(s.suspect)
     s.first = NONE
     for h in range(f.hypotheses):
         s.evidence[h] = 0.0
@@ -310,7 +310,8 @@ def _isolate(s: State, c: Const) -> None:
         s.first = part_of(c, best)
         if s.ahead >= LEAST:
             s.active, s.undecided, s.ahead = _follower(s, c, best), 0, 0
-            s.confirmed = s.doubted = s.well = s.misfit = 0
+            s.misfit = 0
+            followed.begin(s.suspect)
         return
     s.ahead, s.first = 0, NONE
     none_fits = True
@@ -331,18 +332,12 @@ def _judge_named(s: State, c: Const, y: f8s, u: f8s) -> None:
     h = s.active
     s.magnitude = filters.size_of(s.filters, c.filters, h, y, u)
     share = _counts(c, h, s.magnitude)
-    if share >= 1.0:
-        s.confirmed = 1
-    s.doubted = 0 if s.confirmed == 1 else s.doubted + 1
-    gone = share < 0.5
-    s.well = s.well + 1 if gone else 0
+    came = followed.follow(s.suspect, share >= 1.0, share < 0.5, c.patience, c.hold)
     s.misfit = 0 if _fits(s, c, h) else s.misfit + 1
     if s.misfit > PATIENCE:
         s.unexplained = 1
-    elif s.well >= c.hold:
-        _adopt(s, c, h, True)
-    elif s.doubted > c.patience:
-        _adopt(s, c, h, False)
+    elif came != followed.STANDS:
+        _adopt(s, c, h, came == followed.GONE)
 
 
 @kernel

@@ -27,6 +27,7 @@ from typing import Annotated
 
 import numpy as np
 
+from gateway.fdi.isolation import followed
 from gateway.fdi.linear.plant import LinearPlant
 from gateway.fdi.pi_bank import bank, jump, start
 from gateway.fdi.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
@@ -76,11 +77,10 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``active``: the observer in use; ``latched``: the sensor at fault, ``confirmed`` once its offset was beyond
-    its threshold, ``doubted`` for so many samples before; ``undecided``: samples since an alarm;
-    ``unexplained``: what happened is not isolated; ``tested``: the last sample was judged. ``actuator``: flags,
-    with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the sensors'. ``well``: samples without the
-    sensor's fault. ``blind``: samples until a command that was lost has been estimated.
+    ``active``: the observer in use; ``latched``: the sensor at fault, ``suspect``: whether its offset is beyond its
+    threshold; ``undecided``: samples since an alarm; ``unexplained``: what happened is not isolated; ``tested``: the
+    last sample was judged. ``actuator``: flags, with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the
+    sensors'. ``blind``: samples until a command that was lost has been estimated.
     """
 
     bank: bank.State
@@ -89,8 +89,7 @@ class State(Record):
     started: i8
     active: i8
     latched: i8
-    confirmed: i8
-    doubted: i8
+    suspect: followed.State
     undecided: i8
     unexplained: i8
     tested: i8
@@ -99,7 +98,6 @@ class State(Record):
     fault: Annotated[f8s, MOST_INPUTS]
     limit: Annotated[f8s, MOST_INPUTS]
     offset: Annotated[f8s, MOST_OUTPUTS]
-    well: i8
     blind: i8
     agreed: i8
     explains: Annotated[i8s, BANK]
@@ -179,7 +177,8 @@ def restart(s: State, c: Const) -> None:
     start.anew(s.start, c.start)
     jump.forget(s.jump)
     s.started, s.active, s.latched = 0, 0, NONE
-    s.undecided = s.unexplained = s.tested = s.well = s.agreed = s.confirmed = s.blind = 0
+    s.undecided = s.unexplained = s.tested = s.agreed = s.blind = 0
+    followed.begin(s.suspect)
     for k in range(BANK):
         s.jump.open[k] = 0
         for i in range(bank.MOST):
@@ -220,7 +219,7 @@ def _open_faults(s: State, c: Const, y: f8s, actuators: bool) -> None:
 def _latch_sensor(s: State, c: Const, y: f8s, who: int) -> None:
     """Believe the observer ``who`` alone: the sensor that it does not take is at fault."""
     s.latched, s.active = who - 1, who
-    s.well = s.confirmed = s.doubted = 0
+    followed.begin(s.suspect)
     _open_faults(s, c, y, False)
 
 
@@ -321,15 +320,12 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
         expected += o.c[j, i] * jump.corrected(s.jump, o, k, s.bank.z, i)
     s.offset[j] = y[j] - expected
     gone = abs(s.offset[j]) < max(0.5 * c.sensor[j], NOTHING * c.spread[j])
-    s.well = s.well + 1 if gone else 0
-    if abs(s.offset[j]) >= c.sensor[j]:
-        s.confirmed = 1
     # What no jump explains, an actuator that drifts, leaves one observer alone with an explanation too; its sensor is
-    # right.
-    s.doubted = 0 if s.confirmed == 1 else s.doubted + 1
-    if s.well >= c.hold or s.doubted > PATIENCE:
+    # right: then the suspect is doubted.
+    if followed.follow(s.suspect, abs(s.offset[j]) >= c.sensor[j], gone, PATIENCE, c.hold) != followed.STANDS:
         _adopt(s, o, k, y)
-        s.latched, s.active, s.confirmed = NONE, 0, 0
+        s.latched, s.active = NONE, 0
+        followed.begin(s.suspect)
 
 
 @kernel

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import InputError
+from gateway.fdi.masks import Sets
 from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES, Candidates, classify
 from gateway.fdi.structure.decomposition import Block, Decomposition, decompose
-from gateway.fdi.structure.incidence import Incidence, Sets, counted
+from gateway.fdi.structure.incidence import Incidence, counted
 from gateway.fdi.structure.isolability import (
     Isolability,
     isolability_of_model,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.fdi.structure.incidence import BITS, Masks
+from gateway.fdi.masks import BITS, Masks
 from gateway.jit import i8s, kernel, lowest_bit
 
 #: Number of an equation that is in no block (yet).

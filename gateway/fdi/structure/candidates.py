@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.incidence import Masks, Sets, clear, include, pack
+from gateway.fdi.masks import Masks, Sets, clear, include, pack
 from gateway.fdi.structure.matching import Matching, copy_pairs, make_free, match_set
 from gateway.fdi.structure.model import Model, Solvable
 from gateway.fdi.structure.sequence import Structure

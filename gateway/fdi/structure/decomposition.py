@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.masks import BITS, words
 from gateway.fdi.structure.blocks import block_search, find_blocks
-from gateway.fdi.structure.incidence import BITS, Incidence, words
+from gateway.fdi.structure.incidence import Incidence
 from gateway.fdi.structure.matching import (
     ABSENT,
     FREE,

@@ -2,62 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.masks import Masks, Sets, pack, unpack
 from gateway.fdi.structure.model import Equation, Model
-from gateway.jit import kernel
 
-#: Bits of a word that are used: two less than it has, so that no word is ever negative.
-BITS = 62
-
-Masks = NDArray[np.int64]
 #: A flag for each equation.
 Flags = NDArray[np.bool_]
-#: Sets of equations, shape (sets, equations).
-Sets = NDArray[np.bool_]
-
-
-def words(size: int) -> int:
-    """Return how many words a mask of a size takes."""
-    return max(1, -(-size // BITS))
-
-
-def pack(sets: Sequence[Iterable[int]], size: int) -> Masks:
-    """Return sets of numbers below ``size`` as masks, shape (len(sets), words)."""
-    masks = np.zeros((len(sets), words(size)), np.int64)
-    for row, members in zip(masks, sets, strict=True):
-        for k in members:
-            row[k // BITS] |= 1 << (k % BITS)
-    return masks
-
-
-def unpack(masks: Masks, size: int) -> Sets:
-    """Return masks, shape (sets, words), as booleans, shape (sets, size)."""
-    places = np.arange(size)
-    return (masks[:, places // BITS] >> (places % BITS) & 1).astype(bool)
-
-
-@kernel
-def include(mask: Masks, k: int) -> None:
-    """Add number ``k`` to the set that a mask is, int64 (words,)."""
-    mask[k // BITS] |= 1 << (k % BITS)
-
-
-@kernel
-def exclude(mask: Masks, k: int) -> None:
-    """Take number ``k`` out of the set that a mask is, int64 (words,)."""
-    mask[k // BITS] &= ~(1 << (k % BITS))
-
-
-@kernel
-def clear(mask: Masks) -> None:
-    """Make the set that a mask is empty, int64 (words,)."""
-    for w in range(len(mask)):
-        mask[w] = 0
 
 
 @dataclass(frozen=True)

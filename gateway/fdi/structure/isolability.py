@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.masks import Sets
 from gateway.fdi.structure.decomposition import overdetermined
-from gateway.fdi.structure.incidence import Sets, counted
+from gateway.fdi.structure.incidence import counted
 from gateway.fdi.structure.model import Model
 
 Bools = NDArray[np.bool_]

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gateway.fdi.structure.incidence import BITS, Flags, Masks
+from gateway.fdi.masks import BITS, Masks
+from gateway.fdi.structure.incidence import Flags
 from gateway.jit import i8s, kernel, lowest_bit
 
 #: ``mate`` of an equation that is not matched, and of one that takes no part.

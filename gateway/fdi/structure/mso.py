@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from gateway.fdi.masks import Masks, Sets, pack, unpack, words
 from gateway.fdi.structure.decomposition import Matched
-from gateway.fdi.structure.incidence import Flags, Incidence, Masks, Sets, pack, unpack, words
+from gateway.fdi.structure.incidence import Flags, Incidence
 from gateway.fdi.structure.matching import ABSENT, FREE, Matching, augment, make_free, reach_from_free
 from gateway.jit import i8s, kernel
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.masks import Sets
 from gateway.fdi.structure.decomposition import equivalence_classes, overdetermined
-from gateway.fdi.structure.incidence import Incidence, Sets, counted
+from gateway.fdi.structure.incidence import Incidence, counted
 from gateway.fdi.structure.isolability import incidence_of_faults
 from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.mso import in_order

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.incidence import Sets
+from gateway.fdi.masks import Sets
 
 #: Requirements times tests, up to which the choice is an integer program: some seconds' work there.
 MOST_EXACT = 100_000

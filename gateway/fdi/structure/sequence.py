@@ -21,7 +21,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.structure.incidence import BITS, full, words
+from gateway.fdi.masks import BITS, words
+from gateway.fdi.structure.incidence import full
 from gateway.fdi.structure.matching import Matching, match_set
 from gateway.fdi.structure.model import Equation, Model, state_of
 from gateway.fdi.structure.steps import (

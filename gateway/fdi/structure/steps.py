@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gateway.fdi.masks import Masks, clear, exclude, include
 from gateway.fdi.structure.blocks import BlockSearch, block_search, find_blocks
-from gateway.fdi.structure.incidence import Masks, clear, exclude, include
 from gateway.fdi.structure.matching import FREE, Matching, augment
 from gateway.jit import i8s, kernel
 

@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.fdi.masks import Masks, Sets, pack, words
 from gateway.fdi.structure.decomposition import overdetermined
-from gateway.fdi.structure.incidence import Flags, Incidence, Masks, Sets, counted, pack, words
+from gateway.fdi.structure.incidence import Flags, Incidence, counted
 from gateway.fdi.structure.isolability import incidence_of_faults, isolability_of_model, signatures
 from gateway.fdi.structure.matching import ABSENT, Matching, make_free, match_set, reach_from_free
 from gateway.fdi.structure.model import Model

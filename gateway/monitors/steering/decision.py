@@ -1,4 +1,4 @@
-"""From symptoms to the component at fault: a signature table, and what stands until its symptoms are gone.
+"""What the steering supplies to the isolation (:mod:`gateway.fdi.isolation`): its signature table.
 
 Signature of a single fault, by residual:
 
@@ -17,11 +17,14 @@ motion tells which. The sensors are in a closed loop: the motor follows a wrong 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from gateway.jit import Record, i8, kernel
+from gateway.fdi.isolation import machine, table
+from gateway.fdi.isolation.table import NOTHING, OPEN
+from gateway.fdi.masks import BITS
+from gateway.jit import f8s, i8, i8s, kernel, means
 from gateway.monitors.steering import symptoms
 from gateway.monitors.steering.faults import (
     ANGLES,
@@ -71,7 +74,7 @@ from gateway.monitors.steering.symptoms import (
 )
 
 #: Nothing found.
-NONE = -1
+NONE = NOTHING
 
 #: Faults that a finding may take the place of: none; one that is not known better.
 _NOTHING = (NONE,)
@@ -137,27 +140,26 @@ ALARM_OF = {
 }
 
 
-def _row(x: Signature) -> tuple[int, int, int, int]:
-    """Return a signature as numbers; faults that it replaces are bits from NONE on."""
-    return x.fault, sum(1 << (fault - NONE) for fault in x.replaces), x.on, x.off
-
-
-#: The tables as kernels read them: rows of fault, replaces, on, off; alarm by fault.
-_TABLE = np.array([_row(x) for x in SIGNATURES], np.int64)
+#: Alarm by fault, as kernels read it.
 _ALARM_OF = np.array([ALARM_OF[fault] for fault in range(PAIRING)], np.int64)
+#: One test, that any symptom is there; rows of the table as its faults, by symptoms instead of tests.
+_LENGTHS = {"tests": 1, "faults": len(SIGNATURES), "groups": 1, "words": 1}
+_SYMPTOMS = (1 << BITS) - 1
 
 
-class Const(Record):
-    """Constants: ``hold``: frames without a symptom after which a fault is gone."""
+class Const(machine.Const, lengths=_LENGTHS):
+    """Constants."""
 
-    hold: i8
+    fault: Annotated[i8s, "faults"] = means("of each row of the table")
+    replaces: Annotated[i8s, "faults"] = means("faults whose place it may take, as bits from NONE on")
+    frame_ns: i8 = means("between two pairs of motor frames", "ns")
 
 
-class State(Record):
-    """State: ``found``: the fault, NONE without; ``quiet``: frames since the last symptom of it."""
+class State(machine.State, lengths=_LENGTHS):
+    """State; ``found``: the fault, NONE without."""
 
-    found: i8
-    quiet: i8
+    on: Annotated[i8s, "words"] = means("symptoms that are on, a mask")
+    level: Annotated[f8s, "tests"] = means("not used: no symptom is on its way")
 
 
 def prepare(s: State, c: Const, p: Params) -> None:
@@ -168,24 +170,21 @@ def prepare(s: State, c: Const, p: Params) -> None:
         c: record of Const.
         p: parameters of the monitor.
     """
-    s.found = NONE
-    c.hold = p.frames(1000.0)
+    c.frame_ns = round(p.period_ms * 1e6)
+    machine.prepare(s, c, confirm_ns=0, hold_ns=p.frames(1000.0) * c.frame_ns)
+    c.tests, c.faults, c.groups = 1, len(SIGNATURES), PAIRING
+    for k, row in enumerate(SIGNATURES):
+        c.must[k, 0], c.may[k, 0] = row.on, _SYMPTOMS & ~row.off
+        c.fault[k], c.replaces[k] = row.fault, sum(1 << (fault - NONE) for fault in row.replaces)
 
 
 @kernel
-def lookup(on: int, found: int) -> int:
-    """Return the fault whose signature a set of symptoms has, NONE if there is none.
-
-    Args:
-        on: symptoms that are on.
-        found: the fault that stands, NONE without.
-    """
-    for k in range(_TABLE.shape[0]):
-        fault, replaces, must, must_not = _TABLE[k, 0], _TABLE[k, 1], _TABLE[k, 2], _TABLE[k, 3]
-        open_to = (replaces >> (found - NONE)) & 1 == 1
-        if open_to and (on & must) == must and (on & must_not) == 0:
-            return int(fault)
-    return NONE
+def lookup(s: State, c: Const) -> int:
+    """Return the fault that the symptoms are of and that may take the place of the one that stands, or OPEN."""
+    for k in range(c.faults):
+        if c.replaces[k] >> (s.found - NONE) & 1 == 1 and table.fits(c, k, s.on):
+            return int(c.fault[k])
+    return OPEN
 
 
 @kernel
@@ -210,15 +209,18 @@ def decide(s: State, c: Const, y: symptoms.State, on: int) -> None:
         y: what the symptoms come from.
         on: symptoms that are on.
     """
-    if on & REPEATS or symptoms.any_alarm(y):
-        s.quiet = 0
-    elif y.geared == 1 or not needs_gear(s.found):
-        s.quiet += 1
-    if s.found != NONE and s.quiet >= c.hold:
-        s.found = NONE
-    fault = lookup(on, s.found)
-    if fault != NONE:
-        s.found = fault
+    s.on[0] = on
+    said = lookup(s, c)
+    s.up[0] = 1 if on & REPEATS or symptoms.any_alarm(y) or said != OPEN else 0
+    tells = y.geared == 1 or not needs_gear(s.found)
+    machine.stand(s, c, c.frame_ns, c.frame_ns if tells else 0)
+    machine.decide(s, c, s.level, said, said != OPEN)
+
+
+@kernel
+def quiet(s: State) -> bool:
+    """Return whether the last pair had no symptom."""
+    return bool(s.up[0] == 0)
 
 
 @kernel

@@ -184,7 +184,7 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
         for fault in (ANGLES, IMPLAUSIBLE):
             if d.found != fault:  # what was not known then is known now
                 _report(s, fault, False, 0.0, 0.0, out)
-    elif y.jump.left == 0 and d.quiet > 0:
+    elif y.jump.left == 0 and decision.quiet(d):
         for fault in range(PAIRING):
             if y.geared == 1 or not decision.needs_gear(fault):
                 _report(s, fault, False, 0.0, 0.0, out)

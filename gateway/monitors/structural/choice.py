@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from gateway.common import progress
 from gateway.common.extras import need
 from gateway.errors import InputError, nearest
+from gateway.fdi.masks import Sets
 from gateway.fdi.structure.analysis import Analysis, analyse
 from gateway.fdi.structure.generator.code import correctable, write
 from gateway.fdi.structure.generator.conditioning import begins, fleeting, forgets, noise_gains
 from gateway.fdi.structure.generator.initial import find_initial
 from gateway.fdi.structure.generator.realisation import Realisation, realise
 from gateway.fdi.structure.generator.solving import NotSolvableError
-from gateway.fdi.structure.incidence import Sets
 from gateway.fdi.structure.isolability import isolability_of_model
 from gateway.fdi.structure.model import Model, Quantity, ResidualChoice, state_of
 from gateway.fdi.structure.selection import fewest_tests, requirements

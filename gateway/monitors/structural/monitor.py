@@ -14,7 +14,6 @@ from gateway.errors import Gathered, InputError
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway.fdi.structure.generator.sources import load_source
-from gateway.fdi.structure.incidence import pack
 from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
@@ -178,18 +177,17 @@ class _Made:
 
     def _prepare(self, p: PartParams, s: Any, c: Any) -> None:
         needed, plan, own = self._needed(p), self.plan, c.own
-        own.inputs, own.tests, own.faults = len(self.model.knowns), len(plan.tests), len(plan.faults)
+        own.inputs = len(self.model.knowns)
         own.wanted[: own.inputs] = [z in needed for z in self.model.knowns]
         own.sets, own.interpolates = p.sample == "set", p.between == "interpolated"
         own.period_ns, own.oldest_ns = p.period_ns, p.oldest_ns
         own.gap_ns = round((p.missing + 1.5) * p.period_ns)
-        own.settle_ns, own.confirm_ns = round(p.settle_s * 1e9), round(p.confirm_s * 1e9)
+        own.settle_ns, confirm_ns = round(p.settle_s * 1e9), round(p.confirm_s * 1e9)
         program = _condition(self.model, p)
         if program is not None:
             load(s.own.active, own.active, program, self.model.knowns)
-        size = max(own.tests, own.faults)  # of the masks
-        own.signature[: own.faults] = pack([plan.seen_by(fault) for fault in plan.faults], size)
-        self._fill_told(own, size)
+        decision.prepare_table(s.own, own, plan, confirm_ns)
+        self._fill_shown(own)
         own.jumps = p.decision == "jump"
         decision.prepare_window(own)
         for k, test in enumerate(plan.tests):
@@ -211,7 +209,6 @@ class _Made:
             if test.observed:
                 self._fill_observer(test, p, getattr(c, field))
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
-        s.own.found = -1
         if self.slow:
             self._fill_slow(p, s, c)
 
@@ -245,11 +242,7 @@ class _Made:
                 for name in model.dtype.names or ():
                     model[name] = getattr(c, field)[name]
 
-    def _fill_told(self, own: Any, size: int) -> None:
-        diagnoses = self.plan.diagnoses
-        own.told = len(diagnoses) + 1
-        place = {fault: k for k, fault in enumerate(self.plan.faults)}
-        own.diagnosis[: len(diagnoses)] = pack([[place[f] for f in faults] for faults in diagnoses], size)
+    def _fill_shown(self, own: Any) -> None:
         own.shown[:] = records.NOT_USED
         for k, one in enumerate(shown(self.plan)):
             cells = [records.KINDS * test + kind for test in one.tests for kind in (records.RESIDUAL, records.NORM)]

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway.fdi import cusum
-from gateway.fdi.structure.incidence import words
-from gateway.jit import Record, f8, f8s, i8, i8s, means
+from gateway.fdi.isolation import machine
+from gateway.fdi.masks import words
+from gateway.jit import f8, f8s, i8, i8s, means
 from gateway.monitors.contract import EVIDENCE
 from gateway.monitors.rule.machine import Code, Machine
 from gateway.monitors.structural.params import MOST_BETWEEN
@@ -34,12 +35,13 @@ MOST = {
     "faults": MOST_FAULTS,
     "meters": MOST_METERS,
     "generators": MOST_TESTS + MOST_METERS,
+    "groups": MOST_TOLD - 1,
     "told": MOST_TOLD,
     "words": words(max(MOST_TESTS, MOST_FAULTS)),
 }
 
 
-class Const(Record, lengths=MOST):
+class Const(machine.Const, lengths=MOST):
     """Constants."""
 
     inputs: i8
@@ -51,13 +53,7 @@ class Const(Record, lengths=MOST):
     oldest_ns: i8 = means("greatest age of a value", "ns")
     gap_ns: i8 = means("behind a longer one all begins anew", "ns")
     settle_ns: i8 = means(unit="ns")
-    confirm_ns: i8 = means(unit="ns")
     active: Code
-    tests: i8
-    faults: i8
-    told: i8
-    signature: Annotated[i8s, "faults", "words"] = means("tests that see each fault, a mask")
-    diagnosis: Annotated[i8s, "told", "words"] = means("faults that each result stands for, a mask; 0: not isolated")
     shown: Annotated[i8s, "told", EVIDENCE] = means("what the values of its evidence are")
     jumps: i8 = means("1: the tests look for jumps")
     weighted: Annotated[f8s, WINDOW, 1, 1] = means("of a residual in standard deviations, for a jump of its mean")
@@ -70,7 +66,7 @@ class Const(Record, lengths=MOST):
     memory_s: f8 = means("over which sizes are averaged", "s")
 
 
-class State(Record, lengths=MOST):
+class State(machine.State, lengths=MOST):
     """State."""
 
     came_ns: Annotated[i8s, "inputs"] = means("when each input came", "ns")
@@ -97,13 +93,7 @@ class State(Record, lengths=MOST):
     newest: Annotated[f8s, 1]
     ring: i8 = means("place of the newest sample in the window")
     window: i8 = means("samples in the window")
-    up_ns: Annotated[i8s, "tests"] = means("when each test was above its threshold last", "ns")
-    fired: Annotated[i8s, "words"] = means("tests, a mask")
-    now: Annotated[i8s, "words"] = means("those above their threshold in this sample")
-    fired_ns: i8 = means("since when none has joined these", "ns")
-    explained: Annotated[i8s, "words"] = means("faults that explain them, a mask")
-    found: i8 = means("what was reported, -1: nothing")
-    basis: Annotated[i8s, "words"] = means("tests that had fired for that")
+    judged_ns: i8 = means("the sample that was judged last", "ns")
     reported_ns: i8 = means(unit="ns")
     turn: i8 = means("what is reported next, where it is too much for one step")
     measured: Annotated[f8s, "meters"] = means("residual of each meter")
@@ -129,6 +119,7 @@ def lengths(plan: Plan, inputs: int) -> dict[str, int]:
         "faults": faults,
         "meters": len(plan.measured),
         "generators": len(plan.generators),
+        "groups": len(plan.diagnoses),
         "told": len(plan.diagnoses) + 1,
         "words": words(max(tests, faults)),
     }

@@ -1,16 +1,13 @@
-"""Which faults explain the tests that have fired: consistency, with the structural model's fault signature matrix.
+"""What the hybrid powertrain supplies to the isolation (:mod:`gateway.fdi.isolation`): its signatures and its times.
 
-A single fault explains what has fired if it is in the signature of every test that has. It is isolated when its own
-tests, all of them and no others, have fired: no other fault has that column. Until then the faults that explain are
-ranked by how near their tests are to firing.
+The signatures are the structural model's fault signature matrix. A fault has its name when its own tests, all of them
+and no others, have fired: no other fault has that column.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
-
+from gateway.fdi.isolation import machine, table
 from gateway.fdi.structure.model import Model
-from gateway.jit import Record, f8s, i8s, kernel
 from gateway.monitors.truck.faults import STRUCTURAL
 
 #: Tests that decide, by system: residuals of the structural model. RDS is beyond the paper.
@@ -20,70 +17,52 @@ TESTS = {
     "RDS": ("T1", "T2", "T5", "T6", "T7"),
 }
 MOST_TESTS = max(map(len, TESTS.values()))
+#: Use of the machine without a test that has fired, after which what had fired is forgotten [s].
+QUIET = 20.0
+#: Likewise, after which a fault that has its name is taken to be gone: its tests come down while little current flows.
+HEALS = 60.0
+#: T_norm of a test that may fire.
+ON_ITS_WAY = 0.5
+#: Use of the machine, and time in all, for which a fault that may be named yet is not told as one that is not isolated:
+#: its tests fire one after the other, as the machine is used [s].
+PENDING, LATEST = 60.0, 180.0
+
+_LENGTHS = {"tests": MOST_TESTS, "faults": len(STRUCTURAL), "groups": len(STRUCTURAL), "words": 1}
 
 
-class Const(Record):
-    """Of each fault, the tests that it makes fire, as bits."""
-
-    signature: Annotated[i8s, len(STRUCTURAL)]
+class Const(machine.Const, lengths=_LENGTHS):
+    """Constants."""
 
 
-def prepare(c: Const, model: Model, system: str) -> None:
-    """Fill a record of Const from the faults that stand in the equations of the tests' sets."""
-    for k, fault in enumerate(STRUCTURAL):
-        bits = 0
-        for place, test in enumerate(TESTS[system]):
-            equations = model.residuals[test].equations
-            if any(fault in model.by_name[name].faults for name in equations):
-                bits |= 1 << place
-        c.signature[k] = bits
+class State(machine.State, lengths=_LENGTHS):
+    """State."""
 
 
-@kernel
-def candidates(c: Const, fired: int) -> int:
-    """Return the faults, as bits, that explain what has fired; none if nothing has."""
-    found = 0
-    for k in range(len(c.signature)):
-        if fired != 0 and fired & ~c.signature[k] == 0:
-            found |= 1 << k
-    return found
-
-
-@kernel
-def isolated(c: Const, fired: int) -> int:
-    """Return the fault whose tests, all and no others, have fired; -1 if there is none."""
-    for k in range(len(c.signature)):
-        if c.signature[k] == fired:
-            return k
-    return -1
-
-
-@kernel
-def support(c: Const, fault: int, levels: f8s) -> float:
-    """Return how near a fault's tests are to firing, 1 when all have: mean of T_norm, each at most 1."""
-    total, count = 0.0, 0
-    for place in range(len(levels)):
-        if c.signature[fault] >> place & 1 == 1:
-            total += min(levels[place], 1.0)
-            count += 1
-    return total / count
-
-
-@kernel
-def ranked(c: Const, found: int, levels: f8s) -> int:
-    """Return candidates as digits, likeliest first: 25 is the second fault, then the fifth; 0 if there is none.
+def prepare(s: State, c: Const, model: Model, system: str, settle_s: float) -> None:
+    """Fill state and constants from the faults that stand in the equations of the tests' sets.
 
     Args:
-        c: constants.
-        found: candidates, as bits.
-        levels: T_norm of the tests that decide, shape (MOST_TESTS,).
+        s: record of State.
+        c: record of Const.
+        model: the structural model.
+        system: of TESTS.
+        settle_s: with RDS, use of the machine without a further test, before a fault is named [s].
     """
-    digits = 0
-    while found != 0:
-        best = -1
-        for k in range(len(c.signature)):
-            if found >> k & 1 == 1 and (best < 0 or support(c, k, levels) > support(c, best, levels)):
-                best = k
-        found &= ~(1 << best)
-        digits = 10 * digits + best + 1
-    return digits
+    faults = [{f for e in model.residuals[test].equations for f in model.by_name[e].faults} for test in TESTS[system]]
+    signatures = [[k for k, seen in enumerate(faults) if fault in seen] for fault in STRUCTURAL]
+    alone = [[k] for k in range(len(STRUCTURAL))]
+    table.prepare(c, signatures, alone, tests=len(TESTS[system]), size=len(STRUCTURAL), must=signatures)
+    # With the paper's systems what has fired decides; beyond it what has since all were quiet: a second fault's test
+    # that comes down for want of use is not forgotten, nor a single one's.
+    robust = system == "RDS"
+    machine.prepare(s, c, confirm_ns=_ns(settle_s) if robust else 0, hold_ns=0, pending_ns=_ns(PENDING))
+    c.latest_ns, c.near = _ns(LATEST), ON_ITS_WAY
+    # What no fault alone explains, no further test does; and a name that a test contradicts is wrong at once.
+    c.hopeless_ns = c.withdraw_ns = 0
+    if robust:
+        c.together, c.hold_ns, c.heal_ns = 1, _ns(QUIET), _ns(HEALS)
+
+
+def _ns(seconds: float) -> int:
+    """Return a time in nanoseconds."""
+    return round(seconds * 1e9)

@@ -79,7 +79,7 @@ def _take(s: State, c: Const, u: Inputs, steps: int, out: Out[Evidence, decision
     s.lag_ms = s.alignment.lag.lag * c.period * 1e3
     static.step(s, c, s.alignment.out, dt)
     motion.step(s, c, s.alignment.out, dt)
-    decision.decide(s, c, out)
+    decision.decide(s, c, dt, out)
     if s.sets % SENT == 0:
         decision.tell(s, out)
 

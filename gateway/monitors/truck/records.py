@@ -70,7 +70,6 @@ class Const(Record):
     voltage_noise: f8
     speed_noise: f8
     power_noise: f8
-    settle: f8
     t1: t1.Const
     t2: t2.Const
     t3: t3_icds.Const
@@ -96,17 +95,15 @@ class State(Record):
     ``h_3`` (``h``: scratch); blocks of machine and battery that were ``taken``, and in which they were ``known``;
     ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``doubts``: of the residuals that wait in ``blanking``.
 
-    ``pending``: sets for which a name has been awaited, ``pending_used``: those with the machine in use (``used``: it
-    is); ``unisolated``: that is told; ``settled``: use of the machine since a test fired that had not [s], ``quiet``:
-    since the last test came down [s]; ``named``: the fault that was reported last; ``seen``: tests that have fired
-    since all were quiet, as bits.
+    ``fired``: tests above their threshold, as bits; ``use`` of the machine that the isolation has not seen yet [s];
+    ``named``: the fault that is told, -1: none; ``unisolated``: that is told; ``explained``: faults that explain what
+    has fired, as bits.
     """
 
     sets: i8
     apart: i8
     valid: i8
     fired: i8
-    found: i8
     explained: i8
     counter: i8
     taken_ns: i8
@@ -144,14 +141,10 @@ class State(Record):
     q5: t5.Const
     q6: t6.Const
     doubts: Annotated[f8s, blanking.MOST, blanking.LANES]
-    settled: f8
-    quiet: f8
-    used: i8
-    pending: i8
-    pending_used: i8
+    use: f8
     unisolated: u1
     named: i8
-    seen: i8
+    isolation: isolation.State
     t1: t1.State
     t2: t2.State
     t3: t3_icds.State
@@ -199,7 +192,7 @@ def prepare(p: Params, s: State, c: Const) -> None:
     for k, (name, residual, _) in enumerate(QUANTITIES):
         nu = getattr(p.nu, residual)
         cusum.prepare(c.cusum[k], nu, nu * getattr(p.thresholds, name), p.limit)
-    isolation.prepare(c.isolation, model, p.system)
+    isolation.prepare(s.isolation, c.isolation, model, p.system, p.settle_s)
     values = dict(p.parameters)
     if "f_3" in p.tables:
         values.setdefault("n_g", p.tables["f_3"].x[-1])
@@ -208,7 +201,7 @@ def prepare(p: Params, s: State, c: Const) -> None:
         _set_tables(p, getattr(c, field))
     _prepare_following(p, s, c)
     _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
-    s.counter, s.found, s.named = -1, -1, -1
+    s.counter, s.named = -1, -1
     s.frames.last[:] = -1
     s.frames.number[:] = -1
 
@@ -224,7 +217,6 @@ def _set_tables(p: Params, c: Any) -> None:
 
 
 def _prepare_following(p: Params, s: State, c: Const) -> None:
-    c.settle = p.settle_s if p.system == "RDS" else 0.0
     # Fields one by one: the state's are copies that change.
     copies: tuple[tuple[Any, Any], ...] = ((s.q2, c.t2), (s.q5, c.t5), (s.q6, c.t6))
     for mine, told in copies:

@@ -36,7 +36,6 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     They need no speed of the vehicle, but a machine that is used: at rest no fault shows, and T would come down (V-C).
     """
     used = abs(u.I_em_sens) >= c.least_amps
-    s.used = 1 if used else 0
     gear = int(u.gear)
     counts = used and u.u_c >= gate.ENGAGED and gear > 0
     v = s.corrected
@@ -58,5 +57,4 @@ def step(s: State, c: Const, u: Inputs, dt: float) -> None:
     if place >= 0:
         take_beyond(s, c, T2, s.blanking.held[place, 0], s.doubts[place, 0], machine and battery)
         take_beyond(s, c, T5, s.blanking.held[place, 1], s.doubts[place, 1], machine)
-        s.settled += dt
-        s.quiet += dt
+        s.use += dt

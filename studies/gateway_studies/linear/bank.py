@@ -89,7 +89,7 @@ def _walk(s: Any, c: Any, y: Any, u: Any, flags: Any, sizes: Any) -> None:
             flags[t, i] = s.actuator[i]
             sizes[t, i] = s.fault[i]
         for j in range(3):
-            flags[t, 2 + j] = 1 if s.latched == j and s.confirmed == 1 else 0
+            flags[t, 2 + j] = 1 if s.latched == j and s.suspect.confirmed == 1 else 0
             sizes[t, 2 + j] = s.offset[j]
         flags[t, 5] = s.unexplained
 
@@ -155,13 +155,13 @@ def _long(
         before_0, before_1, confirmed, lost = (
             s.actuator[0],
             s.actuator[1],
-            s.confirmed,
+            s.suspect.confirmed,
             s.unexplained,
         )
         isolation.step(s, c, y, u)
         seen[0] += 1 if s.actuator[0] > before_0 else 0
         seen[1] += 1 if s.actuator[1] > before_1 else 0
-        seen[2] += 1 if s.confirmed > confirmed else 0
+        seen[2] += 1 if s.suspect.confirmed > confirmed else 0
         seen[3] += 1 if s.unexplained > lost else 0
         seen[4] += s.tested
         for i in range(4):

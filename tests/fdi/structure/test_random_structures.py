@@ -11,9 +11,10 @@ from random_models import random_model
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
+from gateway.fdi.masks import BITS, pack, unpack
 from gateway.fdi.structure.candidates import classify
 from gateway.fdi.structure.decomposition import decompose, overdetermined
-from gateway.fdi.structure.incidence import BITS, counted, full, pack, unpack
+from gateway.fdi.structure.incidence import counted, full
 from gateway.fdi.structure.isolability import isolability_of_model, isolability_of_tests
 from gateway.fdi.structure.model import Equation, Model, Solvable, differential
 from gateway.fdi.structure.mso import TooManySetsError, find_msos

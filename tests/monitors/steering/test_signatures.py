@@ -2,8 +2,10 @@
 
 import pytest
 
+from gateway.fdi.isolation.table import OPEN
+from gateway.jit import zeros
 from gateway.monitors.steering import decision, symptoms
-from gateway.monitors.steering.decision import NONE, SIGNATURES, lookup
+from gateway.monitors.steering.decision import NONE, SIGNATURES
 from gateway.monitors.steering.faults import (
     ANGLES,
     CURRENT,
@@ -20,7 +22,7 @@ from gateway.monitors.steering.faults import (
     VOLTAGE,
     WHEEL,
 )
-from gateway.monitors.steering.params import Thresholds
+from gateway.monitors.steering.params import Params, Thresholds
 from gateway.monitors.steering.symptoms import (
     BOTH_SIGNS,
     ELECTRIC_MISFIT,
@@ -40,6 +42,15 @@ from gateway.monitors.steering.symptoms import (
     STEP_AT_ONCE,
     SUDDEN,
 )
+
+
+def lookup(on, found):
+    """The fault whose signature a set of symptoms has, beside the one that stands; NONE without."""
+    s, c = zeros(1, decision.State), zeros(1, decision.Const)
+    decision.prepare(s[0], c[0], Params())
+    s[0].on[0], s[0].found = on, found
+    said = decision.lookup(s[0], c[0])
+    return NONE if said == OPEN else said
 
 
 def test_each_signature_is_found_by_its_own_symptoms():

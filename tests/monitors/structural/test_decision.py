@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gateway.fdi.structure.incidence import pack, unpack
+from gateway.fdi.isolation import machine, table
+from gateway.fdi.masks import unpack
 from gateway.jit import COMPILED
 from gateway.monitors import contract
 from gateway.monitors.structural import decision, records
@@ -22,16 +23,18 @@ def monitor(seed):
     signatures[7] = frozenset([0, 70, 149])
     signatures[139] = frozenset([0, 70, 148])
     s, c = np.zeros(1, records.State.dtype).view(np.recarray)[0], np.zeros(1, records.Const.dtype).view(np.recarray)[0]
-    c.tests, c.faults, c.told = TESTS, FAULTS, FAULTS + 1
-    c.signature[:FAULTS] = pack(signatures, SIZE)
-    c.diagnosis[:FAULTS] = pack([[k] for k in range(FAULTS)], SIZE)
+    table.prepare(c, signatures, [[k] for k in range(FAULTS)], tests=TESTS, size=SIZE)
+    confirmed_after(s, c, 0)
     c.shown[:] = records.NOT_USED
     c.shown[:, 0], c.shown[:, 1], c.shown[:, 2] = records.LISTED, records.RANKED, records.KINDS * 149 + records.NORM
     decision.prepare_window(c)
     for k in range(TESTS):
         decision.prepare(c, k, 1.0, 1.0, 5.0)
-    s.found = -1
     return s, c, signatures
+
+
+def confirmed_after(s, c, time_ns):
+    machine.prepare(s, c, confirm_ns=time_ns, hold_ns=time_ns, pending_ns=decision.PENDING * time_ns)
 
 
 def step(s, c, fired, seconds):
@@ -100,7 +103,7 @@ def up_and_down(s, c, fired, chatters, seconds):
 @pytest.mark.costly
 def test_one_that_is_up_and_down_does_not_keep_all_from_being_told():
     s, c, signatures = monitor(0)
-    c.confirm_ns = 10 * PERIOD_NS
+    confirmed_after(s, c, 10 * PERIOD_NS)
     assert [k for k, each in enumerate(signatures) if signatures[7] <= each] == [7]
     assert up_and_down(s, c, (0, 70), 149, 0.9) == []
     assert set(up_and_down(s, c, (0, 70), 149, 6.0)) == {7}
@@ -110,7 +113,7 @@ def test_one_that_is_up_and_down_does_not_keep_all_from_being_told():
 
 def test_a_test_that_was_up_for_a_moment_accuses_nobody():
     s, c, _ = monitor(0)
-    c.confirm_ns = 10 * PERIOD_NS
+    confirmed_after(s, c, 10 * PERIOD_NS)
     s.residual[:] = 0.0
     for _ in range(3):
         assert up_and_down(s, c, (), 149, 0.1) == []  # up once

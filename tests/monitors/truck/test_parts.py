@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gateway.common.resources import shipped
+from gateway.fdi.isolation import table
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.code import write
 from gateway.fdi.structure.generator.realisation import realise
@@ -28,37 +29,45 @@ def test_the_generated_modules_are_what_the_model_gives():
 MODEL = load_model(shipped("models/truck.toml"))
 
 
-def constants(system):
-    c = zeros(1, isolation.Const)
-    isolation.prepare(c[0], MODEL, system)
-    return c[0]
+def isolated(system):
+    """State and constants of the isolation."""
+    s, c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
+    isolation.prepare(s, c, MODEL, system, 0.5)
+    return s, c
 
 
 def test_signatures_are_those_of_the_structure():
     for system in ("ICDS", "MCDS"):
-        assert list(constants(system)["signature"]) == [0b1010, 0b0101, 0b1100, 0b0110, 0b1001]
+        assert isolated(system)[1]["may"][:, 0].tolist() == [0b1010, 0b0101, 0b1100, 0b0110, 0b1001]
     robust = [0b01010, 0b00101, 0b10000, 0b00110, 0b01001]
-    assert list(constants("RDS")["signature"]) == robust
+    assert isolated("RDS")[1]["may"][:, 0].tolist() == robust
 
 
 def test_candidates_explain_all_that_has_fired():
-    c = constants("ICDS")
-    assert isolation.candidates(c, 0) == 0
-    assert isolation.candidates(c, 0b0001) == 0b10010
-    assert isolation.candidates(c, 0b1000) == 0b10101
-    assert isolation.candidates(c, 0b1010) == 0b00001
-    assert isolation.candidates(c, 0b0111) == 0
-    isolated = [isolation.isolated(c, f) for f in (0b1010, 0b0101, 0b0001, 0b1111, 0)]
-    assert isolated == [0, 1, -1, -1, -1]
+    s, c = isolated("ICDS")
+    found = {}
+    for fired in (0, 0b0001, 0b1000, 0b1010, 0b0111, 0b0101, 0b1111):
+        s["fired"][0] = fired
+        found[fired] = (table.answer(s, c), int(s["explained"][0]))
+    assert found == {
+        0: (table.NOTHING, 0),
+        0b0001: (table.OPEN, 0b10010),
+        0b1000: (table.OPEN, 0b10101),
+        0b1010: (0, 0b00001),
+        0b0111: (table.OPEN, 0),
+        0b0101: (1, 0b00010),
+        0b1111: (table.OPEN, 0),
+    }
 
 
 def test_candidates_are_ranked_by_how_near_their_tests_are():
     """T4 has fired: battery (with T2), efficiency (with T3) and sensor (with T1) explain it."""
-    c = constants("ICDS")
-    assert isolation.ranked(c, 0b10101, np.array([0.9, 0.2, 0.5, 3.0, 0.0])) == 531
-    assert isolation.ranked(c, 0b10101, np.array([0.1, 0.8, 0.5, 3.0, 0.0])) == 135
-    assert isolation.ranked(c, 0, np.zeros(5)) == 0
-    assert isolation.support(c, 0, np.array([0.0, 4.0, 0.0, 0.5, 0.0])) == 0.75
+    s, c = isolated("ICDS")
+    s["explained"][0] = 0b10101
+    assert table.ranked(s, c, np.array([0.9, 0.2, 0.5, 3.0, 0.0]), 10.0, 5) == 531
+    assert table.ranked(s, c, np.array([0.1, 0.8, 0.5, 3.0, 0.0]), 10.0, 5) == 135
+    s["explained"][0] = 0
+    assert table.ranked(s, c, np.zeros(5), 10.0, 5) == 0
 
 
 def test_a_gear_change_takes_away_what_is_before_and_behind_it():

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from sympy.printing.numpy import NumPyPrinter
 from sympy.printing.pycode import PythonCodePrinter
 
+from gateway.fdi.masks import pack, words
 from gateway.fdi.structure.blocks import block_search, find_blocks
 from gateway.fdi.structure.generator.solving import linear
 from gateway.fdi.structure.generator.symbols import Algebra, Symbols
-from gateway.fdi.structure.incidence import pack, words
 from gateway.fdi.structure.matching import Matching, match_set
 from gateway.fdi.structure.model import Model, Solvable
 from gateway.fdi.structure.simulation.reduction import NotSimulatedError, Reduced

@@ -173,7 +173,7 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     for i in range(o.m):
         _report(s, c, 1 + i, x.actuator[i] == 1, x.fault[i], x.limit[i], out)
     for j in range(o.p):
-        failed = x.latched == j and x.confirmed == 1
+        failed = x.latched == j and x.suspect.confirmed == 1
         _report(s, c, 1 + o.m + j, failed, x.offset[j], c.isolation.sensor[j], out)
 
 
@@ -226,7 +226,7 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
     named = decision.part_of(c.models, x.active)
     for part in range(f.m + f.p):
         limit = c.models.actuator[part] if part < f.m else c.models.sensor[part - f.m]
-        at_fault = part == named and x.confirmed == 1
+        at_fault = part == named and x.suspect.confirmed == 1
         _report(s, c, 1 + part, at_fault, x.magnitude if at_fault else 0.0, limit, out)
     if named >= f.m:
         s.sensor = named - f.m
