@@ -19,7 +19,8 @@ from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
 from gateway.engine.emission import EmitConst, EmitState
 from gateway.engine.gate import WatchConst, WatchState
-from gateway.engine.tables import NEVER, ClockState, HandlerState, PageState, VectorState
+from gateway.engine.samples import SamplerState
+from gateway.engine.tables import NEVER, ClockState, HandlerState, PageState, Tables, VectorState
 from gateway.engine.timers import note_all
 from gateway.jit import Record
 from gateway.signals.tables import SignalRef
@@ -138,9 +139,22 @@ def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
         new.state_of(k)[:] = old.state_of(before)
         handler, other = new.tables.handlers[k], old.tables.handlers[before]
         _take(handler, other, HandlerState)
+        _take_samples(new.tables, handler, old.tables, other)
         if handler["emit"] >= 0 and other["emit"] >= 0:
             sent = old.tables.emits[other["emit"]]
             _take(new.tables.emits[handler["emit"]], sent, EmitState, EmitConst)
+
+
+def _take_samples(new: Tables, handler: Any, old: Tables, other: Any) -> None:
+    """Take over what has come of a sample that is not there yet, and of the inputs of the last one."""
+    if handler["sampler"] < 0:
+        return
+    mine, theirs = new.samplers[handler["sampler"]], old.samplers[other["sampler"]]
+    _take(mine, theirs, SamplerState)
+    cells = int(mine["const"]["depth"] * handler["slots"])
+    new.held[mine["held"] :][:cells] = old.held[theirs["held"] :][:cells]
+    last = int(handler["cells"] - handler["inputs"] + handler["slots"])
+    new.pool[handler["inputs"] :][:last] = old.pool[other["inputs"] :][:last]
 
 
 def _alike(one: Any, other: Any, buses: Mapping[int, int]) -> bool:

@@ -22,6 +22,7 @@ from gateway.engine.emission import Emitted
 from gateway.engine.events import EVENT
 from gateway.engine.gate import CycleWatch, Gate, fill_gates, fill_watches
 from gateway.engine.instances import FaultSlot, MonitorInstance
+from gateway.engine.samples import Sampled, Sampler, fill
 from gateway.engine.tables import (
     MOST_REPORTS,
     NEVER,
@@ -36,9 +37,11 @@ from gateway.engine.tables import (
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
 from gateway.errors import Gathered, InputError, named
+from gateway.jit import Record
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS, Arrivals
+from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
@@ -132,6 +135,7 @@ def _signals(
     wanted.update(c.signal for cycle in cycles for c in (cycle.begins, cycle.ends))
     for wired in wirings:
         wanted.update(reference for reference in wired.inputs if reference is not None)
+        wanted.update(wired.counters)
     wrong = Gathered()
     for check in checks:
         with wrong:
@@ -154,6 +158,10 @@ class _Handlers:
         rows: of Handler, shape (monitors,).
         pool: float64, the monitors' inputs one after the other.
         slots: mailbox slots of these inputs.
+        places: which of its monitor's messages each of them comes in; -1: the newest value is taken.
+        samplers: of Sampler, shape (1,) each, of the monitors that step once a sample.
+        sampled: their messages.
+        held: cells that hold what has come of sets.
         sources: messages that they come from, and those of their pages, as the loop has them.
         pages: mailbox slot of each multiplexed signal among them -> its page.
         triggered: row of a message -> the monitors that it steps, by priority.
@@ -165,6 +173,10 @@ class _Handlers:
     rows: Any
     pool: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     slots: list[int] = field(default_factory=list)
+    places: list[int] = field(default_factory=list)
+    samplers: list[Any] = field(default_factory=list)
+    sampled: list[tuple[int, int]] = field(default_factory=list)
+    held: int = 0
     sources: list[int] = field(default_factory=list)
     pages: dict[int, int] = field(default_factory=dict)
     triggered: dict[int, list[int]] = field(default_factory=dict)
@@ -236,14 +248,40 @@ def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made:
     for slot in filter(plan.is_multiplexed, needed):
         sources.append(-1 - made.pages.setdefault(slot, len(made.pages)))
     size = m.monitor.inputs.dtype.itemsize
-    assert size == 8 * (2 + len(own)), "as the step copies them"
+    assert size == 8 * (m.monitor.header + len(own)), "as the step copies them"
+    row["cells"], row["sampler"] = row["inputs"] + m.monitor.header, -1
+    places = _sample(row, m, wired, plan, made)
     while own and own[-1] == nowhere:  # stays NaN without a step's copying it
         own.pop()
     row["first_slot"], row["slots"] = len(made.slots), len(own)
     row["first_source"], row["sources"] = len(made.sources), len(sources)
     made.slots += own
+    made.places += places[: len(own)]
     made.sources += sources
     return size // 8
+
+
+def _sample(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: _Handlers) -> list[int]:
+    """Say how the frames of a monitor become samples, if it steps once a sample; returns its inputs' messages."""
+    if wired.sampling is None:
+        return [-1] * len(wired.inputs)
+    rows = [-1 if place is None else int(plan.slot_message[plan.slot(*place)]) for place in wired.inputs]
+    stepping = {plan.message(*message) for message in wired.triggers}
+    messages = list(dict.fromkeys(message for message in rows if message in stepping))
+    if len(messages) > MOST_MESSAGES:
+        text = f"its inputs come in {len(messages)} messages; a sample has at most {MOST_MESSAGES}"
+        raise InputError(text, key=m.key or f'monitor "{m.name}"')
+    counters = {int(plan.slot_message[slot]): slot for slot in (plan.slot(*place) for place in wired.counters)}
+    for message in set(counters) - set(messages):
+        text = f"a frame counter of {plan.message_names[message][1]}, which carries none of the inputs that trigger"
+        raise InputError(text, file=m.monitor.file, key=f'monitor type "{m.monitor.type}".Sampled')
+    sampler = table(1, Sampler).view(np.recarray)[0]
+    row["sampler"] = len(made.samplers)
+    made.samplers.append(sampler)
+    sampler["first"], sampler["held"] = len(made.sampled), made.held
+    made.sampled += fill(sampler, wired.sampling, messages, counters, plan.n_slots)
+    made.held += int(sampler["const"]["depth"]) * len(wired.inputs)
+    return [messages.index(message) if message in messages else -1 for message in rows]
 
 
 def _tell_arrivals(m: MonitorInstance, wired: Wired, plan: DecodePlan, const: Any) -> None:
@@ -359,6 +397,13 @@ def _refuse_unknown_roots(gates: Mapping[str, Gate], ids: Mapping[str, int]) -> 
     wrong.check()
 
 
+def _rows(rows: Sequence[Any], kind: type[Record]) -> Any:
+    made = table(len(rows), kind)
+    for k, row in enumerate(rows):
+        made[k] = row
+    return made
+
+
 def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protection.Tables, **others: Any) -> Tables:
     """Put all tables together; ``others`` are given as they are."""
     known = set(plan.message_names)
@@ -382,6 +427,10 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         mailbox=np.full(plan.n_slots + 1, np.nan),
         handlers=made.rows,
         slots=np.asarray(made.slots, np.int32),
+        places=np.asarray(made.places, np.int32),
+        samplers=_rows(made.samplers, Sampler),
+        sampled=_rows(made.sampled, Sampled),
+        held=np.full(max(made.held, 1), np.nan),
         sources=np.asarray(made.sources, np.int32),
         pool=made.pool,
         pool_ns=made.pool.view(np.int64),

@@ -16,6 +16,8 @@ def assert_consistent(t: Tables) -> None:
     assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
     assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
     assert ((t.slots >= 0) & (t.slots < slots)).all()
+    assert len(t.places) == len(t.slots)
+    assert ((t.sampled["counter"] >= 0) & (t.sampled["counter"] < slots)).all()
     assert ((t.sources >= -len(t.pages)) & (t.sources < messages)).all()
     assert ((t.vectors["page"] >= -1) & (t.vectors["page"] < len(t.pages))).all()
     assert ((t.pages["after"] >= -1) & (t.pages["after"] < len(t.pages))).all()
@@ -23,7 +25,14 @@ def assert_consistent(t: Tables) -> None:
     for h in t.handlers:
         assert h["first_slot"] + h["slots"] <= len(t.slots)
         assert h["first_source"] + h["sources"] <= len(t.sources)
-        assert h["inputs"] + 2 + h["slots"] <= len(t.pool)
+        assert h["inputs"] + 2 <= h["cells"]
+        assert h["cells"] + h["slots"] <= len(t.pool)
+        assert -1 <= h["sampler"] < len(t.samplers)
+        if h["sampler"] >= 0:
+            y = t.samplers[h["sampler"]]
+            assert y["first"] + y["const"]["messages"] <= len(t.sampled)
+            assert y["held"] + y["const"]["depth"] * h["slots"] <= len(t.held)
+            assert (t.places[h["first_slot"] :][: h["slots"]] < y["const"]["messages"]).all()
         assert 0 <= h["fault"] <= h["fault"] + h["faults"] <= faults
         assert h["emit"] < len(t.emits)
     for row in (*t.checks, *t.health):

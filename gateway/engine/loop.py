@@ -47,6 +47,7 @@ from gateway.engine.events import (
 )
 from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, report_verdict, store_evidence
+from gateway.engine.samples import collect
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel, read_ahead
@@ -132,11 +133,14 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     if h.off != 0:
         h.skipped += 1
         return
-    at = h.inputs
-    T.pool_ns[at] = t_ns
-    T.pool_ns[at + 1] = trigger
-    for k in range(h.slots):
-        T.pool[at + 2 + k] = T.mailbox[T.slots[h.first_slot + k]]
+    if h.sampler >= 0:
+        if trigger != TIMER and not collect(T, t_ns, trigger, h):
+            return
+    else:
+        for k in range(h.slots):
+            T.pool[h.cells + k] = T.mailbox[T.slots[h.first_slot + k]]
+    T.pool_ns[h.inputs] = t_ns
+    T.pool_ns[h.inputs + 1] = trigger
     out = T.out[0]
     out.n = 0
     out.overflow = 0
@@ -318,6 +322,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         if inputs_valid(T, t_ns, h):
             step(T, t_ns, row, h)
         else:
+            if h.sampler >= 0 and h.off == 0:
+                collect(T, t_ns, row, h)  # the first frames of the first sample
             mark_not_tested(T, t_ns, h)
 
 

@@ -74,6 +74,8 @@ class HandlerPlace(Record):
     const: i8
     inputs_address: i8
     inputs: i4 = means("first of its cells in the pool")
+    cells: i4 = means("first of those that are connected")
+    sampler: i4 = means("how its frames become samples; -1: each frame steps it")
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
     slots: i4
     first_source: i4 = means("sources[first_source:+sources]: what its inputs come from; a message, or -1 - a page")
@@ -176,6 +178,8 @@ class Tables(NamedTuple):
     Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
+    Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``; ``places``: which
+    of them each of ``slots`` comes in, -1: its newest value is taken; ``held``: what has come of sets.
     """
 
     keys: NDArray[np.uint64]
@@ -191,7 +195,11 @@ class Tables(NamedTuple):
     triggers: NDArray[np.int32]
     handlers: NDArray[np.void]
     slots: NDArray[np.int32]
+    places: NDArray[np.int32]
     sources: NDArray[np.int32]
+    samplers: NDArray[np.void]
+    sampled: NDArray[np.void]
+    held: NDArray[np.float64]
     pool: NDArray[np.float64]
     pool_ns: NDArray[np.int64]
     checks: NDArray[np.void]

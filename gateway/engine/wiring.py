@@ -10,8 +10,9 @@ from pydantic import BaseModel
 from gateway.common.tomlfile import key_path
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import Gathered, InputError, nearest
-from gateway.monitors.conformance import connections
+from gateway.monitors.conformance import connections, sampling_of
 from gateway.monitors.contract import Signal
+from gateway.monitors.sampling import Sampling
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 
@@ -24,12 +25,16 @@ class Wired(NamedTuple):
         inputs: the signal of each number of its inputs, None: nothing.
         optional: messages that need not come.
         takes_nan: whether it steps with messages whose values are not valid.
+        sampling: how its frames become samples; None: each frame steps it.
+        counters: the frame counters for that.
     """
 
     triggers: set[tuple[int, str]]
     inputs: list[SignalRef | None]
     optional: set[tuple[int, str]]
     takes_nan: bool
+    sampling: Sampling | None
+    counters: tuple[SignalRef, ...]
 
 
 def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[str, int]) -> Wired:
@@ -40,7 +45,9 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
             know.
     """
     connected = connections(m.monitor, m.params)
-    known = {signal.name for _, signal in connected.inputs if signal is not None}
+    sampling = sampling_of(m.monitor, m.params)
+    counters = [] if sampling is None else [Signal(name, spare=sampling.spare) for name in sampling.counters]
+    known = {signal.name for _, signal in connected.inputs if signal is not None} | {each.name for each in counters}
     inputs: list[SignalRef | None] = []
     places: dict[str, tuple[int, str]] = {}  # default name of a message -> where it is
     triggers: set[tuple[int, str]] = set()
@@ -66,6 +73,11 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
             optional.add((place.bus, place.message))
         if signal.triggers:
             triggers.add((place.bus, place.message))
+    places_of_counters: list[SignalRef] = []
+    for signal in counters:
+        with wrong:
+            place = _wanted(m, signal, databases, buses, key)
+            places_of_counters += [] if place is None else [place]
     wrong.check()
     triggers |= {places.get(name, (m.bus, name)) for name in connected.messages}
     for bus, name in triggers:
@@ -76,7 +88,7 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
             raise InputError(error.message, key=f"{key}.{own}" if own else key, value=name) from error
     given = [signal for _, signal in connected.inputs if signal is not None]
     takes_nan = bool(given) and all(signal.may_be_nan for signal in given)
-    return Wired(triggers, inputs, optional, takes_nan)
+    return Wired(triggers, inputs, optional, takes_nan, sampling, tuple(places_of_counters))
 
 
 def _wanted(

@@ -34,8 +34,11 @@ from gateway.monitors.contract import (
     Monitor,
     MonitorParams,
     Readout,
+    Sampled,
+    SampledInputs,
     Signal,
 )
+from gateway.monitors.sampling import Sampling
 
 #: Longest time of a debounce, as a configuration may have it, too [ms].
 MOST_DEBOUNCE_MS = 3.6e6
@@ -44,7 +47,7 @@ MOST_DEBOUNCE = 32767
 
 _FLOAT = np.dtype("<f8")
 #: Fields of the inputs that the engine fills itself.
-_OWN = tuple(Inputs.dtype.names or ())
+_OWN = tuple(SampledInputs.dtype.names or ())
 
 
 def accepted(monitor: object, name: str) -> Monitor[Any] | Family[Any]:
@@ -134,7 +137,8 @@ def _wrong_in_type(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
     if monitor.outputs is not None:
         wired["outputs"] = monitor.outputs.dtype
     for name, dtype in wired.items():  # a signal each
-        for field in set(dtype.names or ()).difference(_OWN):
+        own = _OWN if issubclass(monitor.inputs, SampledInputs) else Inputs.dtype.names or ()
+        for field in set(dtype.names or ()).difference(own):
             if dtype[field].base != _FLOAT:
                 yield "a field here is float64: f8, or an array of f8s", f"{name}.{field}"
     function = getattr(monitor.step, "py_func", monitor.step)
@@ -170,6 +174,8 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
             yield f"the state has no field {name!r}{nearest(name, known)}", "capabilities"
         elif monitor.state.dtype[name].shape or monitor.state.dtype[name].names is not None:
             yield f"the state's field {name!r} is not one number", "capabilities"
+    if (monitor.capability(Sampled) is None) == issubclass(monitor.inputs, SampledInputs):
+        yield "the capability Sampled and inputs that derive from SampledInputs go together", "inputs"
     arrivals = monitor.capability(Arrivals)
     if arrivals is not None:
         yield from _wrong_arrivals(monitor, arrivals)
@@ -258,7 +264,7 @@ def _fields(monitor: Monitor[Any]) -> list[tuple[str, int, bool]]:
     return [
         (name, int(np.prod(dtype[name].shape)), bool(dtype[name].shape))
         for name in dtype.names or ()
-        if name not in _OWN
+        if dtype.fields is not None and dtype.fields[name][1] >= 8 * monitor.header
     ]
 
 
@@ -336,6 +342,22 @@ def _of_field(
     if len(given) != count:
         raise InputError(f"{len(given)} signals for an array of {count}", file=monitor.file, key=key)
     return [(f"{name}[{k}]", signal) for k, signal in enumerate(given)]
+
+
+def sampling_of(monitor: Monitor[Any], params: MonitorParams) -> Sampling | None:
+    """Return how the frames of a monitor become samples; None: each steps it.
+
+    Raises:
+        InputError: what it says is none.
+    """
+    sampled = monitor.capability(Sampled)
+    if sampled is None:
+        return None
+    found: object = sampled.of(params)
+    key = f'monitor type "{monitor.type}".Sampled.of'
+    if not isinstance(found, Sampling):
+        raise InputError(f"a Sampling, not {type(found).__name__}", file=monitor.file, key=key)
+    return found
 
 
 def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission | None:

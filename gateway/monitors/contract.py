@@ -26,6 +26,7 @@ from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
 from gateway.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
 from gateway.monitors.authors import by_author
+from gateway.monitors.sampling import MOST_MESSAGES, Sampling
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2
@@ -116,6 +117,17 @@ class Inputs(Record):
 
     t_ns: i8 = means("time of the event", "ns")
     trigger: i8 = means("index of the message that caused it, or TIMER")
+
+
+class SampledInputs(Inputs):
+    """Base of the inputs of a monitor that steps once a sample (:class:`Sampled`).
+
+    Its messages are those whose signals trigger, in the order of the inputs; at most ``MOST_MESSAGES``.
+    """
+
+    gap: f8 = means("samples from the one before to this one; 1: none is missing between")
+    missing: f8 = means("bits of the messages that are missing in this sample, whose inputs are NaN")
+    waited: Annotated[f8s, MOST_MESSAGES] = means("how long ago each message was due; NaN: it is missing", "s")
 
 
 class Evidence(Record):
@@ -467,6 +479,19 @@ class Arrivals:
     of: Callable[[Any], Any]
 
 
+@dataclass(frozen=True)
+class Sampled:
+    """A monitor that steps once a sample, however late, overtaken or lost its frames are.
+
+    Its inputs derive from :class:`SampledInputs`. Those whose signals do not trigger have their newest value.
+
+    Attributes:
+        of: parameters -> how frames become samples; its counters are named as signals are.
+    """
+
+    of: Callable[[Any], Sampling]
+
+
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
 VAGUE = 0.1
 
@@ -509,6 +534,7 @@ Capability = (
     | Quantities
     | Readout
     | Refinement
+    | Sampled
     | SensorCalibration
     | Warnings
 )
@@ -523,6 +549,7 @@ C = TypeVar(
     Quantities,
     Readout,
     Refinement,
+    Sampled,
     SensorCalibration,
     Warnings,
 )
@@ -580,6 +607,12 @@ class Monitor(Generic[P]):
             key: by_author(self, f"{name}.{key}", value) for key, value in called.items() if callable(value)
         }
         return replace(found, **own)
+
+    @property
+    def header(self) -> int:
+        """Numbers of its inputs before those that are connected."""
+        own = SampledInputs if issubclass(self.inputs, SampledInputs) else Inputs
+        return own.dtype.itemsize // 8
 
     @property
     def readout(self) -> tuple[str, ...]:

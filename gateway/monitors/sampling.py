@@ -4,8 +4,11 @@ Frames wait for the bus, are overtaken and get lost, so that when one came says 
 message has a frame counter the number of a sample comes from that; the time only tells how often the counter went
 round. A frame that was overtaken is older than what has been taken, and is no sample any more.
 
-Signals that come in several messages make a sample together: it is there when each message has come once more. One that
-stays away is not waited for; what it carries is missing (NaN) then.
+Signals that come in several messages make a sample together: **by set**, when each message has come once more, or **by
+counter**, when all have come with the same counter, in whatever order. One that stays away is not waited for; what it
+carries is missing (NaN) then.
+
+The engine does this for a monitor with the capability :class:`gateway.monitors.contract.Sampled`.
 """
 
 from __future__ import annotations
@@ -16,9 +19,11 @@ from typing import Annotated, Any, Literal
 
 from gateway.jit import Record, f8, i8, i8s, kernel, means
 
-#: Counters are modulo this, or a multiple of it, until one is known to go round sooner.
-MODULO = 16
-#: Frames after which that is known, and least modulo that says something where frames get lost.
+#: Messages that a sample can come in, and sets of one counter that are collected at the same time.
+MOST_MESSAGES, MOST_DEPTH = 8, 16
+#: Time that does not pass [ns].
+FOR_EVER = 2**62
+#: Frames after which is known that a counter goes round sooner; least modulo that says something where frames get lost.
 LEARNED, LEAST = 64, 8
 #: A frame is early by no more than this share of a period; one that seems to be is an overtaken one.
 EARLY = 0.5
@@ -41,17 +46,32 @@ class Sampling:
     """How the frames of a monitor become samples.
 
     Attributes:
-        by: "counter": one message with a frame counter; "set": several messages, with counters or without;
-            "clock": one message whose time stamps, rounded to periods, are all there is.
+        by: "counter": one message with a frame counter, or several whose counters agree; "set": several messages,
+            with counters of their own or without; "clock": one message whose time stamps, rounded to periods, are all
+            there is.
         period_ms: between two samples.
-        window_ms: for so long a set waits for a message that has not come.
+        window_ms: for so long a sample waits for a message that has not come; inf: for ever, none is ever missing.
         oldest_ms: a sample further behind the last one is none that follows it: all begins anew.
+        counters: the frame counters, ``"Message.Signal"``.
+        modulo: of these; one that counts to a multiple of it is well.
+        depth: samples that are collected at the same time, of several messages by counter.
+        spare: whether a database need not have the counters.
     """
 
     by: Literal["counter", "set", "clock"]
     period_ms: float
     window_ms: float
     oldest_ms: float
+    counters: tuple[str, ...] = ()
+    modulo: int = 16
+    depth: int = 4
+    spare: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.depth <= MOST_DEPTH:
+            raise ValueError(f"depth = {self.depth}: 1 to {MOST_DEPTH}")
+        if self.modulo < 2:
+            raise ValueError(f"modulo = {self.modulo}: 2 at least")
 
 
 class Const(Record):
@@ -62,6 +82,8 @@ class Const(Record):
     window_ns: i8 = means(unit="ns")
     oldest: i8 = means("samples further from each other do not follow each other", "periods")
     counted: i8 = means("1: counters are looked at")
+    modulo: i8
+    depth: i8 = means("sets that are collected at the same time; 0: a sample is what has come once more")
 
 
 class Numbers(Record):
@@ -93,8 +115,13 @@ class State(Record, lengths={"messages": 1}):
     """State.
 
     ``fresh``: bits of the messages that have come since the last sample; ``taken``: number that each had in it;
-    ``came_ns``: when each came last. ``missing``: bits of the messages that are missing in the sample; ``gap``:
-    periods from the sample before to this one; ``overtaken``: frames that came too late to be one.
+    ``came_ns``: when each came last. ``missing``: bits of the messages that are missing in the sample, ``away``:
+    until they come again; ``gap``: periods from the sample before to this one; ``overtaken``: frames that came too late
+    to be one.
+
+    By counter: ``have``: bits of the messages that have come of each set, whose ``number`` it is; ``place``: of the
+    frame's set among them; ``last``: number of the newest sample, ``newest``: of all frames, which have ``begun`` to
+    come; ``shift``: a number less its counter; ``apart``: sets that were given up.
     """
 
     numbers: Annotated[list[Numbers], "messages"]
@@ -104,9 +131,18 @@ class State(Record, lengths={"messages": 1}):
     last_ns: i8
     fresh: i8
     missing: i8
+    away: i8
     gap: i8
     samples: i8
     overtaken: i8
+    have: Annotated[i8s, MOST_DEPTH]
+    number: Annotated[i8s, MOST_DEPTH]
+    place: i8
+    last: i8
+    begun: i8
+    newest: i8
+    shift: i8
+    apart: i8
 
 
 def prepare(c: Const, sampling: Sampling, messages: int) -> None:
@@ -119,8 +155,10 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
     """
     c.messages, c.counted = messages, sampling.by != "clock"
     c.period_ns = round(sampling.period_ms * 1e6)
-    c.window_ns = round(sampling.window_ms * 1e6)
+    c.window_ns = FOR_EVER if math.isinf(sampling.window_ms) else round(sampling.window_ms * 1e6)
     c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
+    c.modulo = sampling.modulo
+    c.depth = sampling.depth if sampling.by == "counter" and messages > 1 else 0
 
 
 @kernel
@@ -152,12 +190,12 @@ def _wait(s: Numbers, arrived_ns: int, period_ns: int) -> None:
 
 
 @kernel
-def _steps(s: Numbers, arrived_ns: int, counter: float, period_ns: int) -> int:
+def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
     """Return by how many periods a frame's sample is newer than the newest before; not positive: it is older."""
-    count = int(counter)
+    count, period_ns = int(counter), c.period_ns
     s.top = max(s.top, count)
-    modulo = MODULO
-    if s.seen >= LEARNED and s.top + 1 < MODULO:
+    modulo = c.modulo
+    if c.depth == 0 and s.seen >= LEARNED and s.top + 1 < modulo:
         modulo = s.top + 1
     if modulo < LEAST:
         return _by_clock(s, arrived_ns, period_ns)
@@ -195,8 +233,8 @@ def _steps(s: Numbers, arrived_ns: int, counter: float, period_ns: int) -> int:
 
 
 @kernel
-def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
-    """Take a frame: give its sample a number; tells whether it is newer than the newest before.
+def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
+    """Take a frame: number its sample; returns by how much that is newer than the newest before, if it is positive.
 
     Let the counter be n modulo M, and a frame wait for w >= 0 until it arrives. Sample n was due at d(n), one period T
     behind d(n - 1), so that arrival - d(n) = w, and arrival - d(n + M) = w - M T: n is the newest one with this counter
@@ -215,14 +253,13 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
     elif c.counted == 0 or math.isnan(counter) or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
         steps = _by_clock(s, arrived_ns, c.period_ns)
     else:
-        steps = _steps(s, arrived_ns, counter, c.period_ns)
-    if steps <= 0:
-        return False
-    s.number += steps
-    s.arrived_ns = arrived_ns
-    if not math.isnan(counter):
-        s.counter = int(counter)
-    return True
+        steps = _steps(s, c, arrived_ns, counter)
+    if steps > 0:
+        s.number += steps
+        s.arrived_ns = arrived_ns
+        if not math.isnan(counter):
+            s.counter = int(counter)
+    return int(steps)
 
 
 @kernel
@@ -240,6 +277,77 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
 
 
 @kernel
+def _awaited(s: Any, c: Const, t_ns: int) -> int:
+    """Return the bits of the messages that are waited for: they came within the window, or may come yet."""
+    awaited = 0
+    for k in range(c.messages):
+        last_ns = s.came_ns[k] if s.numbers[k].seen > 0 else s.begun_ns
+        if t_ns - last_ns <= c.window_ns:
+            awaited |= 1 << k
+    return awaited
+
+
+@kernel
+def _agree(s: Any, c: Const, n: Numbers, counter: float) -> None:
+    """Have the numbers of a message agree with those of the others where the counters do.
+
+    Far ahead of all others there is nothing to agree with: the others follow from there.
+    """
+    off = (int(counter) + s.shift - s.newest) % c.modulo
+    if s.begun == 0 or (n.seen > 1 and 2 * (n.number - s.newest) > c.modulo):
+        s.shift = (n.number - int(counter)) % c.modulo
+    elif n.seen == 1 or (n.number - int(counter) - s.shift) % c.modulo != 0:
+        n.number = s.newest + (off if 2 * off <= c.modulo else off - c.modulo)
+    s.newest = n.number if s.begun == 0 else max(s.newest, n.number)
+    s.begun = 1
+
+
+@kernel
+def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
+    """Take a frame of one of several messages whose counters agree; see :func:`take`."""
+    n, bit = s.numbers[message], 1 << message
+    if math.isnan(counter):
+        return OVERTAKEN
+    steps = number(n, c, t_ns, counter)
+    if steps > 0:
+        _agree(s, c, n, counter)
+    s.came_ns[message] = t_ns
+    mine = n.number + min(steps, 0)
+    if s.samples > 0 and mine <= s.last:
+        s.overtaken += 1
+        return OVERTAKEN
+    place = mine % c.depth
+    if s.number[place] != mine:
+        if s.have[place] != 0:
+            s.apart += 1
+        s.have[place], s.number[place] = 0, mine
+    s.have[place] |= bit
+    s.place = place
+    if _awaited(s, c, t_ns) & ~s.have[place]:
+        return WAITS
+    s.gap = mine - s.last if s.samples > 0 else 1
+    s.missing = ((1 << c.messages) - 1) & ~s.have[place]
+    for k in range(c.depth):  # older ones come too late from here on
+        if s.have[k] != 0 and s.number[k] < mine:
+            s.apart += 1
+            s.have[k] = 0
+    s.have[place], s.last, s.last_ns = 0, mine, t_ns
+    s.samples += 1
+    return SAMPLE
+
+
+@kernel
+def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
+    """Tell whether a message that has been away came after its sample was taken: its next frame belongs to this one."""
+    back = s.away & s.fresh
+    s.away = 0
+    for k in range(c.messages):
+        if back & (1 << k) and 2 * (t_ns - s.came_ns[k]) > c.period_ns:
+            return True
+    return False
+
+
+@kernel
 def take(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
     """Take a frame; returns OVERTAKEN, WAITS for others, or SAMPLE: one is there, with ``s.gap`` and ``s.missing``.
 
@@ -252,23 +360,30 @@ def take(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
     """
     if s.begun_ns == 0:
         s.begun_ns = max(t_ns, 1)
-    if not number(s.numbers[message], c, t_ns, counter):
+    if c.depth > 0:
+        return int(_take_of_set(s, c, message, t_ns, counter))
+    if number(s.numbers[message], c, t_ns, counter) <= 0:
         s.overtaken += 1
         return OVERTAKEN
     s.came_ns[message] = t_ns
     s.fresh |= 1 << message
-    awaited = 0
-    for k in range(c.messages):
-        last_ns = s.came_ns[k] if s.numbers[k].seen > 0 else s.begun_ns
-        if t_ns - last_ns <= c.window_ns:
-            awaited |= 1 << k
-    if awaited & ~s.fresh:
+    if c.messages > 1 and (_awaited(s, c, t_ns) & ~s.fresh or _belongs_to_the_next(s, c, t_ns)):
         return WAITS
     s.gap = _gap(s, c, t_ns)
     for k in range(c.messages):
         if s.fresh & (1 << k):
             s.taken[k] = s.numbers[k].number
-    s.missing = ((1 << c.messages) - 1) & ~s.fresh
+    s.missing = s.away = ((1 << c.messages) - 1) & ~s.fresh
     s.last_ns, s.fresh = t_ns, 0
     s.samples += 1
     return SAMPLE
+
+
+@kernel
+def waited(s: Any, c: Const, message: int, t_ns: int) -> float:
+    """Return how long ago what a sample has of a message was due, by the frames that waited least [s]; NaN: missing."""
+    if s.missing & (1 << message):
+        return math.nan
+    n = s.numbers[message]
+    newer = n.number - s.last if c.depth > 0 else 0
+    return float((t_ns - n.date_ns + newer * c.period_ns) * 1e-9)

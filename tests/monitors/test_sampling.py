@@ -26,7 +26,7 @@ def numbered(arrivals, counters, by="counter"):
     found = []
     for t, counter in zip(arrivals, counters, strict=True):
         newer = sampling.number(s, c, int(t), float(counter))
-        found.append(int(s["number"]) if newer else 0)
+        found.append(int(s["number"]) if newer > 0 else 0)
     return np.array(found)
 
 

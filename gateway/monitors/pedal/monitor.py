@@ -4,7 +4,7 @@ Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault
 (2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the default is
 :mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its input. Samples
 are numbered by frame counters; channels in several messages make one when each has come once more, and one that stays
-away is not waited for (:mod:`gateway.monitors.sampling`).
+away is not waited for (:class:`gateway.monitors.contract.Sampled`).
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import kernel
-from gateway.monitors import sampling
 from gateway.monitors.contract import (
     TIMER,
-    Arrivals,
     Blames,
     Connection,
     Emission,
     Monitor,
     Out,
     Readout,
+    Sampled,
     SensorCalibration,
     Signal,
 )
@@ -56,12 +55,7 @@ CREEP = 0.6
 
 def _connect(p: Params) -> Mapping[str, Connection]:
     readings = [Signal(c.signal, triggers=True, optional=True, may_be_nan=True) for c in p.channels]
-    counters = [
-        Signal(f"{c.message}.{c.counter}", optional=True, may_be_nan=True, spare=True) if c.counter else None
-        for c in p.channels
-    ]
-    none = [None] * (MOST_CHANNELS - len(readings))
-    return {"reading": [*readings, *none], "counter": [*counters, *none]}
+    return {"reading": [*readings, *[None] * (MOST_CHANNELS - len(readings))]}
 
 
 def _emits(p: Params) -> Emission:
@@ -80,8 +74,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         c.low[i], c.high[i] = channel.low, channel.high
     c.over = p.overtravel
     c.period_ns = round(p.period_ms * 1e6)
-    sampling.prepare(c.sampling, p.sampling, len(p.messages))
-    c.of_channel[:n] = [p.messages.index(channel.message) for channel in p.channels]
     c.lost = shape.LOST
     c.last_fault = len(faults(p)) - 1
     told = max(abs(channel.noise * channel.percent) for channel in p.channels)
@@ -126,25 +118,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         )
     kalman_hybrid.prepare(c.kalman)
     predictive_hybrid.prepare(c.predictive, alpha=ALPHA)
-
-
-@kernel
-def _sample(s: State, c: Const, u: Inputs) -> bool:
-    """Take a frame; tells whether a sample is there, ``s.reading`` of which is NaN where nothing has come."""
-    message, counter = -1, np.nan
-    for i in range(c.channels):
-        if c.message[i] == u.trigger:
-            message = c.of_channel[i]
-            counter = counter if np.isfinite(counter) else u.counter[i]
-    if message < 0:
-        return False
-    came = sampling.take(s.sampling, c.sampling, message, u.t_ns, counter)
-    for i in range(c.channels):
-        if came != sampling.OVERTAKEN and c.of_channel[i] == message:
-            s.newest[i] = u.reading[i]
-        if came == sampling.SAMPLE:
-            s.reading[i] = np.nan if s.sampling.missing & (1 << c.of_channel[i]) else s.newest[i]
-    return bool(came == sampling.SAMPLE)
 
 
 @kernel
@@ -221,14 +194,12 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     if u.trigger == TIMER:
         s.quality = INVALID
         s.used = 0
-        s.wake_ns = 0
         _send(s, out)
         return
-    out.wake_ns = s.wake_ns if s.wake_ns > u.t_ns else 0
-    if not _sample(s, c, u):
-        return
     s.samples += 1
-    dt = float(s.sampling.gap)
+    for i in range(c.channels):
+        s.reading[i] = u.reading[i]
+    dt = u.gap
     _read(s, c)
     if acquaintance.supplied(s, c, dt):
         _read(s, c)
@@ -237,7 +208,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     s.quality = _quality(s)
     diagnosis.diagnose(s, c, out)
     _send(s, out)
-    s.wake_ns = out.wake_ns = u.t_ns + SILENCE * c.period_ns
+    out.wake_ns = u.t_ns + SILENCE * c.period_ns
 
 
 def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
@@ -259,7 +230,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
             Blames(blames),
             Readout(_SHOWN),
             SensorCalibration(lambda p: p.period_ms, lambda p: len(p.channels), measured.found),
-            Arrivals(lambda c: c.message),
+            Sampled(lambda p: p.sampling),
         ),
     )
 

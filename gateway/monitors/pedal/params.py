@@ -203,11 +203,12 @@ class Params(MonitorParams):
     @property
     def sampling(self) -> Sampling:
         """How frames become samples."""
-        counted = any(channel.counter for channel in self.channels)
-        by: Literal["counter", "set", "clock"] = "counter" if counted else "clock"
+        counters = dict.fromkeys(f"{each.message}.{each.counter}" for each in self.channels if each.counter)
+        by: Literal["counter", "set", "clock"] = "counter" if counters else "clock"
         if len(self.messages) > 1:
             by = "set"
-        return Sampling(by, self.period_ms, WAITS * self.period_ms, LOST * self.period_ms)
+        window_ms, oldest_ms = WAITS * self.period_ms, LOST * self.period_ms
+        return Sampling(by, self.period_ms, window_ms, oldest_ms, tuple(counters), spare=True)
 
     @property
     def finds_lag(self) -> bool:

@@ -10,7 +10,7 @@ from gateway.fdi.voting.acquaintance import noise as own_noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
 from gateway.jit import Record, f8, f8s, i8, i8s, means
-from gateway.monitors import contract, sampling
+from gateway.monitors import contract
 
 
 class Diagnosis(Record):
@@ -39,11 +39,8 @@ class Const(Record):
     high: Annotated[f8s, MOST_CHANNELS]
     over: f8
     period_ns: i8
-    message: Annotated[i8s, 2 * MOST_CHANNELS] = means("of each input, as u.trigger has it")
-    of_channel: Annotated[i8s, MOST_CHANNELS] = means("place of each channel's message among them")
     lost: f8
     last_fault: i8
-    sampling: sampling.Const
     sensors: own_noise.Const
     lag: lag.Const
     supply: supply.Const
@@ -53,16 +50,12 @@ class Const(Record):
     predictive: predictive_hybrid.Const
 
 
-class Samples(sampling.State, lengths={"messages": MOST_CHANNELS}):
-    """The samples of up to three messages."""
-
-
 class State(Record):
     """State.
 
-    ``newest``: reading of each channel since its message came last; ``reading`` in the unit of the signal, ``position``
-    [%], ``place`` to its range, ``trusted`` [%], NaN outside it. ``noise``, ``resolution`` [%], ``lag_ms`` that is
-    reckoned with, ``known``: of what was learned, bits KNOWN_*; ``share`` of the supply.
+    ``reading`` in the unit of the signal, NaN: missing, ``position`` [%], ``place`` to its range, ``trusted`` [%], NaN
+    outside it. ``noise``, ``resolution`` [%], ``lag_ms`` that is reckoned with, ``known``: of what was learned, bits
+    KNOWN_*; ``share`` of the supply.
     """
 
     value: f8
@@ -77,9 +70,6 @@ class State(Record):
     lag_ms: f8
     known: i8
     share: f8
-    wake_ns: i8
-    newest: Annotated[f8s, MOST_CHANNELS]
-    sampling: Samples
     reading: Annotated[f8s, MOST_CHANNELS]
     position: Annotated[f8s, MOST_CHANNELS]
     place: Annotated[i8s, MOST_CHANNELS]
@@ -96,11 +86,10 @@ class State(Record):
     diagnosis: Diagnosis
 
 
-class Inputs(contract.Inputs):
+class Inputs(contract.SampledInputs):
     """Inputs."""
 
     reading: Annotated[f8s, MOST_CHANNELS]
-    counter: Annotated[f8s, MOST_CHANNELS] = means("frame counter of each channel's message")
 
 
 class Outputs(Record):

@@ -9,6 +9,10 @@ with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided
 after a gap (frames lost, rejected, or not heard by the gateway) it begins anew.
 
 A multiplexed signal is looked at in the frames that have it.
+
+A change is taken over the usual time between two values, or longer: frames that an adapter hands over together were not
+sampled together. One odd frame with silence after it is no limit that was broken for ``failed_ms``: what failed last is
+not tested any more when no value has come for half of that, and for longer than the usual time.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from gateway.jit import kernel
-from gateway.monitors.contract import Blames, Connection, Fault, Monitor, Out, Parts, Signal, report
+from gateway.monitors.contract import TIMER, Blames, Connection, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.signal.faults import (
     ABOVE,
     ALL_ONES,
@@ -27,6 +31,7 @@ from gateway.monitors.signal.faults import (
     GRADIENT,
     HIGH,
     INVALID,
+    KINDS,
     LOW,
     MISSING,
     NOISE,
@@ -42,15 +47,19 @@ from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One
 
 #: So many times as long as from value to value is a gap: then the scatter begins anew.
 GAP = 4.0
+#: What failed counts for this share of ``failed_ms`` without another value; where values come seldom, for so many times
+#: as long as from one to the next.
+PATIENCE, LATE = 0.5, 1.5
 
 
 @kernel
-def tell(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, limit: float) -> None:
-    """Report a test, if it is asked for."""
+def tell(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, limit: float, shown: float) -> None:
+    """Report a test of a signal, if it is asked for; ``shown`` is its evidence."""
     if p.fault[kind] >= 0:
         evidence = report(out, p.fault[kind], failed, value, limit)
-        evidence.value = value
+        evidence.value = shown
         evidence.before = s.before
+        s.failed = s.failed | (1 << kind) if failed else s.failed & ~(1 << kind)
 
 
 @kernel
@@ -73,9 +82,9 @@ def is_none(out: Any, p: One, s: Course, x: float) -> bool:
     for k in range(p.values):
         known = known or x == p.allowed[k]
     ones = x == p.ones
-    tell(out, p, s, INVALID, code, x, x)
-    tell(out, p, s, ALL_ONES, ones and not code, x, p.ones)
-    tell(out, p, s, UNDEFINED, not (known or code or ones), x, x)
+    tell(out, p, s, INVALID, code, x, x, x)
+    tell(out, p, s, ALL_ONES, ones and not code, x, p.ones, x)
+    tell(out, p, s, UNDEFINED, not (known or code or ones), x, x, x)
     return code or ones or not known
 
 
@@ -95,16 +104,16 @@ def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool
 
 
 @kernel
-def follow_rhythm(s: Course, seconds: float) -> None:
-    """Count the values that have come without a gap: what a signal did meanwhile is not known, and no scatter."""
-    if s.valid == 0:
-        s.even, s.usual_s = 0, 0.0
-        return
-    if s.valid == 1:
-        s.usual_s = seconds
-    elif seconds > GAP * s.usual_s:
-        s.even = 0
-    s.usual_s += (min(seconds, GAP * s.usual_s) - s.usual_s) / 8.0  # a message that now comes seldom is soon usual
+def follow_rhythm(s: Course, t_ns: int) -> None:
+    """Learn how often values come; a gap, in which nobody knows what a signal did, begins its scatter anew."""
+    seconds = (t_ns - s.came_ns) * 1e-9
+    if s.came_ns > 0:
+        if s.usual_s == 0.0:
+            s.usual_s = seconds
+        elif seconds > GAP * s.usual_s:
+            s.even = 0
+        s.usual_s += (min(seconds, GAP * s.usual_s) - s.usual_s) / 8.0  # a message that now comes seldom is soon usual
+    s.came_ns = t_ns
 
 
 @kernel
@@ -122,33 +131,33 @@ def scatter(p: One, s: Course, x: float) -> float:
 @kernel
 def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None:
     """Test one value of a signal."""
+    usual_s = s.usual_s
+    follow_rhythm(s, t_ns)
     if is_none(out, p, s, x):
-        s.valid = 0
+        s.valid = s.even = 0
         return
     seconds = (t_ns - s.before_ns) * 1e-9 if s.valid > 0 else 0.0
     below = beyond(p, s, BELOW, p.electrical_low - x)
     above = beyond(p, s, ABOVE, x - p.electrical_high)
-    tell(out, p, s, BELOW, below, x, p.electrical_low)
-    tell(out, p, s, ABOVE, above, x, p.electrical_high)
+    tell(out, p, s, BELOW, below, x, p.electrical_low, x)
+    tell(out, p, s, ABOVE, above, x, p.electrical_high, x)
     if not (below or above):
-        tell(out, p, s, LOW, beyond(p, s, LOW, p.low - x), x, p.low)
-        tell(out, p, s, HIGH, beyond(p, s, HIGH, x - p.high), x, p.high)
-    if p.fault[GRADIENT] >= 0 and s.valid > 0 and seconds > 0.0:
-        rate = abs(x - s.before) / seconds
-        evidence = report(out, p.fault[GRADIENT], rate > p.gradient, rate, p.gradient)
-        evidence.value, evidence.before = x, s.before
+        tell(out, p, s, LOW, beyond(p, s, LOW, p.low - x), x, p.low, x)
+        tell(out, p, s, HIGH, beyond(p, s, HIGH, x - p.high), x, p.high, x)
+    least_s = p.least_s if p.least_s > 0.0 else usual_s
+    if s.valid > 0 and least_s > 0.0:
+        rate = abs(x - s.before) / max(seconds, least_s)
+        tell(out, p, s, GRADIENT, rate > p.gradient, rate, p.gradient, x)
     asks = p.moving_by > 0.0 or p.during_low > -inf  # another signal; until it comes nothing is known
     if p.fault[STUCK] >= 0 and not (asks and isnan(other)):
         stuck = has_stuck(p, s, x, other, seconds)
         moved = p.moving_by > 0.0
         still = abs(other - s.other) if moved else s.still_s
-        evidence = report(out, p.fault[STUCK], stuck, still, p.moving_by if moved else p.stuck_s)
-        evidence.value, evidence.before = x, s.before
+        tell(out, p, s, STUCK, stuck, still, p.moving_by if moved else p.stuck_s, x)
     if p.fault[NOISE] >= 0:
-        follow_rhythm(s, seconds)
         deviation = scatter(p, s, x)
         if s.even > p.samples:
-            tell(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation)
+            tell(out, p, s, NOISE, deviation > p.deviation, deviation, p.deviation, deviation)
         s.even += 1
     s.second, s.before, s.before_ns = s.before, x, t_ns
     s.valid += 1
@@ -183,15 +192,38 @@ def watch_absence(out: Any, p: One, s: Course, t_ns: int, there: bool) -> None:
 
 
 @kernel
+def give_up(out: Any, p: One, s: Course, t_ns: int) -> None:
+    """Say of the tests that failed last, if no value has come for too long, that they are not tested any more."""
+    if s.failed == 0 or t_ns - s.came_ns < patience_ns(p, s):
+        return
+    for kind in range(len(KINDS)):
+        if s.failed & (1 << kind):
+            report(out, p.fault[kind], False, nan, nan)
+    s.failed = 0
+
+
+@kernel
+def patience_ns(p: One, s: Course) -> int:
+    """Return for how long a result counts without another value."""
+    return int(max(p.patience_ns, LATE * s.usual_s * 1e9))
+
+
+@kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
-    """Look at the signals that a frame carries."""
+    """Look at the signals that a frame carries; without a frame, at those that failed last."""
     for k in range(c.signals):
         p, course = c.one[k], s.one[k]
-        there = is_there(p, u.selector[k])
-        if p.fault[MISSING] >= 0:
-            watch_absence(out, p, course, u.t_ns, there)
-        if there:
-            look(out, p, course, u.t_ns, u.value[k], u.other[k])
+        if u.trigger == TIMER:
+            give_up(out, p, course, u.t_ns)
+        else:
+            there = is_there(p, u.selector[k])
+            if p.fault[MISSING] >= 0:
+                watch_absence(out, p, course, u.t_ns, there)
+            if there:
+                look(out, p, course, u.t_ns, u.value[k], u.other[k])
+        if course.failed != 0:
+            at_ns = course.came_ns + patience_ns(p, course)
+            out.wake_ns = at_ns if out.wake_ns == 0 else min(out.wake_ns, at_ns)
 
 
 def _connect(p: PartParams) -> dict[str, Connection]:
@@ -226,6 +258,8 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         one["low"], one["high"] = limits.plausible or (-inf, inf)
         one["hysteresis"] = limits.hysteresis
         one["gradient"] = limits.gradient or inf
+        one["least_s"] = (limits.least_step_ms or 0.0) * 1e-3
+        one["patience_ns"] = round(PATIENCE * limits.failed_ms * 1e6)
         one["during_low"], one["during_high"] = -inf, inf
         if limits.stuck is not None:
             one["stuck_s"], one["stuck_by"] = limits.stuck.seconds or inf, limits.stuck.by

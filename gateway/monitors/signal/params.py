@@ -66,6 +66,13 @@ class Limits(StrictModel):
     plausible: Range | None = Field(None, description="what the quantity can be: beyond it, 84 and 85")
     hysteresis: float = Field(0.0, ge=0, allow_inf_nan=False, description="inside of a limit that ends a fault")
     gradient: float | None = Field(None, gt=0, allow_inf_nan=False, description="greatest change per second: 27")
+    least_step_ms: float | None = Field(
+        None,
+        gt=0,
+        le=60_000,
+        description="a change is taken over so long at least [ms]; default: the usual time between its values, so that"
+        " frames that an adapter has bunched change no faster",
+    )
     stuck: Stuck | None = Field(None, description="must move: 2A")
     invalid: Literal["auto"] | tuple[float | str, ...] = Field(
         "auto", description='values or texts of the database that say "no value": 86; auto: by the texts (SNA, invalid)'
@@ -81,6 +88,8 @@ class Limits(StrictModel):
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
+        if self.least_step_ms is not None and self.gradient is None:
+            raise ValueError("least_step_ms goes with a gradient")
         for name in ("electrical", "plausible"):
             found = getattr(self, name)
             if found is not None and not found[0] < found[1]:

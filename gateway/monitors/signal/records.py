@@ -27,6 +27,8 @@ class One(Record):
     high: f8
     hysteresis: f8
     gradient: f8 = means("per second")
+    least_s: f8 = means("of a step between two values; 0: the usual one", "s")
+    patience_ns: i8 = means("for so long a test that has failed counts without another frame", "ns")
     stuck_s: f8
     stuck_by: f8
     during_low: f8
@@ -70,6 +72,8 @@ class Course(Record):
     even: i8 = means("values so far, since the last that was none, or came after a gap")
     frame_ns: i8 = means("when its message last came; 0: never", "ns")
     away_s: f8 = means("how long its message has come without it", "s")
+    failed: i8 = means("bits of the kinds that failed last")
+    came_ns: i8 = means("when a value came last, whatever it said; 0: never", "ns")
     beyond: Annotated[i4s, len(KINDS)] = means("1: beyond a limit, until it is back by the hysteresis")
 
 

@@ -1,14 +1,16 @@
 """The hybrid powertrain's monitor: a step for each complete set of four frames.
 
 Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when frames of its
-counter have come of all four messages (:mod:`.collection`); time is the counter's steps, not the frames' arrival. A set
-that is missing is stepped over; behind a gap of more than :data:`LONGEST` sets the dynamic tests begin anew.
+counter have come of all four messages (:class:`gateway.monitors.contract.Sampled`); time is the counter's steps, not
+the frames' arrival. A set that is missing is stepped over; behind a gap of more than :data:`LONGEST` sets the dynamic
+tests begin anew.
 """
 
 from __future__ import annotations
 
 from gateway.jit import kernel
 from gateway.monitors.contract import (
+    TIMER,
     Blames,
     CusumCalibration,
     Evidence,
@@ -18,18 +20,17 @@ from gateway.monitors.contract import (
     Quantities,
     Quantity,
     Readout,
+    Sampled,
 )
-from gateway.monitors.truck import alignment, blanking, collection, decision, gate, isolation, motion, observer, static
+from gateway.monitors.truck import alignment, blanking, decision, gate, isolation, motion, observer, static
 from gateway.monitors.truck.faults import BLAMES, faults_of
 from gateway.monitors.truck.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
-from gateway.monitors.truck.messages import Inputs, connect
+from gateway.monitors.truck.messages import Inputs, connect, sampling
 from gateway.monitors.truck.params import QUANTITIES, Params
 from gateway.monitors.truck.records import RESIDUAL_NAMES, Const, State, peaks, prepare, sums
 
 #: Sets that may be missing in a row.
 LONGEST = 5
-#: Steps of the counter, modulo 256, that are steps back: a set that was late.
-OLDER = 256 - collection.DEPTH
 #: Sets between two messages.
 SENT = 10
 
@@ -40,23 +41,10 @@ def _faults(p: Params) -> tuple[Fault, ...]:
 
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) -> None:
-    """Take a frame; when its set is complete, step all tests."""
-    place = collection.collect(s.frames, u, c.period)
-    s.apart = s.frames.apart
-    if place < 0:
+    """Step all tests with a set."""
+    if u.trigger == TIMER:
         return
-    steps = (s.frames.number[place] - s.counter) & 255 if s.counter >= 0 else 0
-    if s.counter >= 0 and (u.t_ns - s.taken_ns) * 1e-9 > collection.OLD * c.period:
-        steps = LONGEST + 1  # whatever its counter says, which may have come round
-    elif s.counter >= 0 and (steps == 0 or steps > OLDER):
-        return  # newer ones have been taken
-    s.counter, s.taken_ns = s.frames.number[place], u.t_ns
-    _take(s, c, s.frames.held[place], steps, out)
-
-
-@kernel
-def _take(s: State, c: Const, u: Inputs, steps: int, out: Out[Evidence, decision.Outputs]) -> None:
-    """Step all tests with a set that is ``steps`` behind the last one."""
+    steps = int(u.gap) if s.sets > 0 else 0
     if s.sets == 0:
         t2.reset(s.t2, c.t2)
         t2.start(s.t2, c.t2, u)
@@ -112,10 +100,10 @@ MONITOR = Monitor(
             ),
             lambda s: (*s["residual"], *s["level"]),
         ),
+        Sampled(sampling),
         Readout(
             (
                 "sets",
-                "apart",
                 "valid",
                 "fired",
                 "explained",

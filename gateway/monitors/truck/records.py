@@ -14,7 +14,7 @@ from gateway.fdi.slow import lag
 from gateway.fdi.structure.file import load_model
 from gateway.fdi.structure.generator.records import fill
 from gateway.jit import Record, f8, f8s, i8, u1
-from gateway.monitors.truck import alignment, blanking, collection, dynamic, excitation, gate, isolation, observer
+from gateway.monitors.truck import alignment, blanking, dynamic, excitation, gate, isolation, observer
 from gateway.monitors.truck.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
 from gateway.monitors.truck.messages import Inputs
 from gateway.monitors.truck.params import QUANTITIES, Params
@@ -88,7 +88,7 @@ class State(Record):
     with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
     ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
     ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``lag_ms``: by which the electric sensors
-    are late; ``apart``: sets of which not all frames came; ``counter``, ``taken_ns``: of the last set that was taken.
+    are late.
 
     ``alignment``: of a set's signals to one time; ``corrected``: the set without what is found of the sensors' errors;
     ``ageing``: what is followed, by ``blocks`` of the three equations, whose sensitivities are ``h_1``, ``h_2``,
@@ -101,13 +101,9 @@ class State(Record):
     """
 
     sets: i8
-    apart: i8
     valid: i8
     fired: i8
     explained: i8
-    counter: i8
-    taken_ns: i8
-    frames: collection.State
     reported: i8
     watched: i8
     untested: i8
@@ -201,9 +197,7 @@ def prepare(p: Params, s: State, c: Const) -> None:
         _set_tables(p, getattr(c, field))
     _prepare_following(p, s, c)
     _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
-    s.counter, s.named = -1, -1
-    s.frames.last[:] = -1
-    s.frames.number[:] = -1
+    s.named = -1
 
 
 def _set_tables(p: Params, c: Any) -> None:

@@ -49,6 +49,7 @@ def inputs(truck: TruckParams, fault: TruckFault | None, seed: int) -> NDArray[n
     columns = signals_of(truck, driven, np.random.default_rng(seed))
     u: NDArray[np.void] = zeros(len(driven.samples), MONITOR.inputs)
     u["t_ns"] = np.rint(np.arange(len(u)) * PERIOD * 1e9).astype(np.int64)
+    u["gap"] = 1.0
     for name, fields in MESSAGES.items():
         mine = {signal: columns[signal] for signal, _ in fields.values()}
         decoded = carried(message_of(DATABASE, name), mine)

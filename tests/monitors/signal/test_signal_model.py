@@ -127,12 +127,17 @@ def test_values_that_are_none(tmp_path_factory, gears, frames):
     made = car(tmp_path_factory.mktemp("s"), f'signal = "Wheel.Gear", {asked}').feed([wheel(0, gear) for gear in gears])
     x = np.asarray(gears)
     slots = range(1, len(x) + 1)
-    compare(made, "invalid", x == 15, slots)
-    compare(made, "all_ones", x == 255, slots)
-    compare(made, "undefined", x == 7, slots)
+
+    def first_is_none(model):
+        """How often it comes is not known then: what fails in it alone is not tested any more when none follows."""
+        return [None, *model[1:]]
+
+    compare(made, "invalid", first_is_none(x == 15), slots)
+    compare(made, "all_ones", first_is_none(x == 255), slots)
+    compare(made, "undefined", first_is_none(x == 7), slots)
     known = x < 3
     compare(made, "stuck", stuck(x, 0.0, seconds, known=known), slots)
-    compare(made, "high", [None if not known[k] else x[k] > 1.5 for k in range(len(x))], slots)
+    compare(made, "high", first_is_none([None if not known[k] else x[k] > 1.5 for k in range(len(x))]), slots)
 
 
 @pytest.mark.long

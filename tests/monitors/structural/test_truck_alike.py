@@ -43,7 +43,7 @@ def configuration(folder):
         known: f"{message}.{signal}"
         for message, fields in INPUTS.items()
         for known, (signal, _) in fields.items()
-        if known != "charge" and not known.startswith("count")
+        if known != "charge"
     }
     signals = ", ".join(f'{known} = "{name}"' for known, name in knowns.items())
     path = folder / "gateway.toml"
