@@ -136,12 +136,12 @@ def proven(
     hypotheses: int = 1,
     note: str = "",
 ) -> Claim | None:
-    """Return a claim if frames that it was not found with prove it.
+    """Return a claim if frames prove it.
 
     Args:
         message: of the frames.
         keys: of the protection, as a configuration has them.
-        proof: frames that were not used to find it.
+        proof: frames that were not used to choose ``free_bits``; a rule without a constant may be proven by all frames.
         free_bits: what was chosen so that other frames fit [bit].
         hypotheses: how many others were tried.
         note: see :class:`Claim`.

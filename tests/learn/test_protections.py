@@ -205,13 +205,33 @@ def test_a_claim_needs_more_evidence_than_was_free_to_be_chosen():
 
 
 def test_a_field_not_called_so_is_judged_by_the_orders_of_its_values():
-    """Chance deals 13 different values out rightly in one of 13! orders, 12 in more than one in 10^9."""
+    """Chance deals 40 different values out rightly in one of 40! orders; 12! orders are fewer than 10^9."""
     message = message_of(4, Signal("Moment", 24, 8))
     each = [(k % 7, 7 * (k // 7), 49 * (k * k % 4)) for k in range(40)]
     frames = [bytes([a, b, c, (a + b + c + 28) & 0xFF]) for a, b, c in each]
     keys = {"checksum": {"rule": "sum", "signal": "Moment", "plus": 28}}
     assert proven(message, keys, payloads(frames)).matched == 40
     assert proven(message, keys, payloads(frames[:12])) is None
+
+
+def test_a_field_not_called_so_covers_all_that_changes():
+    """A sum of two bytes beside a third that goes its own way may be two signals: a checksum sees the third."""
+    message = message_of(4, Signal("Moment", 24, 8))
+    keys = {"checksum": {"rule": "sum", "signal": "Moment", "plus": 28, "over": [0, 2]}}
+    for free, found in ((0, 40), (1, None)):
+        each = [(k % 7, 7 * (k // 7), free * k * k & 0xFF) for k in range(40)]
+        frames = [bytes([a, b, c, (a + b + 28) & 0xFF]) for a, b, c in each]
+        claim = proven(message, keys, payloads(frames))
+        assert (claim and claim.matched) == found
+
+
+def test_one_payload_that_is_repeated_hides_no_wrong_ones():
+    """Ten of fifty distinct payloads are wrong: a thousand repetitions of a right one do not make the rule right."""
+    message = message_of(2, Signal("CHECKSUM", 8, 8))
+    keys = {"checksum": {"rule": "sum", "signal": "CHECKSUM", "plus": 3}}
+    frames = [bytes([k, k + 3 + (k % 5 == 4)]) for k in range(50)] + [bytes([0, 3])] * 2000
+    assert proven(message, keys, payloads(frames)) is None
+    assert proven(message, keys, payloads([bytes([k, k + 3]) for k in range(50)] + [bytes([0, 3])] * 2000)) is not None
 
 
 @pytest.mark.parametrize("seed", range(12))
