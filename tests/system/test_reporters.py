@@ -105,7 +105,9 @@ def test_every_report_of_four_processes_is_accounted_for_though_one_is_killed(tm
         said = {KILLED: [reporters[KILLED].stdout.readline() for _ in range(count)]}  # half of its way
         reporters[KILLED].kill()
         for name, each in reporters.items():
-            said.setdefault(name, []).extend(each.communicate(timeout=600)[0].splitlines(keepends=True))
+            # Not communicate(), which would lose what readline() has read ahead.
+            said.setdefault(name, []).extend(each.stdout.readlines())
+            each.wait(timeout=600)
             assert name == KILLED or each.returncode == 0
         until = time.monotonic() + 60
         while not (told := counted(tmp_path))[KILLED]["lost"] and time.monotonic() < until:
