@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
@@ -15,7 +15,7 @@ from gateway.engine.checks.clock_health import ClockParams
 from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.reported import ReportParams
-from gateway.faults.settings import CycleSettings, FaultOverride
+from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverride
 from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
@@ -113,6 +113,31 @@ class MemoryConfig(StrictModel):
     )
 
 
+class PowerConfig(StrictModel):
+    """When the vehicle is awake, and its supply good: what is silent else is not at fault.
+
+    Conditions count by the last value that came, also if its message comes no more; before the first one they are met.
+    """
+
+    awake: tuple[ConditionSettings, ...] = Field(
+        (), description="the vehicle is awake while one of these is met (terminal 15, a network awake): timeouts count"
+    )
+    voltage: ConditionSettings | None = Field(
+        None, description="the supply is good while this is met: timeouts count, and what suffers under it"
+    )
+    suffers: tuple[str, ...] = Field(
+        (), description="faults, or monitors with all of theirs, whose test results count only with a good supply"
+    )
+
+    @model_validator(mode="after")
+    def _has_voltage(self) -> PowerConfig:
+        if self.suffers and self.voltage is None:
+            raise ValueError("suffers needs voltage")
+        if any(one.rise for one in (*self.awake, *(() if self.voltage is None else (self.voltage,)))):
+            raise ValueError("rise is for operation cycles, not for power")
+        return self
+
+
 class StatusConfig(StrictModel):
     """The socket on which a daemon shows what it does, and takes commands of who may open it."""
 
@@ -147,6 +172,7 @@ class Config(StrictModel):
         default_factory=dict,
         description='operation cycles that signals begin and end; "power" is always there',
     )
+    power: PowerConfig = Field(PowerConfig(), description="when the vehicle is awake, and its supply good")
     clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()

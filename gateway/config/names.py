@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from gateway.config.model import Config
-from gateway.engine.gate import Condition
+from gateway.engine.gate import NOW, Condition
 from gateway.errors import InputError, nearest
 from gateway.faults.settings import ConditionSettings
 from gateway.signals.database import Database
@@ -89,8 +89,8 @@ class Names:
     def _has(self, bus: int, message: str) -> bool:
         return any(known.name == message for known in self._databases[bus])
 
-    def condition(self, settings: ConditionSettings, key: str) -> Condition:
-        """Return a condition of the configuration for the engine."""
+    def condition(self, settings: ConditionSettings, key: str, counts: int = NOW) -> Condition:
+        """Return a condition of the configuration for the engine, and how it counts."""
         low = float("-inf") if settings.min is None else settings.min
         high = float("inf") if settings.max is None else settings.max
-        return Condition(self.find(settings.signal, f"{key}.signal"), low, high, settings.rise)
+        return Condition(self.find(settings.signal, f"{key}.signal"), low, high, settings.rise, counts)

@@ -18,9 +18,9 @@ from gateway.config.monitor_types import monitor_of
 from gateway.config.names import Names
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
-from gateway.engine.gate import CycleWatch, Gate
+from gateway.engine.gate import AWAKE, SUPPLIED, Condition, CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import Gathered, InputError, InputErrors, each_of, nearest
+from gateway.errors import Gathered, InputError, InputErrors, each_of, named, nearest
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
@@ -113,7 +113,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
         debounces={fault: settings.debounce.asked for fault, settings in config.fault.items()},
-        gates=_gates(config, names),
+        gates=_gates(config, names, monitors),
         cycles={
             name: CycleWatch(
                 names.condition(cycle.begins, f"cycle.{name}.begins"),
@@ -367,7 +367,7 @@ def _find_usage(config: Config, names: Names) -> None:
     _each(names.find, named)
 
 
-def _gates(config: Config, names: Names) -> dict[str, Gate]:
+def _gates(config: Config, names: Names, monitors: Sequence[MonitorInstance]) -> dict[str, Gate]:
     """Return when the test results of each fault count."""
     gates = _caused_by_buses(config)
     cycles = tuple(config.cycle)
@@ -377,7 +377,50 @@ def _gates(config: Config, names: Names) -> dict[str, Gate]:
         with wrong:
             gates[fault] = replace(_gate(names, fault, settings, cycles), roots=roots)
     wrong.check()
+    for fault, power in _powered(config, names, monitors).items():
+        gate = gates.get(fault, Gate())
+        gates[fault] = replace(gate, conditions=(*gate.conditions, *power))
     return gates
+
+
+def _powered(config: Config, names: Names, monitors: Sequence[MonitorInstance]) -> dict[str, tuple[Condition, ...]]:
+    """Return what the power must be for the test results of faults to count."""
+    power, wrong = config.power, Gathered()
+    awake: list[Condition] = []
+    for k, condition in enumerate(power.awake):
+        with wrong:
+            awake.append(names.condition(condition, f"power.awake[{k}]", AWAKE))
+    supplied: list[Condition] = []
+    if power.voltage is not None:
+        with wrong:
+            supplied.append(names.condition(power.voltage, "power.voltage", SUPPLIED))
+    found: dict[str, tuple[Condition, ...]] = {}
+    of_monitors: dict[str, set[str]] = {}
+    for m in monitors:
+        own = {f"{m.name}.{one.name}" for one in checked_faults(m.monitor, m.params)}
+        of_monitors.setdefault(m.name, set()).update(own)
+    for k, name in enumerate(power.suffers):
+        with wrong:
+            for fault in _suffering(name, of_monitors, f"power.suffers[{k}]"):
+                found[fault] = tuple(supplied)
+    wrong.check()
+    for bus in config.bus:
+        silent = [f"{bus.name}.{check.message}.timeout" for check in bus.check if check.timeout_ms is not None]
+        for fault in (*silent, f"{bus.name}.bus_silent"):
+            found[fault] = (*awake, *supplied)
+    return found if awake or supplied else {}
+
+
+def _suffering(name: str, of_monitors: Mapping[str, set[str]], key: str) -> set[str]:
+    """Return the faults that a name stands for: a monitor's, or one.
+
+    Raises:
+        InputError: there is none.
+    """
+    known = {*of_monitors, *chain.from_iterable(of_monitors.values())}
+    if name not in known:
+        raise InputError(named("no monitor, and no fault of one; known:", name, known), key=key, value=name)
+    return of_monitors.get(name, {name})
 
 
 def _gate(names: Names, fault: str, settings: FaultOverride, cycles: tuple[str, ...]) -> Gate:
@@ -394,11 +437,11 @@ def _gate(names: Names, fault: str, settings: FaultOverride, cycles: tuple[str, 
 
 
 def _caused_by_buses(config: Config) -> dict[str, Gate]:
-    """Return the gates of the timeouts: a bus that is off or lost is the fault, not each silent message."""
-    return {
-        f"{bus.name}.{check.message}.timeout": Gate(roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost"))
-        for bus in config.bus
-        if bus.health.watched
-        for check in bus.check
-        if check.timeout_ms is not None
-    }
+    """Return the gates of what is silent: a bus that is off or lost is the fault, not each silent message."""
+    gates: dict[str, Gate] = {}
+    for bus in config.bus:
+        if bus.health.watched:
+            gate = Gate(roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost"))
+            timeouts = [f"{bus.name}.{one.message}.timeout" for one in bus.check if one.timeout_ms is not None]
+            gates |= dict.fromkeys([*timeouts, f"{bus.name}.bus_silent"], gate)
+    return gates

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.checks.bus_health import HealthState, watch_clock
+from gateway.engine.checks.bus_health import SILENT, SPOKEN, HealthState, watch_clock
 from gateway.engine.checks.communication import COUNTED_IN
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
@@ -172,10 +172,26 @@ def _health(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
     for before, now in buses.items():
         if before < len(old.tables.health) - 1 and now < len(new.tables.health) - 1:
             _take(new.tables.health[now], old.tables.health[before], HealthState)
+            if new.tables.health[now]["quiet_ns"] != old.tables.health[before]["quiet_ns"]:
+                _hear_again(new, now)
+    for added in set(range(len(new.tables.health) - 1)) - set(buses.values()):
+        new.tables.health[added]["heard_ns"] = new.now_ns
     own = new.tables.health[-1]
     _take(own, old.tables.health[-1], HealthState)
     if old.tables.clock[0]["started"] and own["until"].min() == NEVER:  # watched from now on
         watch_clock(own, new.now_ns)
+
+
+def _hear_again(new: Engine, bus: int) -> None:
+    """Begin again with the silence of a bus that is judged otherwise: what waited for the old end of it would do so."""
+    health, checks = new.tables.health[bus], new.tables.checks
+    health["heard_ns"], health["silence"], health["asleep"] = new.now_ns, SPOKEN, 0
+    health["until"][SILENT] = NEVER
+    rest = int(health["bad"]) & ~(1 << SILENT)
+    health["bad"] = rest | 1 << SILENT if health["quiet_ns"] > 0 else rest
+    parked = (checks["bus"] == bus) & (checks["parked_ns"] > 0)
+    checks["deadline_ns"][parked] = new.now_ns + checks["timeout_ns"][parked]
+    checks["parked_ns"][parked] = 0
 
 
 def _cycles(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[int, int]) -> None:

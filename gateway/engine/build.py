@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from gateway.engine import emission
 from gateway.engine.buckets import Bucket
 from gateway.engine.checks import bus_health, clock_health, communication
-from gateway.engine.checks.bus_health import BusInstance, Health
+from gateway.engine.checks.bus_health import BusInstance, Health, Silence
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.checks.communication import Check, CheckInstance
+from gateway.engine.checks.silence import silence_of
 from gateway.engine.consistency import assert_consistent
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceRow, configure
@@ -95,8 +96,9 @@ def build_engine(
     vectors, triggers = _vectors(len(plan.messages), made.triggered)
     pages = _pages(made.pages, vectors, plan)
     crcs = protection.Tables()
-    check_rows = _checks(checks, plan, by_bus, vectors, faults, crcs)
-    health = _health(buses, clock, faults)
+    check_rows = _checks(checks, buses, plan, by_bus, vectors, faults, crcs)
+    silences = [silence_of(k, bus.params, checks, by_bus) for k, bus in enumerate(buses)]
+    health = _health(buses, silences, clock, faults)
     faults += reported
     verdicts = _verdicts(faults, debounces or {}, gates, plan)
     watched = _watches(cycles, vectors, plan)
@@ -326,6 +328,7 @@ def _pages(slots: Mapping[int, int], vectors: Any, plan: DecodePlan) -> Any:
 
 def _checks(
     checks: Sequence[CheckInstance],
+    buses: Sequence[BusInstance],
     plan: DecodePlan,
     databases: Mapping[int, Database],
     vectors: Any,
@@ -336,16 +339,19 @@ def _checks(
     rows = table(len(checks), Check)
     for k, check in enumerate(checks):
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
-        faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs)
+        wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
+        faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs, wake_ms=wake_ms)
     return rows
 
 
-def _health(buses: Sequence[BusInstance], clock: ClockParams | None, faults: list[FaultSlot]) -> Any:
+def _health(
+    buses: Sequence[BusInstance], silences: Sequence[Silence], clock: ClockParams | None, faults: list[FaultSlot]
+) -> Any:
     """Return the table of the buses' health, the gateway's own last; their faults are appended to ``faults``."""
     rows = table(len(buses) + 1, Health)
     codes = bus_health.codes_of([bus.params for bus in buses])
-    for k, (bus, code) in enumerate(zip(buses, codes, strict=True)):
-        faults += bus_health.fill(rows[k], bus, k, code, len(faults))
+    for k, (bus, code, silence) in enumerate(zip(buses, codes, silences, strict=True)):
+        faults += bus_health.fill(rows[k], bus, k, code, len(faults), silence)
     faults += clock_health.fill(rows[-1], clock, len(faults))
     return rows
 

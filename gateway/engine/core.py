@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
-from gateway.engine.checks.bus_health import COUNTED
+from gateway.engine.checks.bus_health import COUNTED, SILENT, SPOKEN
 from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
@@ -173,11 +173,10 @@ class Engine:
             t_ns: the new time; frames that arrive later with an earlier stamp count as late.
             sink: called with the events.
         """
-        self._run(_NO_FRAMES, 0, t_ns)
-        self._drain(sink)
+        sent = self.process(_NO_FRAMES, sink, t_ns)
         while self.pause_ns <= t_ns:
             self._pause()
-        return self._sent()
+        return sent
 
     @property
     def emitted(self) -> list[int]:
@@ -311,7 +310,9 @@ class Engine:
         watched = checks["timeout_ns"] > 0
         checks["seen"] = 0
         checks["deadline_ns"][watched] = now_ns + checks["timeout_ns"][watched]
-        checks["silent_ns"][watched] = 0
+        checks["silent_ns"][watched] = checks["parked_ns"][watched] = 0
+        self.tables.health["heard_ns"], self.tables.health["silence"] = now_ns, SPOKEN
+        self.tables.health["until"][:, SILENT] = NEVER
         note_all(self.tables)
 
     def fold_statistics(self, fault: int) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,15 @@ from gateway.jit import Record, f8, i4, kernel, means, u1
 from gateway.monitors.contract import FAILED
 from gateway.signals.tables import DecodePlan, SignalRef
 
+#: How a condition counts: NOW: its message must be there; AWAKE, SUPPLIED: by the last value that came, none is met; of
+#: those that say AWAKE one must be met, of all others each.
+NOW, AWAKE, SUPPLIED = range(3)
+
 
 class ConditionRow(Record):
     """One enable condition: a mailbox slot, the row of its message, and the closed range it must be in."""
+
+    counts: u1 = means("NOW, AWAKE or SUPPLIED")
 
     slot: i4
     row: i4
@@ -58,12 +65,13 @@ class Watch(WatchState, WatchConst, WatchPlace):
 
 @dataclass(frozen=True)
 class Condition:
-    """A signal in a closed range, in its own unit; ``rise``: and so much above its lowest value."""
+    """A signal in a closed range, in its own unit; ``rise``: and so much above its lowest value; ``counts``: as NOW."""
 
     signal: SignalRef
     low: float = -np.inf
     high: float = np.inf
     rise: float = 0.0
+    counts: int = NOW
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,23 @@ def is_valid(T: Any, t_ns: int, row: int) -> bool:
 
 
 @kernel
+def sleeps(T: Any, d: Any) -> bool:
+    """Tell whether the power that a fault's test asks for is not there: nobody is awake, or the voltage is wrong."""
+    asked = awake = False
+    for k in range(d.first_condition, d.first_condition + d.conditions):
+        c = T.conditions[k]
+        if c.counts == NOW:
+            continue
+        value = T.mailbox[c.slot]
+        met = isnan(value) or c.low <= value <= c.high
+        if c.counts == AWAKE:
+            asked, awake = True, awake or met
+        elif not met:
+            return True
+    return asked and not awake
+
+
+@kernel
 def closed(T: Any, t_ns: int, d: Any) -> bool:
     """Tell whether the gate of a fault is closed.
 
@@ -119,10 +144,15 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
         return True
     if d.cycle >= 0 and T.cycles[d.cycle] == 0:
         return True
+    powered = True
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
-        if not is_valid(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
+        if c.counts != NOW:
+            powered = False
+        elif not is_valid(T, t_ns, c.row) or not c.low <= T.mailbox[c.slot] <= c.high:
             return True
+    if not powered and sleeps(T, d):
+        return True
     for k in range(d.first_root, d.first_root + d.roots):
         root = T.debounces[T.roots[k]]
         if root.active == 1 or fault_detection_counter(root, t_ns) > 0:
@@ -160,7 +190,7 @@ def fill_gates(gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], pl
     for row, condition in zip(made, conditions, strict=False):
         slot = plan.slot(*condition.signal)
         row["slot"], row["row"] = slot, plan.slot_message[slot]
-        row["low"], row["high"] = condition.low, condition.high
+        row["low"], row["high"], row["counts"] = condition.low, condition.high, condition.counts
     return made, np.asarray(roots or [0], np.int32)
 
 

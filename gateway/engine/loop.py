@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import LOSS
-from gateway.engine.checks.bus_health import on_timer, tells_loss, watch_clock
+from gateway.engine.checks.bus_health import SILENT, WHOLE, on_timer, tells_loss, watch_clock
 from gateway.engine.checks.bus_health_steps import (
     on_error_frame,
     on_sign_of_life,
@@ -29,10 +29,11 @@ from gateway.engine.checks.bus_health_steps import (
 from gateway.engine.checks.communication import ACCEPT, IN_PART, REJECT
 from gateway.engine.checks.communication_steps import (
     check_message,
-    report_timeout,
     restart_supervision,
     skip_settled_timeouts,
+    take_timeout,
 )
+from gateway.engine.checks.silence import judge_silence
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
 from gateway.engine.events import (
@@ -214,8 +215,8 @@ def run_timers(T: Any, t_ns: int) -> None:
         t = T.timers[timer]
         due, index = T.heap[t.place].noted_ns, t.index
         if t.kind == CHECK:
-            report_timeout(T, due, T.checks[index])
-            skip_settled_timeouts(T, t_ns, T.checks[index])
+            if take_timeout(T, due, T.checks[index]):
+                skip_settled_timeouts(T, t_ns, T.checks[index])
         elif t.kind == HANDLER:
             h = T.handlers[index]
             h.wake_ns = NEVER
@@ -225,6 +226,8 @@ def run_timers(T: Any, t_ns: int) -> None:
         else:
             h = T.health[index]
             on_timer(h, due)
+            if h.silence == WHOLE and h.until[SILENT] == NEVER:
+                judge_silence(T, due, index)
             report_bus_results(T, due, h)
             skip_settled_windows(T, t_ns, h)
         put_right(T, timer)
@@ -352,6 +355,8 @@ def advance(T: Any, t_ns: int) -> None:
     if clock.started == 0:
         clock.started = 1
         clock.now_ns = t_ns
+        for k in range(T.health.shape[0]):
+            T.health[k].heard_ns = t_ns
         for k in range(T.checks.shape[0]):
             c = T.checks[k]
             if c.timeout_ns > 0:

@@ -66,11 +66,11 @@ class Causes:
         used = {slot.id for slot in engine.faults if depends[slot.id][0].component.kind not in _ALONE}
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
-        timeouts = {f"{check.name}.timeout": check.params.timeout_ms for check in checks}
+        delays = _delays(engine, checks)
         components = {seen.component.name: seen.component for slot in slots for seen in depends[slot.id]}
         self._diagnoser = Diagnoser(
             list(components.values()),
-            [_test(slot, depends[slot.id], timeouts.get(slot.id)) for slot in slots],
+            [_test(slot, depends[slot.id], delays.get(slot.id)) for slot in slots],
         )
         self._place = {k: place for place, k in enumerate(self._tests)}
         self._index = np.array(self._tests, np.int64)
@@ -223,12 +223,20 @@ class Causes:
         }
 
 
-def _test(slot: FaultSlot, depends: Sequence[Seen], timeout_ms: float | None) -> Test:
+def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]:
+    """Return how long tests take whose faults do not say it, by their ids [s]."""
+    delays = {
+        f"{check.name}.timeout": _TIMEOUTS * check.params.timeout_ms * 1e-3
+        for check in checks
+        if check.params.timeout_ms is not None
+    }
+    # Whenever a timeout is told, it is known that the bus is heard.
+    return delays | {slot.id: 0.0 for slot in engine.faults if slot.id.endswith(".bus_silent")}
+
+
+def _test(slot: FaultSlot, depends: Sequence[Seen], delay_s: float | None) -> Test:
     debounce = slot.fault.debounce
-    delay_s = DELAY_S
-    if timeout_ms is not None:
-        delay_s = _TIMEOUTS * timeout_ms * 1e-3
-    elif debounce.failed_ms is not None:
-        delay_s = max(2.0 * debounce.failed_ms * 1e-3, 1.0)
+    if delay_s is None:
+        delay_s = DELAY_S if debounce.failed_ms is None else max(2.0 * debounce.failed_ms * 1e-3, 1.0)
     links = tuple(Link(one.component.name, one.power) for one in depends)
     return Test(slot.id, links, FALSE_ALARM, delay_s)

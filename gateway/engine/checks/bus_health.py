@@ -1,18 +1,18 @@
-"""Health of a bus: bus-off, error passive, error rate, interface lost, frames lost in a queue.
+"""Health of a bus: bus-off, error passive, error rate, interface lost, frames lost in a queue, silence as a whole.
 
 It judges the kernel's error frames, and the frames by which the gateway tells the condition of its interfaces (see
 ``gateway.bus.conditions``). A frame that is received proves that the controller is on the bus, whatever was said
 before it.
 
 Failure type bytes (SAE J2012): 88 bus off, 08 bus signal or message failure, 81 invalid serial data received, 31 no
-signal, 04 system internal failure (the gateway's own queue).
+signal, 04 system internal failure (the gateway's own queue), 87 missing message (of everybody, see ``silence``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -44,7 +44,7 @@ from gateway.engine.instances import FaultSlot
 from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 
-OFF, PASSIVE, ERRORS, GONE, OVERFLOW, CLOCK_STEPPED = range(6)
+OFF, PASSIVE, ERRORS, GONE, OVERFLOW, SILENT, CLOCK_STEPPED = range(7)
 
 _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 
@@ -93,11 +93,24 @@ FAULTS = (
         remedy="give it a larger buffer (?rcvbuf= in its URI, net.core.rmem_max), or less to do",
         tested="frames lost",
     ),
+    Fault(
+        "bus_silent",
+        "U0001-87",
+        "no frame of any sender: the bus sleeps, or is cut off",
+        ("silent [ms]",),
+        _AT_ONCE,
+        remedy="check the wires between the gateway and the bus, and its supply; if the bus may sleep, say when it is"
+        " awake ([power] awake)",
+        tested="silent [ms]",
+    ),
 )
 
 #: Bases of the DTCs of the first bus, the second, ... (SAE J2012: high speed CAN, then vehicle communication buses A
 #: to E, then the other CAN buses).
 CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
+
+#: What is known of the silence of a bus.
+SPOKEN, AWAITED, WHOLE = range(3)
 
 #: Counters of error frames, by class.
 COUNTED = {
@@ -114,7 +127,7 @@ COUNTED = {
 _CLASSES = np.asarray(list(COUNTED.values()), np.int64)
 
 _WRONG = TX_TIMEOUT | PROTOCOL | TRANSCEIVER | NO_ACK | BUS_ERROR
-_ALL = (1 << len(FAULTS)) - 1
+_ALL = (1 << SILENT) - 1  # an interface that is up again says nothing of a silence
 
 
 class Params(MonitorParams):
@@ -128,6 +141,19 @@ class Params(MonitorParams):
     )
     errors: int = Field(10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault")
     window_ms: float = Field(1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]")
+    silent_ms: float | None = Field(
+        None,
+        gt=0,
+        le=3.6e6,
+        description="the bus is silent as a whole after so long without any frame [ms]; default: when each of its"
+        " senders has a message overdue, 10 s at most; not judged where one sender alone is watched",
+    )
+    wake_ms: float = Field(
+        15_000.0,
+        ge=0,
+        le=3.6e6,
+        description="after such a silence each message has so long to come [ms]; its timeout at least",
+    )
 
 
 class HealthPlace(Record):
@@ -137,6 +163,9 @@ class HealthPlace(Record):
     timer: i4
     most: i8
     window_ns: i8 = means(unit="ns")
+    quiet_ns: i8 = means("it is silent as a whole after so long without a frame; 0: not judged", "ns")
+    gap_ns: i8 = means("a gap between two frames is unusual from here on", "ns")
+    wake_ns: i8 = means("time to be heard after it was asleep", "ns")
 
 
 class HealthState(Record):
@@ -150,6 +179,10 @@ class HealthState(Record):
     deadline_ns: i8 = means(unit="ns")
     until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means("when a fault heals by silence", "ns")
     lost: i8
+    heard_ns: i8 = means("when a frame was last received", "ns")
+    talks_ns: i8 = means("when the last silence that was unusual ended", "ns")
+    silence: u1 = means("SPOKEN, AWAITED: messages wait for a frame of anybody, WHOLE: it is silent as a whole")
+    asleep: u1 = means("whether it may be silent: nobody is awake")
     counts: Annotated[i8s, len(COUNTED)]
     value: f8
     limit: f8
@@ -187,7 +220,7 @@ def _note_condition(h: Any, t_ns: int, word: int) -> None:
     condition, lost = word & 0xFF, (word >> 32) & 0xFFFFFFFF
     if condition == RUNNING:
         h.passed = _ALL
-        h.bad = 0
+        h.bad &= 1 << SILENT
         h.count = 0
     elif condition == LOST:
         h.failed = 1 << GONE
@@ -230,7 +263,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
     h.value = max(transmit, receive)
     if classes & RESTARTED:
         h.passed |= 1 << OFF | 1 << PASSIVE
-        h.bad = 0
+        h.bad &= 1 << SILENT
         heard = RUNNING
     if classes & CONTROLLER:
         if controller & (RX_PASSIVE | TX_PASSIVE):
@@ -318,10 +351,20 @@ def on_timer(h: Any, t_ns: int) -> None:
     h.failed = h.passed = 0
     h.deadline_ns = NEVER
     for k in range(h.until.shape[0]):
-        if h.until[k] <= t_ns:
+        if h.until[k] <= t_ns and k == SILENT:
+            h.until[k] = NEVER  # judged where the other buses are known, see silence_steps
+            h.silence = WHOLE
+        elif h.until[k] <= t_ns:
             h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
             h.passed |= 1 << k
         h.deadline_ns = min(h.deadline_ns, h.until[k])
+
+
+class Silence(NamedTuple):
+    """When a bus is silent as a whole: without a frame for so long, 0: not judged; what gap is unusual [ns]."""
+
+    quiet_ns: int = 0
+    gap_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -332,7 +375,7 @@ class BusInstance:
     params: Params = field(default_factory=Params)
 
 
-def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int) -> list[FaultSlot]:
+def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int, silence: Silence) -> list[FaultSlot]:
     """Fill the health of one bus; returns the faults it can report, in order."""
     p = bus.params
     row["most"], row["window_ns"] = p.errors, round(p.window_ms * 1e6)
@@ -342,5 +385,11 @@ def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int) ->
     if not p.watched:
         return []
     faults = faults_of(code)
+    if silence.quiet_ns == 0:
+        faults = faults[:SILENT]
+    else:
+        row["bad"] = 1 << SILENT  # the first frame disproves it
+    row["quiet_ns"], row["gap_ns"] = silence
+    row["wake_ns"] = round(p.wake_ms * 1e6)
     row["fault"][: len(faults)] = first_fault + np.arange(len(faults))
     return [FaultSlot(f"{bus.name}.{fault.name}", fault, index) for fault in faults]

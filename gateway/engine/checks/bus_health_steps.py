@@ -6,9 +6,11 @@ from typing import Any
 
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
+from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
-from gateway.engine.checks.bus_health import note, note_step, on_frame_received
-from gateway.engine.checks.communication_steps import restart_supervision
+from gateway.engine.checks.bus_health import SILENT, SPOKEN, WHOLE, note, note_step, on_frame_received
+from gateway.engine.checks.communication_steps import report_timeout, restart_supervision
+from gateway.engine.checks.silence import MOST_PARKS, UNUSUAL
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
@@ -69,6 +71,9 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
         return
     h = T.health[bus]
     condition = note(h, t_ns, can_id, word)
+    if condition == RUNNING:
+        h.heard_ns, h.silence = t_ns, SPOKEN
+        h.until[SILENT] = NEVER
     if condition in (LOSS, RUNNING):
         restart_supervision(T, t_ns, bus, condition)
     report_bus_results(T, t_ns, h)
@@ -78,9 +83,63 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
 @kernel
 def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
     """Take a frame that was received: a bus that was said to be off or lost is not, and what it missed is over."""
-    if bus >= T.health.shape[0] - 1 or T.health[bus].bad == 0:
+    if bus >= T.health.shape[0] - 1:
         return
     h = T.health[bus]
-    on_frame_received(h)
-    restart_supervision(T, t_ns, bus, RUNNING)
-    report_bus_results(T, t_ns, h)
+    silent_ns = t_ns - h.heard_ns
+    h.heard_ns = max(h.heard_ns, t_ns)  # a late frame is no news
+    if h.bad != 0:
+        unheard = h.bad != 1 << SILENT
+        on_frame_received(h)
+        if unheard:
+            restart_supervision(T, t_ns, bus, RUNNING)
+        report_bus_results(T, t_ns, h)
+    if h.quiet_ns > 0 and (h.silence != SPOKEN or silent_ns > h.gap_ns):
+        end_silence(T, t_ns, bus, silent_ns)
+
+
+@kernel(inlined=False)
+def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
+    """Take the first frame after nobody was heard for longer than usual.
+
+    After a silence of the whole bus each message has its time to wake. A shorter one that is longer than the shortest
+    timeout may have been the time of a frame of any message half of whose time is over: it starts again. One that is
+    shorter still is added to the time of each to which it matters. A message that misses :data:`MOST_PARKS` of them is
+    not there: on a bus where little is sent, nearly all time is such a silence.
+
+    Args:
+        T: the tables.
+        t_ns: now.
+        bus: its index.
+        silent_ns: how long nobody was heard.
+    """
+    h = T.health[bus]
+    whole = h.silence == WHOLE
+    long = silent_ns > UNUSUAL * h.gap_ns
+    h.silence = SPOKEN
+    h.asleep = 0
+    h.until[SILENT] = NEVER
+    if long:
+        h.talks_ns = t_ns
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus != bus or c.timeout_ns <= 0:
+            continue
+        parked_ns, c.parked_ns = c.parked_ns, 0
+        due_ns = parked_ns if parked_ns > 0 else c.deadline_ns
+        missed = long and due_ns - t_ns <= c.timeout_ns // 2
+        if whole:
+            c.seen, c.silent_ns, c.parks, c.asleep = 0, 0, 0, 0
+            c.deadline_ns = t_ns + c.wake_ns
+        elif parked_ns > 0 and c.parks >= MOST_PARKS:
+            c.silent_ns += t_ns - parked_ns
+            c.deadline_ns = t_ns
+            report_timeout(T, t_ns, c)
+        elif parked_ns > 0 or (missed and c.parks < MOST_PARKS):
+            c.parks += 1
+            c.deadline_ns = t_ns + c.timeout_ns if missed else parked_ns + silent_ns - h.gap_ns
+            c.silent_ns += c.deadline_ns - due_ns
+        elif not long and silent_ns > c.timeout_ns // UNUSUAL and due_ns - t_ns <= c.timeout_ns:
+            c.deadline_ns += silent_ns - h.gap_ns
+            c.silent_ns += silent_ns - h.gap_ns
+        arm(T, c.timer, c.deadline_ns)

@@ -122,6 +122,12 @@ class Params(MonitorParams, ProtectionParams):
 
     message: str = Field(description="name of the message in the bus's database")
     timeout_ms: float | None = Field(None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched")
+    wake_ms: float | None = Field(
+        None,
+        ge=0,
+        le=3.6e6,
+        description="time that it has to come after the bus was silent, or asleep [ms]; default: that of the bus",
+    )
     length: bool = Field(True, description="judge frames shorter than the message")
     value: bool = Field(
         True,
@@ -156,6 +162,7 @@ class CheckConst(Record):
     """What is asked of the message."""
 
     timeout_ns: i8 = means(unit="ns")
+    wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
     length: i4
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     rule: i8 = means("digest of the checksum's rule; 0: there is none")
@@ -168,6 +175,9 @@ class CheckState(Record):
     deadline_ns: i8 = means(unit="ns")
     silent_ns: i8 = means(unit="ns")
     losses: i4 = means("how often its time has started anew since frames were lost on our side")
+    parked_ns: i8 = means("when its time was over while nobody was heard; 0: it was not", "ns")
+    parks: i4 = means("how often that was so since it came")
+    asleep: u1 = means("whether its time was over while all slept")
     last_counter: i8
     passed: i8 = means("frames whose checksum was right since the rule was proven")
     weighed: u8 = means("hash of the last right payload before the rule was proven")
@@ -187,7 +197,7 @@ _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus"
 
 #: Each state of a check, and what it is counted in: a reload keeps it where these constants are as they were.
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
-    ("deadline_ns", "silent_ns", "losses"): ("timeout_ns",),
+    ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep"): ("timeout_ns",),
     ("last_counter", "unread", "seen"): _COUNTER,
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
@@ -223,7 +233,17 @@ _NEAR: tuple[str, ...] = (
     "timeout_ns",
     "deadline_ns",
 )
-_NEAR += ("silent_ns", "losses", "last_counter", "gate_changes", "run", "run_since_ns", "run_until_ns", "protection")
+_NEAR += (
+    "silent_ns",
+    "losses",
+    "parks",
+    "last_counter",
+    "gate_changes",
+    "run",
+    "run_since_ns",
+    "run_until_ns",
+    "protection",
+)
 
 
 class Check(CheckState, CheckConst, CheckPlace, CheckRun, near=_NEAR):
@@ -284,9 +304,16 @@ def _protection(check: CheckInstance, database: Database) -> Protection:
 
 
 def fill(
-    row: Any, check: CheckInstance, plan: DecodePlan, database: Database, first_fault: int, crcs: Tables
+    row: Any,
+    check: CheckInstance,
+    plan: DecodePlan,
+    database: Database,
+    first_fault: int,
+    crcs: Tables,
+    *,
+    wake_ms: float = 0.0,
 ) -> list[FaultSlot]:
-    """Fill one row of checks; returns the faults it can report, in order."""
+    """Fill one row of checks, ``wake_ms`` is that of its bus; returns the faults it can report, in order."""
     p, message, asked = check.params, _message(check, database), _protection(check, database)
     summed = asked.checksum is not None
     wanted = (
@@ -306,6 +333,7 @@ def fill(
     row["bus"] = check.bus
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
+    row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["rule"] = protection.digest(asked, message.frame_id)

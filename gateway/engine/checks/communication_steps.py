@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import RUNNING
+from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import (
     ACCEPT,
     AGAINST,
@@ -25,6 +26,8 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
+from gateway.engine.checks.silence import park
+from gateway.engine.gate import sleeps
 from gateway.engine.results import report_result, store_evidence
 from gateway.engine.timers import arm
 from gateway.jit import kernel
@@ -47,8 +50,28 @@ def end_run(T: Any, c: Any) -> None:
 
 
 @kernel
+def take_timeout(T: Any, due: int, c: Any) -> bool:
+    """Take one elapsed timeout of a message; returns whether it is reported: somebody else is heard, nobody sleeps."""
+    if park(T, due, c):
+        return False
+    if sleeps(T, T.debounces[c.fault[TIMEOUT]]):
+        c.asleep = 1
+    elif c.asleep == 1:  # it wakes
+        c.asleep = 0
+        c.deadline_ns = due + c.wake_ns
+        c.silent_ns = 0
+        return False
+    report_timeout(T, due, c)
+    return True
+
+
+@kernel
 def report_timeout(T: Any, due: int, c: Any) -> None:
-    """Report one elapsed timeout of a message, and set its next deadline."""
+    """Report one elapsed timeout of a message, and set its next deadline; where its bus is heard, that is told too."""
+    if c.bus < T.health.shape[0] - 1 and T.health[c.bus].fault[SILENT] >= 0:
+        h = T.health[c.bus]
+        if due - h.heard_ns < h.quiet_ns:  # it is heard
+            report_result(T, due, h.fault[SILENT], False, (due - h.heard_ns) * 1e-6, h.quiet_ns * 1e-6)
     end_run(T, c)
     T.clock[0].timeouts += 1
     c.deadline_ns += c.timeout_ns
@@ -93,7 +116,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
             continue
         c.losses = 0 if condition == RUNNING else c.losses + 1
         c.deadline_ns = deadline_ns
-        c.silent_ns = 0
+        c.silent_ns = c.parked_ns = c.parks = 0
         arm(T, c.timer, c.deadline_ns)
 
 
@@ -310,6 +333,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         c.deadline_ns = deadline_ns
         c.silent_ns = 0
         c.losses = 0
+        c.parks = 0
         if deadline_ns < before_ns:  # after a late frame; what is noted of a deadline is never later than it
             arm(T, c.timer, deadline_ns)
     usual = is_usual(T, c, words, length, status)

@@ -8,16 +8,17 @@ from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.depends.parts import Network, Seen, component
 
 #: Check -> probability that it fails if the message, its sender, its bus is at fault. What is silent is seen in any
-#: case; a message that is wrong is so in one of several ways.
+#: case, but an ECU may die in part: those of its messages stop that its dead half sends. While a bus is cut off nothing
+#: is tested but its silence. A message that is wrong is so in one of several ways.
 _POWERS = {
-    "timeout": (0.9, 0.95, 0.99),
+    "timeout": (0.9, 0.6, 0.3),
     "counter": (0.3, 0.1, 0.3),
     "crc": (0.3, 0.1, 0.3),
     "length": (0.3, 0.1, 0.01),
     "value": (0.3, 0.1, 0.01),
 }
 #: Fault of a bus -> probability that it fails if the bus is at fault.
-_HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9}
+_HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9, "bus_silent": 0.99}
 
 
 def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[Seen]:
