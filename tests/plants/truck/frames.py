@@ -6,6 +6,7 @@ from truck.plant import CHARGE, COLUMNS, INERTIAS, LOSS, PARAMETERS, RATIOS, VOL
 
 from gateway.bus.frames import FRAME
 from gateway.config.load import load_config
+from gateway.monitors.truck import messages
 from gateway.monitors.truck.monitor import MONITOR
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
@@ -129,8 +130,10 @@ def decoded(frame):
 
 
 def told_names():
-    """Return the monitor's own name of each signal."""
-    return {key: signal.name for key, signal in MONITOR.connect(None).items()}
+    """Return the monitor's own name of each signal, the counters' among them."""
+    counters = zip(("count_pt", "count_veh", "count_elec", "count_mech"), messages.MESSAGES, strict=True)
+    connected = {key: signal.name for key, signal in MONITOR.connect(None).items()}
+    return connected | {key: f"{message}.FrameCnt" for key, message in counters}
 
 
 def _inline(table):
