@@ -116,7 +116,7 @@ def is_valid(T: Any, t_ns: int, row: int) -> bool:
 
 @kernel
 def sleeps(T: Any, d: Any) -> bool:
-    """Tell whether the power that a fault's test asks for is not there: nobody is awake, or the voltage is wrong."""
+    """Return whether the power that a fault's test asks for is not there: nobody is awake, or the voltage is wrong."""
     asked = awake = False
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]

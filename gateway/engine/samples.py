@@ -80,7 +80,7 @@ def _whole(T: Any, t_ns: int, h: Any, y: Any) -> None:
 
 @kernel(inlined=False)
 def collect(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
-    """Take a frame of a monitor that steps once a sample; tells whether one is there, and is in its inputs."""
+    """Take a frame of a monitor that steps once a sample; returns whether one is there, and in its inputs."""
     y = T.samplers[h.sampler]
     message = -1
     for k in range(y.first, y.first + y.const.messages):

@@ -46,7 +46,7 @@ class Claim:
 
 
 def called_checksum(name: str) -> bool:
-    """Tell whether a signal is called as checksums are."""
+    """Return whether a signal is called as checksums are."""
     return name.upper().rstrip("0123456789_").endswith(CHECKSUMS)
 
 
@@ -113,7 +113,7 @@ def evidence(pairs: Payloads, asked: Protection, free_bits: int, hypotheses: int
 
 
 def _copies(pairs: Payloads, mask: NDArray[np.uint64], width: int) -> bool:
-    """Tell whether one byte alone may say what is taken for a checksum: a copy of it, not a sum.
+    """Return whether one byte alone may say what is taken for a checksum: a copy of it, not a sum.
 
     A table of as many constants as that byte has values would explain the frames; what is said beyond it counts.
     """

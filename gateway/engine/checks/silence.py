@@ -92,7 +92,7 @@ def park(T: Any, due: int, c: Any) -> bool:
 
 @kernel
 def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
-    """Tell whether there are other buses, and none is heard: all sleep, or the recorder paused.
+    """Return whether there are other buses, and none is heard: all sleep, or the recorder paused.
 
     One that is heard again after an unusual silence, which ended while this bus was silent, tells that for as long as
     this bus may take to wake.

@@ -71,7 +71,7 @@ def prepare(
 
 
 def tells(edges: tuple[tuple[float, int], ...], tolerance_deg: float, teeth: int) -> bool:
-    """Tell whether the edges of a cam can tell one tooth of a wheel of equal pitches from the next."""
+    """Return whether the edges of a cam can tell one tooth of a wheel of equal pitches from the next."""
     return bool(edges) and tolerance_deg < 180.0 / teeth
 
 
@@ -98,7 +98,7 @@ def fits(c: Const, angle: float, level: int) -> bool:
 
 @kernel
 def fits_cycle(c: Const, angle: float, level: int, slack: float) -> bool:
-    """Tell whether an edge of the cam is at an angle of the cycle [deg], tooth 0 at zero.
+    """Return whether an edge of the cam is at an angle of the cycle [deg], tooth 0 at zero.
 
     Args:
         c: record of Const.

@@ -2,7 +2,7 @@
 
 Of a wheel of P pulses a turn a pulse may be any of the 2 P of a working cycle. Each edge of the cam leaves those at
 which one of its edges, of that level, is told to be. When the edges of a whole cycle, three at least, leave one tooth,
-that is the place. Where none is left the count begins anew: a pulse was missed, or there is no such wheel.
+that is the place. Where none is left the count begins again: a pulse was missed, or there is no such wheel.
 
 So the cam also counts: between an edge and the same one a cycle later 2 P pulses pass. Another number, again and again,
 is another wheel; but not one that a cam with a multiple, or a part, of the edges told would count.
@@ -117,7 +117,7 @@ def forget(ph: Phase) -> None:
 
 @kernel
 def another(pulses: int, teeth: int) -> bool:
-    """Tell whether the pulses of a cycle are those of another wheel, and of no cam with other edges.
+    """Return whether the pulses of a cycle are those of another wheel, and of no cam with other edges.
 
     Args:
         pulses: of a cycle.

@@ -247,7 +247,7 @@ def proof_rpm(wheel: Wheel) -> float:
 
 @kernel
 def decides(s: State, c: Const) -> bool:
-    """Tell whether the engine is fast enough for the intervals to tell the place."""
+    """Return whether the engine is fast enough for the intervals to tell the place."""
     return bool(best(s.tracker).period * c.turn <= c.proof_us)
 
 

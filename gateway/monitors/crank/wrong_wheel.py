@@ -122,7 +122,7 @@ def _filled(s: State, c: Const) -> int:
 
 @kernel
 def _cranked(s: State, c: Const) -> bool:
-    """Tell whether the engine is so slow that a compression may look like a gap to a wheel of few pulses."""
+    """Return whether the engine is so slow that a compression may look like a gap to a wheel of few pulses."""
     return bool(waiting.turn_us(s.anchor, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
 
 

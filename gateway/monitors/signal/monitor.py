@@ -105,7 +105,7 @@ def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool
 
 @kernel
 def follow_rhythm(s: Course, t_ns: int) -> None:
-    """Learn how often values come; a gap, in which nobody knows what a signal did, begins its scatter anew."""
+    """Learn how often values come; a gap, in which nobody knows what a signal did, begins its scatter again."""
     seconds = (t_ns - s.came_ns) * 1e-9
     if s.came_ns > 0:
         if s.usual_s == 0.0:

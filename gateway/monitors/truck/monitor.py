@@ -2,8 +2,8 @@
 
 Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when frames of its
 counter have come of all four messages (:class:`gateway.monitors.contract.Sampled`); time is the counter's steps, not
-the frames' arrival. A set that is missing is stepped over; behind a gap of more than :data:`LONGEST` sets the dynamic
-tests begin anew.
+the frames' arrival. A set that is missing is stepped over; after a gap of more than :data:`LONGEST` sets the dynamic
+tests begin again.
 """
 
 from __future__ import annotations
