@@ -184,6 +184,10 @@ def test_malformed_input_is_answered_counted_and_harmless(hub):
                 except BlockingIOError:
                     pass
                 bad.setblocking(True)
+        # A close with answers unread is a reset, after which the hub never sees what it has not read yet.
+        bad.shutdown(socket.SHUT_WR)
+        while bad.recv(65536):
+            pass
         bad.close()
         for line in (
             b"< send 123 9 0 0 0 0 0 0 0 0 0 >",
@@ -211,7 +215,7 @@ def test_malformed_input_is_answered_counted_and_harmless(hub):
                 part = take(ours, 4096, 0.5)
                 got = part[part["can_id"] == 0x7AB]
             assert len(got) == 1
-    # How many there are depends on how the garbage is cut into readings, and so on the machine's load.
+    # How many there are depends on how the garbage is cut into readings.
     assert hub.statistics.rejected > 100
 
 

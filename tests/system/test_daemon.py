@@ -309,10 +309,11 @@ def test_record_alone_takes_several_buses_down(tmp_path, form):
     channels = names if form == "log" else {"0": 0, "1": 1}
     frames = [f for batch in read_recording(path, channels) for f in batch]
     for index in (0, 1):
-        mine = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300 and f["bus"] == index]
-        assert mine == list(range(30))
-    stamps = [int(f["t_ns"]) for f in frames]
-    assert stamps == sorted(stamps), "merged by time"
+        mine = [f for f in frames if f["can_id"] == 0x300 and f["bus"] == index]
+        assert [int(f["data"][0]) for f in mine] == list(range(30))
+        # Between the buses the order holds for what arrives within the merger's time (tests/live/test_merge.py).
+        stamps = [int(f["t_ns"]) for f in mine]
+        assert stamps == sorted(stamps)
 
 
 def test_a_log_of_several_buses_is_replayed_by_its_names(tmp_path):
