@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,18 @@ class Sampled(Record):
     counter: i4 = means("mailbox slot of its frame counter")
 
 
+class Needed(NamedTuple):
+    """The tables that it needs: handing down all of them costs more than what is done with them."""
+
+    samplers: Any
+    sampled: Any
+    slots: Any
+    places: Any
+    mailbox: Any
+    held: Any
+    pool: Any
+
+
 def fill(
     row: Any, asked: Sampling, messages: Sequence[int], counters: Mapping[int, int], nowhere: int
 ) -> list[tuple[int, int]]:
@@ -79,8 +91,7 @@ def _whole(T: Any, t_ns: int, h: Any, y: Any) -> None:
 
 
 @kernel(inlined=False)
-def collect(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
-    """Take a frame of a monitor that steps once a sample; returns whether one is there, and in its inputs."""
+def _collect(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
     y = T.samplers[h.sampler]
     message = -1
     for k in range(y.first, y.first + y.const.messages):
@@ -106,3 +117,10 @@ def collect(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
         return False
     _whole(T, t_ns, h, y)
     return True
+
+
+@kernel
+def collect(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
+    """Take a frame of a monitor that steps once a sample; returns whether one is there, and in its inputs."""
+    needed = Needed(T.samplers, T.sampled, T.slots, T.places, T.mailbox, T.held, T.pool)
+    return bool(_collect(needed, t_ns, trigger, h))

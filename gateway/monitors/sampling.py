@@ -54,7 +54,7 @@ class Sampling:
         oldest_ms: a sample further behind the last one is none that follows it: all begins anew.
         counters: the frame counters, ``"Message.Signal"``.
         modulo: of these; one that counts to a multiple of it is well.
-        depth: samples that are collected at the same time, of several messages by counter.
+        depth: samples that are collected at the same time, of several messages by counter; the next power of 2.
         spare: whether a database need not have the counters.
     """
 
@@ -83,6 +83,9 @@ class Const(Record):
     oldest: i8 = means("samples further from each other do not follow each other", "periods")
     counted: i8 = means("1: counters are looked at")
     modulo: i8
+    every: i8 = means("bits of all messages")
+    early_ns: f8 = means("a frame that follows the one before is looked at no further if it waits for no less", "ns")
+    late_ns: f8 = means("and for less", "ns")
     depth: i8 = means("sets that are collected at the same time; 0: a sample is what has come once more")
 
 
@@ -153,12 +156,14 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
         sampling: what is asked for.
         messages: that carry the inputs.
     """
-    c.messages, c.counted = messages, sampling.by != "clock"
+    c.messages, c.counted, c.every = messages, sampling.by != "clock", (1 << messages) - 1
     c.period_ns = round(sampling.period_ms * 1e6)
     c.window_ns = FOR_EVER if math.isinf(sampling.window_ms) else round(sampling.window_ms * 1e6)
     c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
     c.modulo = sampling.modulo
-    c.depth = sampling.depth if sampling.by == "counter" and messages > 1 else 0
+    c.depth = 1 << (sampling.depth - 1).bit_length() if sampling.by == "counter" and messages > 1 else 0
+    c.early_ns = -EARLY * c.period_ns
+    c.late_ns = (min(LEAST - EARLY, c.oldest - 1) if c.modulo >= LEAST else -1.0) * c.period_ns
 
 
 @kernel
@@ -233,6 +238,30 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
 
 
 @kernel
+def _follows(s: Numbers, c: Const, counter: float) -> bool:
+    """Tell whether a counter is the next one."""
+    return bool(counter - s.counter == 1.0 or (counter == 0.0 and s.counter == c.modulo - 1))
+
+
+@kernel
+def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
+    """Take a frame that comes next and in time, as nearly all do; tells whether it is one: else nothing is changed."""
+    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
+        return False
+    due_ns = s.date_ns + c.period_ns
+    if not c.early_ns <= arrived_ns - due_ns < c.late_ns:
+        return False
+    s.seen += 1
+    s.top = max(s.top, int(counter))
+    s.stands = s.overtaken = 0
+    s.date_ns = due_ns
+    _wait(s, arrived_ns, c.period_ns)
+    s.number += 1
+    s.arrived_ns, s.counter = arrived_ns, int(counter)
+    return True
+
+
+@kernel
 def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
     """Take a frame: number its sample; returns by how much that is newer than the newest before, if it is positive.
 
@@ -246,6 +275,8 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         arrived_ns: when the frame came.
         counter: of the frame; NaN: it has none.
     """
+    if _next(s, c, arrived_ns, counter):
+        return 1
     s.seen += 1
     if s.seen == 1:
         _begin(s, arrived_ns)
@@ -277,14 +308,18 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
 
 
 @kernel
-def _awaited(s: Any, c: Const, t_ns: int) -> int:
-    """Return the bits of the messages that are waited for: they came within the window, or may come yet."""
-    awaited = 0
+def _is_awaited(s: Any, c: Const, t_ns: int, have: int) -> bool:
+    """Tell whether a message is waited for: it has not come, but did within the window, or may come yet."""
+    missing = c.every & ~have
+    if missing == 0:
+        return False
+    if c.window_ns == FOR_EVER:
+        return True
     for k in range(c.messages):
         last_ns = s.came_ns[k] if s.numbers[k].seen > 0 else s.begun_ns
-        if t_ns - last_ns <= c.window_ns:
-            awaited |= 1 << k
-    return awaited
+        if missing & (1 << k) and t_ns - last_ns <= c.window_ns:
+            return True
+    return False
 
 
 @kernel
@@ -308,25 +343,28 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
     n, bit = s.numbers[message], 1 << message
     if math.isnan(counter):
         return OVERTAKEN
+    agrees = s.begun == 1 and n.seen > 0 and _follows(n, c, counter)
     steps = number(n, c, t_ns, counter)
-    if steps > 0:
+    if agrees and steps == 1:
+        s.newest = max(s.newest, n.number)
+    elif steps > 0:
         _agree(s, c, n, counter)
     s.came_ns[message] = t_ns
     mine = n.number + min(steps, 0)
     if s.samples > 0 and mine <= s.last:
         s.overtaken += 1
         return OVERTAKEN
-    place = mine % c.depth
+    place = mine & (c.depth - 1)
     if s.number[place] != mine:
         if s.have[place] != 0:
             s.apart += 1
         s.have[place], s.number[place] = 0, mine
     s.have[place] |= bit
     s.place = place
-    if _awaited(s, c, t_ns) & ~s.have[place]:
+    if _is_awaited(s, c, t_ns, s.have[place]):
         return WAITS
     s.gap = mine - s.last if s.samples > 0 else 1
-    s.missing = ((1 << c.messages) - 1) & ~s.have[place]
+    s.missing = c.every & ~s.have[place]
     for k in range(c.depth):  # older ones come too late from here on
         if s.have[k] != 0 and s.number[k] < mine:
             s.apart += 1
@@ -367,13 +405,13 @@ def take(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
         return OVERTAKEN
     s.came_ns[message] = t_ns
     s.fresh |= 1 << message
-    if c.messages > 1 and (_awaited(s, c, t_ns) & ~s.fresh or _belongs_to_the_next(s, c, t_ns)):
+    if c.messages > 1 and (_is_awaited(s, c, t_ns, s.fresh) or _belongs_to_the_next(s, c, t_ns)):
         return WAITS
     s.gap = _gap(s, c, t_ns)
     for k in range(c.messages):
         if s.fresh & (1 << k):
             s.taken[k] = s.numbers[k].number
-    s.missing = s.away = ((1 << c.messages) - 1) & ~s.fresh
+    s.missing = s.away = c.every & ~s.fresh
     s.last_ns, s.fresh = t_ns, 0
     s.samples += 1
     return SAMPLE
