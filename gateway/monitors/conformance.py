@@ -344,20 +344,27 @@ def _of_field(
     return [(f"{name}[{k}]", signal) for k, signal in enumerate(given)]
 
 
-def sampling_of(monitor: Monitor[Any], params: MonitorParams) -> Sampling | None:
-    """Return how the frames of a monitor become samples; None: each steps it.
+def samplings_of(monitor: Monitor[Any], params: MonitorParams) -> tuple[Sampling, ...]:
+    """Return how the frames of a monitor become samples; none: each steps it.
 
     Raises:
-        InputError: what it says is none.
+        InputError: what it says is no Sampling, or names no input.
     """
     sampled = monitor.capability(Sampled)
     if sampled is None:
-        return None
-    found: object = sampled.of(params)
+        return ()
+    given: object = sampled.of(params)
+    found = given if isinstance(given, tuple | list) and given else (given,)
     key = f'monitor type "{monitor.type}".Sampled.of'
-    if not isinstance(found, Sampling):
-        raise InputError(f"a Sampling, not {type(found).__name__}", file=monitor.file, key=key)
-    return found
+    for one in found:
+        if not isinstance(one, Sampling):
+            raise InputError(f"a Sampling, not {type(one).__name__}", file=monitor.file, key=key)
+        known = [name for name in monitor.inputs.dtype.names or () if name not in _OWN]
+        for name in set(one.inputs) - set(known):
+            raise InputError(f"there is no such input{nearest(name, known)}", file=monitor.file, key=key, value=name)
+        if len(found) > 1 and not one.inputs:
+            raise InputError("of several samplings each says its inputs", file=monitor.file, key=key)
+    return tuple(found)
 
 
 def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission | None:

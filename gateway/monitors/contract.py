@@ -127,6 +127,7 @@ class SampledInputs(Inputs):
 
     gap: f8 = means("samples from the one before to this one; 1: none is missing between")
     missing: f8 = means("bits of the messages that are missing in this sample, whose inputs are NaN")
+    which: f8 = means("of several samplings, by its place; the inputs of the others are those of their newest samples")
     waited: Annotated[f8s, MOST_MESSAGES] = means("how long ago each message was due; NaN: it is missing", "s")
 
 
@@ -483,13 +484,15 @@ class Arrivals:
 class Sampled:
     """A monitor that steps once a sample, however late, overtaken or lost its frames are.
 
-    Its inputs derive from :class:`SampledInputs`. Those whose signals do not trigger have their newest value.
+    Its inputs derive from :class:`SampledInputs`. Those whose signals do not trigger have their newest value. Time is
+    that of the sample. Where samples are at the ticks of a clock (``between="held"``) these alone wake the monitor.
 
     Attributes:
-        of: parameters -> how frames become samples; its counters are named as signals are.
+        of: parameters -> how frames become samples, or several ways, each for other inputs; its counters are named as
+            signals are.
     """
 
-    of: Callable[[Any], Sampling]
+    of: Callable[[Any], Sampling | Sequence[Sampling]]
 
 
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
