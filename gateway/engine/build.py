@@ -41,7 +41,7 @@ from gateway.errors import Gathered, InputError, named
 from gateway.jit import Record
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS, Arrivals
+from gateway.monitors.contract import RESULTS
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
@@ -226,7 +226,6 @@ def _handlers(
         row["state"], row["const"] = state.ctypes.data, const.ctypes.data
         row["inputs"] = cells
         cells += _connect(row, m, wired, plan, made)
-        _tell_arrivals(m, wired, plan, const.view(np.recarray)[0])
         _send(row, m, made)
         row["bus"], row["wake_ns"], row["takes_nan"] = m.bus, NEVER, wired.takes_nan
         mine = checked_faults(m.monitor, m.params)
@@ -294,14 +293,6 @@ def _sample(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: 
     loose = [k for k, message in enumerate(rows) if message >= 0 and k not in taken]
     row["first_loose"], row["loose"] = len(made.carried), len(loose)
     made.carried += loose
-
-
-def _tell_arrivals(m: MonitorInstance, wired: Wired, plan: DecodePlan, const: Any) -> None:
-    """Write the message of each number of a monitor's inputs into its constants, if it wants to know."""
-    wanted = m.monitor.capability(Arrivals)
-    if wanted is not None:
-        rows = [-1 if place is None else int(plan.slot_message[plan.slot(*place)]) for place in wired.inputs]
-        wanted.of(const)[: len(rows)] = rows
 
 
 def _send(row: Any, m: MonitorInstance, made: _Handlers) -> None:

@@ -22,7 +22,6 @@ from gateway.monitors.contract import (
     API,
     EVIDENCE,
     MAX_OUTPUTS,
-    Arrivals,
     Calibration,
     Capability,
     CusumCalibration,
@@ -176,19 +175,8 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
             yield f"the state's field {name!r} is not one number", "capabilities"
     if (monitor.capability(Sampled) is None) == issubclass(monitor.inputs, SampledInputs):
         yield "the capability Sampled and inputs that derive from SampledInputs go together", "inputs"
-    arrivals = monitor.capability(Arrivals)
-    if arrivals is not None:
-        yield from _wrong_arrivals(monitor, arrivals)
     if monitor.capability(Readout) is not None and len(set(monitor.readout)) < len(monitor.readout):
         yield "a field is shown twice", "capabilities"
-
-
-def _wrong_arrivals(monitor: Monitor[Any], arrivals: Arrivals) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with the place where the engine writes the messages of the inputs."""
-    room = np.asarray(arrivals.of(np.zeros(1, monitor.const.dtype).view(np.recarray)[0]))
-    count = sum(size for _, size, _ in _fields(monitor))
-    if room.dtype.kind != "i" or room.ndim != 1 or len(room) < count:
-        yield f"Arrivals: {count} integers of the constants at least, one for each number of the inputs", "capabilities"
 
 
 def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault, ...]:

@@ -469,18 +469,6 @@ class Notes:
 
 
 @dataclass(frozen=True)
-class Arrivals:
-    """A monitor that keeps the age of its inputs: the engine tells it in which message each of them comes.
-
-    Attributes:
-        of: record of constants -> integers, one at least for each number of the inputs; the engine writes into them the
-            index of that number's message, as ``u.trigger`` has it, -1: it is not connected.
-    """
-
-    of: Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
 class Sampled:
     """A monitor that steps once a sample, however late, overtaken or lost its frames are.
 
@@ -528,8 +516,7 @@ class Blames:
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
 Capability = (
-    Arrivals
-    | Blames
+    Blames
     | Calibration
     | CusumCalibration
     | Notes
@@ -543,7 +530,6 @@ Capability = (
 )
 C = TypeVar(
     "C",
-    Arrivals,
     Blames,
     Calibration,
     CusumCalibration,
