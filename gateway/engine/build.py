@@ -285,6 +285,7 @@ def _sample(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: 
             raise InputError(text, key=m.key or f'monitor "{m.name}"')
         if carried:
             fill(made, asked, carried, counters, which=which, nowhere=plan.n_slots, slots=len(rows))
+            row["samplings"] += 1
             row["ticks"] |= asked.between == "held"
     for message in set(counters) - {place[0] for place in made.sampled[row["first_sampled"] :]}:
         text = f"a frame counter of {plan.message_names[message][1]}, which carries none of the inputs that trigger"

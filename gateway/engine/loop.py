@@ -215,7 +215,9 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
             _take_results(T, t_ns, h)
         if not samples or h.off != 0:
             return
-    if h.ticks == 1:
+        if at >= h.sampled:
+            break
+    if h.ticks == 1 and (trigger == TIMER or h.wake_ns == NEVER):
         wake_at_tick(T, h)
 
 

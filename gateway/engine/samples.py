@@ -154,19 +154,23 @@ def _take(T: Any, t_ns: int, h: Any, y: Any, m: Any) -> int:
 def _collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
     for k in range(at, h.sampled):
         m = T.sampled[h.first_sampled + k]
+        if m.row != trigger and (trigger != TIMER or m.message > 0):
+            continue
         y = T.samplers[m.sampler]
-        came = WAITS
         if trigger == TIMER:
-            if m.message == 0 and y.const.grid > y.const.lines:
-                came = ticks.tick(y.samples, y.const, t_ns)
+            came = ticks.tick(y.samples, y.const, t_ns) if y.const.grid > y.const.lines else WAITS
         elif y.samples.more == 1:
             came = ticks.between(y.samples, y.const, t_ns)
-        elif m.row == trigger:
+        else:
             came = _take(T, t_ns, h, y, m)
-        y.samples.more = 1 if came == SAMPLE and y.const.lines == 1 else 0
+        behind = h.sampled if h.samplings == 1 else k + 1
         if came == SAMPLE:
             _whole(T, t_ns, h, y)
-            return k if y.const.lines == 1 else k + 1
+            y.samples.more = y.const.lines
+            return k if y.const.lines == 1 else behind
+        y.samples.more = 0
+        if behind == h.sampled:
+            return -1
     return -1
 
 
@@ -175,7 +179,7 @@ def collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
     """Take a frame, or a tick, of a monitor that steps once a sample; its inputs have the sample, if one is there.
 
     Returns:
-        where to look for the next one; -1: there is none.
+        where to look for the next one, ``h.sampled``: there is no other; -1: there is none.
     """
     needed = Needed(T.samplers, T.sampled, T.carried, T.slots, T.mailbox, T.held, T.pool, T.pool_ns)
     return int(_collect(needed, t_ns, trigger, h, at))

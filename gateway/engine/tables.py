@@ -77,6 +77,7 @@ class HandlerPlace(Record):
     cells: i4 = means("first of those that are connected")
     first_sampled: i4 = means("sampled[first_sampled:+sampled]: messages that make samples; none: each frame steps it")
     sampled: i4
+    samplings: i4 = means("how many different ones these are of")
     first_loose: i4 = means("carried[first_loose:+loose]: inputs of no sample, whose newest value is taken")
     loose: i4
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
