@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,19 +52,6 @@ class Sampled(Record):
     message: i4 = means("its number there, from 0")
     first: i4 = means("carried[first : first + carries] are the inputs that it carries, by their numbers")
     carries: i4
-
-
-class Needed(NamedTuple):
-    """The tables that it needs: handing down all of them costs more than what is done with them."""
-
-    samplers: Any
-    sampled: Any
-    carried: Any
-    slots: Any
-    mailbox: Any
-    held: Any
-    pool: Any
-    pool_ns: Any
 
 
 def fill(
@@ -150,8 +137,13 @@ def _take(T: Any, t_ns: int, h: Any, y: Any, m: Any) -> int:
     return int(ticks.hold(x, c, m.message, t_ns) if c.grid == 1 else came)
 
 
-@kernel(inlined=False)
-def _collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
+@kernel
+def collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
+    """Take a frame, or a tick, of a monitor that steps once a sample; its inputs have the sample, if one is there.
+
+    Returns:
+        where to look for the next one, ``h.sampled``: there is no other; -1: there is none.
+    """
     for k in range(at, h.sampled):
         m = T.sampled[h.first_sampled + k]
         if m.row != trigger and (trigger != TIMER or m.message > 0):
@@ -172,17 +164,6 @@ def _collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
         if behind == h.sampled:
             return -1
     return -1
-
-
-@kernel
-def collect(T: Any, t_ns: int, trigger: int, h: Any, at: int) -> int:
-    """Take a frame, or a tick, of a monitor that steps once a sample; its inputs have the sample, if one is there.
-
-    Returns:
-        where to look for the next one, ``h.sampled``: there is no other; -1: there is none.
-    """
-    needed = Needed(T.samplers, T.sampled, T.carried, T.slots, T.mailbox, T.held, T.pool, T.pool_ns)
-    return int(_collect(needed, t_ns, trigger, h, at))
 
 
 @kernel

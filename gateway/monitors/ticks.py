@@ -48,7 +48,9 @@ def hear(s: Any, c: Const, t_ns: int) -> None:
 def _sample(s: Any, c: Const, have: int) -> int:
     """Take the sample at the tick; returns SAMPLE."""
     s.at_ns = s.tick_ns
-    s.gap = max((s.at_ns - s.last_ns) // c.period_ns, 1) if s.samples > 0 else 1
+    s.gap = 1
+    if s.samples > 0 and s.at_ns - s.last_ns != c.period_ns:
+        s.gap = max((s.at_ns - s.last_ns) // c.period_ns, 1)
     s.missing = c.every & ~have
     s.last_ns = s.at_ns
     s.tick_ns += c.period_ns

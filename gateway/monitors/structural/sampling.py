@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
-from gateway.fdi.masks import clear, disjoint, empty, include
+from gateway.fdi.masks import clear, disjoint, include
 from gateway.jit import kernel
 from gateway.monitors.rule.machine import run
 from gateway.monitors.structural.records import Const, State
@@ -23,13 +23,16 @@ NOTHING, GO, BEGIN, FIRST = range(4)
 @kernel
 def _is_left_out(s: State, c: Const, u: Any) -> bool:
     """Tell whether a sample is of no use: an input is no number, and may be one soon; or no test has all it needs."""
+    whole = True
+    for k in range(c.inputs):
+        whole = whole and (c.wanted[k] == 0 or isfinite(u.value[k]))
+    if whole:
+        s.left_out = 0
+        return False
     clear(s.gone)
     for k in range(c.inputs):
         if c.wanted[k] == 1 and not isfinite(u.value[k]):
             include(s.gone, k)
-    if empty(s.gone):
-        s.left_out = 0
-        return False
     if u.missing == 0.0 and s.left_out < c.missing:
         s.left_out += 1
         return True
