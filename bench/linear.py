@@ -19,6 +19,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.fdi.pi_bank import bank, products
 from gateway.fdi.pi_bank.design import augmented
 from gateway.jit import call_entry, kernel, zeros
+from gateway.monitors.linear import plant as linear_plant
 from gateway.runtime.app import Gateway
 from gateway.vecu.linear.plant import simulate
 from gateway.vecu.player import Player
@@ -62,7 +63,7 @@ def monitor_us(y, u, **keys):
     monitor.prepare(p, state[0], const[0])
     rows = zeros(len(y), monitor.inputs)
     rows["y"][:, :3], rows["u"][:, :2] = y, u
-    rows["t_ns"], rows["counter"] = np.arange(len(y)) * 100_000_000, np.arange(len(y)) % 16
+    rows["t_ns"], rows["which"], rows["gap"] = np.arange(len(y)) * 100_000_000, linear_plant.OUTPUTS, 1
     addresses = (state.ctypes.data, const.ctypes.data, rows.ctypes.data, rows.itemsize)
 
     def work():

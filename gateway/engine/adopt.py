@@ -146,15 +146,21 @@ def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
 
 
 def _take_samples(new: Tables, handler: Any, old: Tables, other: Any) -> None:
-    """Take over what has come of a sample that is not there yet, and of the inputs of the last one."""
-    if handler["sampler"] < 0:
+    """Take over what has come of samples that are not there yet, and the inputs of the last one."""
+    if handler["sampled"] == 0:
         return
-    mine, theirs = new.samplers[handler["sampler"]], old.samplers[other["sampler"]]
-    _take(mine, theirs, SamplerState)
-    cells = int(mine["const"]["depth"] * handler["slots"])
-    new.held[mine["held"] :][:cells] = old.held[theirs["held"] :][:cells]
+    for mine, theirs in zip(_samplers(new, handler), _samplers(old, other), strict=True):
+        _take(mine, theirs, SamplerState)
+        cells = int(mine["cells"])
+        new.held[mine["held"] :][:cells] = old.held[theirs["held"] :][:cells]
     last = int(handler["cells"] - handler["inputs"] + handler["slots"])
     new.pool[handler["inputs"] :][:last] = old.pool[other["inputs"] :][:last]
+
+
+def _samplers(tables: Tables, handler: Any) -> list[Any]:
+    """Return the rows of a monitor's samplings."""
+    mine = tables.sampled[handler["first_sampled"] :][: handler["sampled"]]
+    return [tables.samplers[k] for k in dict.fromkeys(mine["sampler"].tolist())]
 
 
 def _alike(one: Any, other: Any, buses: Mapping[int, int]) -> bool:

@@ -41,7 +41,7 @@ from gateway.errors import Gathered, InputError, named
 from gateway.jit import Record
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS, Arrivals
+from gateway.monitors.contract import RESULTS
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
@@ -160,10 +160,10 @@ class _Handlers:
         rows: of Handler, shape (monitors,).
         pool: float64, the monitors' inputs one after the other.
         slots: mailbox slots of these inputs.
-        places: which of its monitor's messages each of them comes in; -1: the newest value is taken.
-        samplers: of Sampler, shape (1,) each, of the monitors that step once a sample.
+        samplers: of Sampler, of the monitors that step once a sample.
         sampled: their messages.
-        held: cells that hold what has come of sets.
+        carried: inputs, by their numbers, that each of these carries, and those of no sample.
+        held: cells that hold what has come of samples that are not there yet.
         sources: messages that they come from, and those of their pages, as the loop has them.
         pages: mailbox slot of each multiplexed signal among them -> its page.
         triggered: row of a message -> the monitors that it steps, by priority.
@@ -175,9 +175,9 @@ class _Handlers:
     rows: Any
     pool: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     slots: list[int] = field(default_factory=list)
-    places: list[int] = field(default_factory=list)
     samplers: list[Any] = field(default_factory=list)
-    sampled: list[tuple[int, int]] = field(default_factory=list)
+    sampled: list[tuple[int, ...]] = field(default_factory=list)
+    carried: list[int] = field(default_factory=list)
     held: int = 0
     sources: list[int] = field(default_factory=list)
     pages: dict[int, int] = field(default_factory=dict)
@@ -226,7 +226,6 @@ def _handlers(
         row["state"], row["const"] = state.ctypes.data, const.ctypes.data
         row["inputs"] = cells
         cells += _connect(row, m, wired, plan, made)
-        _tell_arrivals(m, wired, plan, const.view(np.recarray)[0])
         _send(row, m, made)
         row["bus"], row["wake_ns"], row["takes_nan"] = m.bus, NEVER, wired.takes_nan
         mine = checked_faults(m.monitor, m.params)
@@ -251,47 +250,50 @@ def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made:
         sources.append(-1 - made.pages.setdefault(slot, len(made.pages)))
     size = m.monitor.inputs.dtype.itemsize
     assert size == 8 * (m.monitor.header + len(own)), "as the step copies them"
-    row["cells"], row["sampler"] = row["inputs"] + m.monitor.header, -1
-    places = _sample(row, m, wired, plan, made)
+    row["cells"] = row["inputs"] + m.monitor.header
+    _sample(row, m, wired, plan, made)
     while own and own[-1] == nowhere:  # stays NaN without a step's copying it
         own.pop()
     row["first_slot"], row["slots"] = len(made.slots), len(own)
     row["first_source"], row["sources"] = len(made.sources), len(sources)
     made.slots += own
-    made.places += places[: len(own)]
     made.sources += sources
     return size // 8
 
 
-def _sample(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: _Handlers) -> list[int]:
-    """Say how the frames of a monitor become samples, if it steps once a sample; returns its inputs' messages."""
-    if wired.sampling is None:
-        return [-1] * len(wired.inputs)
+def _sample(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: _Handlers) -> None:
+    """Say how the frames of a monitor become samples, if it steps once a sample."""
+    row["first_sampled"], row["first_loose"] = len(made.sampled), len(made.carried)
+    if not wired.samplings:
+        return
     rows = [-1 if place is None else int(plan.slot_message[plan.slot(*place)]) for place in wired.inputs]
     stepping = {plan.message(*message) for message in wired.triggers}
-    messages = list(dict.fromkeys(message for message in rows if message in stepping))
-    if len(messages) > MOST_MESSAGES:
-        text = f"its inputs come in {len(messages)} messages; a sample has at most {MOST_MESSAGES}"
-        raise InputError(text, key=m.key or f'monitor "{m.name}"')
     counters = {int(plan.slot_message[slot]): slot for slot in (plan.slot(*place) for place in wired.counters)}
-    for message in set(counters) - set(messages):
+    taken: set[int] = set()
+    for which, asked in enumerate(wired.samplings):
+        carried: dict[int, list[int]] = {}
+        for k, (message, name) in enumerate(zip(rows, wired.fields, strict=True)):
+            if message in stepping and (not asked.inputs or name in asked.inputs):
+                carried.setdefault(message, []).append(k)
+                taken.add(k)
+                if asked.ordered:  # that of the last input comes last
+                    carried[message] = carried.pop(message)
+        if which == len(wired.samplings) - 1:
+            carried.update((message, []) for message in sorted(stepping.difference(rows)))
+        if len(carried) > MOST_MESSAGES:
+            text = f"its inputs come in {len(carried)} messages; a sample has at most {MOST_MESSAGES}"
+            raise InputError(text, key=m.key or f'monitor "{m.name}"')
+        if carried:
+            fill(made, asked, carried, counters, which=which, nowhere=plan.n_slots, slots=len(rows))
+            row["samplings"] += 1
+            row["ticks"] |= asked.between == "held"
+    for message in set(counters) - {place[0] for place in made.sampled[row["first_sampled"] :]}:
         text = f"a frame counter of {plan.message_names[message][1]}, which carries none of the inputs that trigger"
         raise InputError(text, file=m.monitor.file, key=f'monitor type "{m.monitor.type}".Sampled')
-    sampler = table(1, Sampler).view(np.recarray)[0]
-    row["sampler"] = len(made.samplers)
-    made.samplers.append(sampler)
-    sampler["first"], sampler["held"] = len(made.sampled), made.held
-    made.sampled += fill(sampler, wired.sampling, messages, counters, plan.n_slots)
-    made.held += int(sampler["const"]["depth"]) * len(wired.inputs)
-    return [messages.index(message) if message in messages else -1 for message in rows]
-
-
-def _tell_arrivals(m: MonitorInstance, wired: Wired, plan: DecodePlan, const: Any) -> None:
-    """Write the message of each number of a monitor's inputs into its constants, if it wants to know."""
-    wanted = m.monitor.capability(Arrivals)
-    if wanted is not None:
-        rows = [-1 if place is None else int(plan.slot_message[plan.slot(*place)]) for place in wired.inputs]
-        wanted.of(const)[: len(rows)] = rows
+    row["sampled"] = len(made.sampled) - row["first_sampled"]
+    loose = [k for k, message in enumerate(rows) if message >= 0 and k not in taken]
+    row["first_loose"], row["loose"] = len(made.carried), len(loose)
+    made.carried += loose
 
 
 def _send(row: Any, m: MonitorInstance, made: _Handlers) -> None:
@@ -433,7 +435,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         mailbox=np.full(plan.n_slots + 1, np.nan),
         handlers=made.rows,
         slots=np.asarray(made.slots, np.int32),
-        places=np.asarray(made.places, np.int32),
+        carried=np.asarray(made.carried, np.int32),
         samplers=_rows(made.samplers, Sampler),
         sampled=_rows(made.sampled, Sampled),
         held=np.full(max(made.held, 1), np.nan),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from gateway.engine.tables import Tables
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH
 from gateway.monitors.contract import RESULTS
+from gateway.monitors.sampling import KEPT
 
 
 def assert_consistent(t: Tables) -> None:
@@ -16,7 +19,8 @@ def assert_consistent(t: Tables) -> None:
     assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
     assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
     assert ((t.slots >= 0) & (t.slots < slots)).all()
-    assert len(t.places) == len(t.slots)
+    assert (t.sampled["first"] + t.sampled["carries"] <= len(t.carried)).all()
+    assert ((t.sampled["sampler"] >= 0) & (t.sampled["sampler"] < len(t.samplers))).all()
     assert ((t.sampled["counter"] >= 0) & (t.sampled["counter"] < slots)).all()
     assert ((t.sources >= -len(t.pages)) & (t.sources < messages)).all()
     assert ((t.vectors["page"] >= -1) & (t.vectors["page"] < len(t.pages))).all()
@@ -27,12 +31,16 @@ def assert_consistent(t: Tables) -> None:
         assert h["first_source"] + h["sources"] <= len(t.sources)
         assert h["inputs"] + 2 <= h["cells"]
         assert h["cells"] + h["slots"] <= len(t.pool)
-        assert -1 <= h["sampler"] < len(t.samplers)
-        if h["sampler"] >= 0:
-            y = t.samplers[h["sampler"]]
-            assert y["first"] + y["const"]["messages"] <= len(t.sampled)
-            assert y["held"] + y["const"]["depth"] * h["slots"] <= len(t.held)
-            assert (t.places[h["first_slot"] :][: h["slots"]] < y["const"]["messages"]).all()
+        assert h["first_sampled"] + h["sampled"] <= len(t.sampled)
+        assert h["first_loose"] + h["loose"] <= len(t.carried)
+        mine = t.sampled[h["first_sampled"] :][: h["sampled"]]
+        for first, carries in [(h["first_loose"], h["loose"]), *((m["first"], m["carries"]) for m in mine)]:
+            assert (t.carried[first:][:carries] < h["slots"]).all()
+        for y in t.samplers[np.unique(mine["sampler"])]:
+            assert h["first_sampled"] <= y["first"]
+            assert y["first"] + y["const"]["messages"] <= h["first_sampled"] + h["sampled"]
+            assert y["held"] + y["cells"] <= len(t.held)
+            assert y["cells"] >= h["slots"] * (KEPT + 1 if y["const"]["lines"] else y["const"]["depth"])
         assert 0 <= h["fault"] <= h["fault"] + h["faults"] <= faults
         assert h["emit"] < len(t.emits)
     for row in (*t.checks, *t.health):

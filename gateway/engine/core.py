@@ -395,9 +395,10 @@ class Engine:
             values = {name: np.asarray(state[0][name]).item() for name in instance.monitor.readout}
             before = shown.get(instance.name, {})  # another part of it
             handler = self.tables.handlers[k]
-            if handler["sampler"] >= 0:
-                samples = self.tables.samplers[handler["sampler"]]["samples"]
-                values["apart"], values["overtaken"] = int(samples["apart"]), int(samples["overtaken"])
+            if handler["sampled"] > 0:
+                mine = self.tables.sampled["sampler"][handler["first_sampled"] :][: handler["sampled"]]
+                samples = self.tables.samplers["samples"][np.unique(mine)]
+                values["apart"], values["overtaken"] = int(samples["apart"].sum()), int(samples["overtaken"].sum())
             values["steps"] = int(self.tables.handlers[k]["steps"]) + before.get("steps", 0)
             values["not_tested"] = int(self.tables.handlers[k]["skipped"]) + before.get("not_tested", 0)
             shown[instance.name] = values

@@ -48,7 +48,7 @@ from gateway.engine.events import (
 )
 from gateway.engine.gate import closed, is_valid
 from gateway.engine.results import announce, not_tested, push, report_result, report_verdict, store_evidence
-from gateway.engine.samples import collect
+from gateway.engine.samples import collect, wake_at_tick
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.jit import call_entry, kernel, read_ahead
@@ -129,19 +129,8 @@ def switch_off(T: Any, t_ns: int, h: Any, why: int) -> None:
 
 
 @kernel
-def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
-    """Step one monitor and debounce what it reports; one whose step failed once is not stepped again."""
-    if h.off != 0:
-        h.skipped += 1
-        return
-    if h.sampler >= 0:
-        if trigger != TIMER and not collect(T, t_ns, trigger, h):
-            return
-    else:
-        for k in range(h.slots):
-            T.pool[h.cells + k] = T.mailbox[T.slots[h.first_slot + k]]
-    T.pool_ns[h.inputs] = t_ns
-    T.pool_ns[h.inputs + 1] = trigger
+def _enter(T: Any, t_ns: int, trigger: int, h: Any) -> bool:
+    """Run a monitor's kernel on its inputs; returns whether it did as it may."""
     out = T.out[0]
     out.n = 0
     out.overflow = 0
@@ -153,12 +142,14 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     clock.stepping = 0
     if why != 0:
         switch_off(T, t_ns, h, why)
-        return
+        return False
     if not 0 <= out.n <= MAX_RESULTS or out.overflow < 0:
         switch_off(T, t_ns, h, MISCOUNTED)  # neither can be by report(): the first would be read beyond its room
-        return
+        return False
     h.steps += 1
     h.tested = 1
+    if h.ticks == 1:
+        return True
     wake_ns, before_ns = out.wake_ns if out.wake_ns > 0 else NEVER, h.wake_ns
     earliest_ns = t_ns + (LEAST_SLEEP_NS if trigger == TIMER else 1)
     if wake_ns < earliest_ns:
@@ -168,6 +159,13 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
     h.wake_ns = wake_ns
     if wake_ns < before_ns:
         arm(T, h.timer, wake_ns)
+    return True
+
+
+@kernel
+def _take_results(T: Any, t_ns: int, h: Any) -> None:
+    """Debounce what a step has reported, and send what it sends."""
+    out, clock = T.out[0], T.clock[0]
     if out.overflow > 0:
         clock.results_lost += out.overflow
         h.slips |= TOO_MANY
@@ -189,6 +187,38 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
         if place >= 0 or T.debounces[fault].timed == 1:
             for e in range(r.evidence.shape[0]):
                 store_evidence(T, fault, place, e, r.evidence[e])
+
+
+@kernel
+def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
+    """Step one monitor and debounce what it reports; one whose step failed once is not stepped again.
+
+    One that steps once a sample is stepped if a sample is there, and as often as there are any.
+    """
+    if h.off != 0:
+        h.skipped += 1
+        return
+    samples = h.sampled > 0 and (trigger != TIMER or h.ticks == 1)
+    at = 0
+    while True:
+        if samples:
+            at = collect(T, t_ns, trigger, h, at)
+            if at < 0:
+                break
+        else:
+            if h.sampled == 0:
+                for k in range(h.slots):
+                    T.pool[h.cells + k] = T.mailbox[T.slots[h.first_slot + k]]
+            T.pool_ns[h.inputs] = t_ns
+        T.pool_ns[h.inputs + 1] = trigger
+        if _enter(T, t_ns, trigger, h):
+            _take_results(T, t_ns, h)
+        if not samples or h.off != 0:
+            return
+        if at >= h.sampled:
+            break
+    if h.ticks == 1 and (trigger == TIMER or h.wake_ns == NEVER):
+        wake_at_tick(T, h)
 
 
 @kernel
@@ -325,8 +355,10 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         if inputs_valid(T, t_ns, h):
             step(T, t_ns, row, h)
         else:
-            if h.sampler >= 0 and h.off == 0:
-                collect(T, t_ns, row, h)  # the first frames of the first sample
+            if h.sampled > 0 and h.off == 0:
+                at = 0
+                while at >= 0:
+                    at = collect(T, t_ns, row, h, at)  # the first frames of the first sample
             mark_not_tested(T, t_ns, h)
 
 

@@ -75,7 +75,11 @@ class HandlerPlace(Record):
     inputs_address: i8
     inputs: i4 = means("first of its cells in the pool")
     cells: i4 = means("first of those that are connected")
-    sampler: i4 = means("how its frames become samples; -1: each frame steps it")
+    first_sampled: i4 = means("sampled[first_sampled:+sampled]: messages that make samples; none: each frame steps it")
+    sampled: i4
+    samplings: i4 = means("how many different ones these are of")
+    first_loose: i4 = means("carried[first_loose:+loose]: inputs of no sample, whose newest value is taken")
+    loose: i4
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
     slots: i4
     first_source: i4 = means("sources[first_source:+sources]: what its inputs come from; a message, or -1 - a page")
@@ -85,6 +89,7 @@ class HandlerPlace(Record):
     emit: i4 = means("the message that it sends; -1: none")
     timer: i4 = means("that wakes it")
     bus: u1
+    ticks: u1 = means("1: it samples at the ticks of a clock, which wake it")
     takes_nan: u1 = means("1: it steps with a message whose values are not valid; they are NaN")
 
 
@@ -178,8 +183,8 @@ class Tables(NamedTuple):
     Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
-    Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``; ``places``: which
-    of them each of ``slots`` comes in, -1: its newest value is taken; ``held``: what has come of sets.
+    Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``, the inputs that
+    these have ``carried``; ``held``: what has come of samples that are not there yet.
     """
 
     keys: NDArray[np.uint64]
@@ -195,7 +200,7 @@ class Tables(NamedTuple):
     triggers: NDArray[np.int32]
     handlers: NDArray[np.void]
     slots: NDArray[np.int32]
-    places: NDArray[np.int32]
+    carried: NDArray[np.int32]
     sources: NDArray[np.int32]
     samplers: NDArray[np.void]
     sampled: NDArray[np.void]

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from gateway.common.tomlfile import key_path
 from gateway.engine.instances import MonitorInstance
 from gateway.errors import Gathered, InputError, nearest
-from gateway.monitors.conformance import connections, sampling_of
+from gateway.monitors.conformance import connections, samplings_of
 from gateway.monitors.contract import Signal
 from gateway.monitors.sampling import Sampling
 from gateway.signals.database import Database
@@ -25,7 +25,8 @@ class Wired(NamedTuple):
         inputs: the signal of each number of its inputs, None: nothing.
         optional: messages that need not come.
         takes_nan: whether it steps with messages whose values are not valid.
-        sampling: how its frames become samples; None: each frame steps it.
+        fields: of the inputs, of each of these numbers.
+        samplings: how its frames become samples; none: each frame steps it.
         counters: the frame counters for that.
     """
 
@@ -33,7 +34,8 @@ class Wired(NamedTuple):
     inputs: list[SignalRef | None]
     optional: set[tuple[int, str]]
     takes_nan: bool
-    sampling: Sampling | None
+    fields: list[str]
+    samplings: tuple[Sampling, ...]
     counters: tuple[SignalRef, ...]
 
 
@@ -45,8 +47,8 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
             know.
     """
     connected = connections(m.monitor, m.params)
-    sampling = sampling_of(m.monitor, m.params)
-    counters = [] if sampling is None else [Signal(name, spare=sampling.spare) for name in sampling.counters]
+    samplings = samplings_of(m.monitor, m.params)
+    counters = [Signal(name, spare=sampling.spare) for sampling in samplings for name in sampling.counters]
     known = {signal.name for _, signal in connected.inputs if signal is not None} | {each.name for each in counters}
     inputs: list[SignalRef | None] = []
     places: dict[str, tuple[int, str]] = {}  # default name of a message -> where it is
@@ -88,7 +90,8 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
             raise InputError(error.message, key=f"{key}.{own}" if own else key, value=name) from error
     given = [signal for _, signal in connected.inputs if signal is not None]
     takes_nan = bool(given) and all(signal.may_be_nan for signal in given)
-    return Wired(triggers, inputs, optional, takes_nan, sampling, tuple(places_of_counters))
+    names = [name.partition("[")[0] for name, _ in connected.inputs]
+    return Wired(triggers, inputs, optional, takes_nan, names, samplings, tuple(places_of_counters))
 
 
 def _wanted(

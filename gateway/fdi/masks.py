@@ -85,3 +85,12 @@ def within(mask: Masks, other: Masks) -> bool:
         if mask[w] & ~other[w] != 0:
             return False
     return True
+
+
+@kernel
+def disjoint(mask: Masks, other: Masks) -> bool:
+    """Return whether two sets have no member in common."""
+    for w in range(len(mask)):
+        if mask[w] & other[w] != 0:
+            return False
+    return True

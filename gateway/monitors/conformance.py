@@ -22,7 +22,6 @@ from gateway.monitors.contract import (
     API,
     EVIDENCE,
     MAX_OUTPUTS,
-    Arrivals,
     Calibration,
     Capability,
     CusumCalibration,
@@ -176,19 +175,8 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
             yield f"the state's field {name!r} is not one number", "capabilities"
     if (monitor.capability(Sampled) is None) == issubclass(monitor.inputs, SampledInputs):
         yield "the capability Sampled and inputs that derive from SampledInputs go together", "inputs"
-    arrivals = monitor.capability(Arrivals)
-    if arrivals is not None:
-        yield from _wrong_arrivals(monitor, arrivals)
     if monitor.capability(Readout) is not None and len(set(monitor.readout)) < len(monitor.readout):
         yield "a field is shown twice", "capabilities"
-
-
-def _wrong_arrivals(monitor: Monitor[Any], arrivals: Arrivals) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with the place where the engine writes the messages of the inputs."""
-    room = np.asarray(arrivals.of(np.zeros(1, monitor.const.dtype).view(np.recarray)[0]))
-    count = sum(size for _, size, _ in _fields(monitor))
-    if room.dtype.kind != "i" or room.ndim != 1 or len(room) < count:
-        yield f"Arrivals: {count} integers of the constants at least, one for each number of the inputs", "capabilities"
 
 
 def checked_faults(monitor: Monitor[Any], params: MonitorParams) -> tuple[Fault, ...]:
@@ -344,20 +332,27 @@ def _of_field(
     return [(f"{name}[{k}]", signal) for k, signal in enumerate(given)]
 
 
-def sampling_of(monitor: Monitor[Any], params: MonitorParams) -> Sampling | None:
-    """Return how the frames of a monitor become samples; None: each steps it.
+def samplings_of(monitor: Monitor[Any], params: MonitorParams) -> tuple[Sampling, ...]:
+    """Return how the frames of a monitor become samples; none: each steps it.
 
     Raises:
-        InputError: what it says is none.
+        InputError: what it says is no Sampling, or names no input.
     """
     sampled = monitor.capability(Sampled)
     if sampled is None:
-        return None
-    found: object = sampled.of(params)
+        return ()
+    given: object = sampled.of(params)
+    found = given if isinstance(given, tuple | list) and given else (given,)
     key = f'monitor type "{monitor.type}".Sampled.of'
-    if not isinstance(found, Sampling):
-        raise InputError(f"a Sampling, not {type(found).__name__}", file=monitor.file, key=key)
-    return found
+    for one in found:
+        if not isinstance(one, Sampling):
+            raise InputError(f"a Sampling, not {type(one).__name__}", file=monitor.file, key=key)
+        known = [name for name in monitor.inputs.dtype.names or () if name not in _OWN]
+        for name in set(one.inputs) - set(known):
+            raise InputError(f"there is no such input{nearest(name, known)}", file=monitor.file, key=key, value=name)
+        if len(found) > 1 and not one.inputs:
+            raise InputError("of several samplings each says its inputs", file=monitor.file, key=key)
+    return tuple(found)
 
 
 def checked_emission(monitor: Monitor[Any], params: MonitorParams) -> Emission | None:

@@ -127,6 +127,7 @@ class SampledInputs(Inputs):
 
     gap: f8 = means("samples from the one before to this one; 1: none is missing between")
     missing: f8 = means("bits of the messages that are missing in this sample, whose inputs are NaN")
+    which: f8 = means("of several samplings, by its place; the inputs of the others are those of their newest samples")
     waited: Annotated[f8s, MOST_MESSAGES] = means("how long ago each message was due; NaN: it is missing", "s")
 
 
@@ -468,28 +469,18 @@ class Notes:
 
 
 @dataclass(frozen=True)
-class Arrivals:
-    """A monitor that keeps the age of its inputs: the engine tells it in which message each of them comes.
-
-    Attributes:
-        of: record of constants -> integers, one at least for each number of the inputs; the engine writes into them the
-            index of that number's message, as ``u.trigger`` has it, -1: it is not connected.
-    """
-
-    of: Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
 class Sampled:
     """A monitor that steps once a sample, however late, overtaken or lost its frames are.
 
-    Its inputs derive from :class:`SampledInputs`. Those whose signals do not trigger have their newest value.
+    Its inputs derive from :class:`SampledInputs`. Those whose signals do not trigger have their newest value. Time is
+    that of the sample. Where samples are at the ticks of a clock (``between="held"``) these alone wake the monitor.
 
     Attributes:
-        of: parameters -> how frames become samples; its counters are named as signals are.
+        of: parameters -> how frames become samples, or several ways, each for other inputs; its counters are named as
+            signals are.
     """
 
-    of: Callable[[Any], Sampling]
+    of: Callable[[Any], Sampling | Sequence[Sampling]]
 
 
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
@@ -525,8 +516,7 @@ class Blames:
 
 #: Something that a monitor can do beside monitoring; at most one of each class.
 Capability = (
-    Arrivals
-    | Blames
+    Blames
     | Calibration
     | CusumCalibration
     | Notes
@@ -540,7 +530,6 @@ Capability = (
 )
 C = TypeVar(
     "C",
-    Arrivals,
     Blames,
     Calibration,
     CusumCalibration,

@@ -8,6 +8,9 @@ Signals that come in several messages make a sample together: **by set**, when e
 counter**, when all have come with the same counter, in whatever order. One that stays away is not waited for; what it
 carries is missing (NaN) then.
 
+**By the clock** each frame of one message is a sample; or there is one at each multiple of the period, whatever the
+times of the messages are (:mod:`gateway.monitors.ticks`).
+
 The engine does this for a monitor with the capability :class:`gateway.monitors.contract.Sampled`.
 """
 
@@ -20,7 +23,9 @@ from typing import Annotated, Any, Literal
 from gateway.jit import Record, f8, i8, i8s, kernel, means
 
 #: Messages that a sample can come in, and sets of one counter that are collected at the same time.
-MOST_MESSAGES, MOST_DEPTH = 8, 16
+MOST_MESSAGES, MOST_DEPTH = 52, 16
+#: Samples whose values are kept on the line between two frames; a power of 2.
+KEPT = 64
 #: Time that does not pass [ns].
 FOR_EVER = 2**62
 #: Frames after which is known that a counter goes round sooner; least modulo that says something where frames get lost.
@@ -47,15 +52,21 @@ class Sampling:
 
     Attributes:
         by: "counter": one message with a frame counter, or several whose counters agree; "set": several messages,
-            with counters of their own or without; "clock": one message whose time stamps, rounded to periods, are all
-            there is.
+            with counters of their own or without; "clock": messages whose time stamps, rounded to periods, are all
+            there is: each frame is a sample, of several messages one without the others.
         period_ms: between two samples.
         window_ms: for so long a sample waits for a message that has not come; inf: for ever, none is ever missing.
         oldest_ms: a sample further behind the last one is none that follows it: all begins anew.
         counters: the frame counters, ``"Message.Signal"``.
         modulo: of these; one that counts to a multiple of it is well.
-        depth: samples that are collected at the same time, of several messages by counter.
+        depth: samples that are collected at the same time, of several messages by counter; the next power of 2.
         spare: whether a database need not have the counters.
+        between: with "clock" and several messages, what a value is at a multiple of the period: "held", the newest one;
+            "interpolated", on the line between two frames. None: each frame is a sample.
+        age_ms: of the oldest value that is held, or of a part of a set; the longest time over which a line goes.
+        ordered: of a set the message of its last input completes it; what has not come by then is missing.
+        inputs: fields of the inputs that make a sample; (): all whose signals trigger. A monitor can have several
+            samplings, each of other fields.
     """
 
     by: Literal["counter", "set", "clock"]
@@ -66,8 +77,16 @@ class Sampling:
     modulo: int = 16
     depth: int = 4
     spare: bool = False
+    between: Literal["held", "interpolated"] | None = None
+    age_ms: float = math.inf
+    ordered: bool = False
+    inputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.between is not None and self.by != "clock":
+            raise ValueError(f'between = "{self.between}": by the clock only')
+        if self.between == "interpolated" and self.age_ms > (KEPT - 1) * self.period_ms:
+            raise ValueError(f"age_ms = {self.age_ms:g}: a line goes over {KEPT - 1} periods at most")
         if not 1 <= self.depth <= MOST_DEPTH:
             raise ValueError(f"depth = {self.depth}: 1 to {MOST_DEPTH}")
         if self.modulo < 2:
@@ -83,6 +102,13 @@ class Const(Record):
     oldest: i8 = means("samples further from each other do not follow each other", "periods")
     counted: i8 = means("1: counters are looked at")
     modulo: i8
+    every: i8 = means("bits of all messages")
+    early_ns: f8 = means("a frame that follows the one before is looked at no further if it waits for no less", "ns")
+    late_ns: f8 = means("and for less", "ns")
+    grid: i8 = means("1: a sample at each multiple of the period")
+    lines: i8 = means("1: of values on the line between two frames")
+    age_ns: i8 = means("of the oldest value", "ns")
+    ordered: i8 = means("1: the last message completes a set")
     depth: i8 = means("sets that are collected at the same time; 0: a sample is what has come once more")
 
 
@@ -127,6 +153,7 @@ class State(Record, lengths={"messages": 1}):
     numbers: Annotated[list[Numbers], "messages"]
     taken: Annotated[i8s, "messages"]
     came_ns: Annotated[i8s, "messages"]
+    heard_ns: i8
     begun_ns: i8
     last_ns: i8
     fresh: i8
@@ -143,6 +170,10 @@ class State(Record, lengths={"messages": 1}):
     newest: i8
     shift: i8
     apart: i8
+    tick_ns: i8
+    at_ns: i8
+    known: Annotated[i8s, "messages"]
+    more: i8
 
 
 def prepare(c: Const, sampling: Sampling, messages: int) -> None:
@@ -153,12 +184,20 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
         sampling: what is asked for.
         messages: that carry the inputs.
     """
-    c.messages, c.counted = messages, sampling.by != "clock"
+    c.messages, c.counted, c.every = messages, sampling.by != "clock", (1 << messages) - 1
     c.period_ns = round(sampling.period_ms * 1e6)
-    c.window_ns = FOR_EVER if math.isinf(sampling.window_ms) else round(sampling.window_ms * 1e6)
+    c.window_ns, c.age_ns = _ns(sampling.window_ms), _ns(sampling.age_ms)
+    c.ordered = sampling.ordered
+    c.grid, c.lines = sampling.between is not None, sampling.between == "interpolated"
     c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
     c.modulo = sampling.modulo
-    c.depth = sampling.depth if sampling.by == "counter" and messages > 1 else 0
+    c.depth = 1 << (sampling.depth - 1).bit_length() if sampling.by == "counter" and messages > 1 else 0
+    c.early_ns = -EARLY * c.period_ns
+    c.late_ns = (min(LEAST - EARLY, c.oldest - 1) if c.modulo >= LEAST else -1.0) * c.period_ns
+
+
+def _ns(ms: float) -> int:
+    return FOR_EVER if math.isinf(ms) else round(ms * 1e6)
 
 
 @kernel
@@ -233,6 +272,30 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
 
 
 @kernel
+def _follows(s: Numbers, c: Const, counter: float) -> bool:
+    """Tell whether a counter is the next one."""
+    return bool(counter - s.counter == 1.0 or (counter == 0.0 and s.counter == c.modulo - 1))
+
+
+@kernel
+def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
+    """Take a frame that comes next and in time, as nearly all do; tells whether it is one: else nothing is changed."""
+    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
+        return False
+    due_ns = s.date_ns + c.period_ns
+    if not c.early_ns <= arrived_ns - due_ns < c.late_ns:
+        return False
+    s.seen += 1
+    s.top = max(s.top, int(counter))
+    s.stands = s.overtaken = 0
+    s.date_ns = due_ns
+    _wait(s, arrived_ns, c.period_ns)
+    s.number += 1
+    s.arrived_ns, s.counter = arrived_ns, int(counter)
+    return True
+
+
+@kernel
 def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
     """Take a frame: number its sample; returns by how much that is newer than the newest before, if it is positive.
 
@@ -246,6 +309,8 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         arrived_ns: when the frame came.
         counter: of the frame; NaN: it has none.
     """
+    if _next(s, c, arrived_ns, counter):
+        return 1
     s.seen += 1
     if s.seen == 1:
         _begin(s, arrived_ns)
@@ -277,14 +342,18 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
 
 
 @kernel
-def _awaited(s: Any, c: Const, t_ns: int) -> int:
-    """Return the bits of the messages that are waited for: they came within the window, or may come yet."""
-    awaited = 0
+def is_awaited(s: Any, c: Const, t_ns: int, have: int) -> bool:
+    """Tell whether a message is waited for: it has not come, but did within the window, or may come yet."""
+    missing = c.every & ~have
+    if missing == 0:
+        return False
+    if c.window_ns == FOR_EVER:
+        return True
     for k in range(c.messages):
-        last_ns = s.came_ns[k] if s.numbers[k].seen > 0 else s.begun_ns
-        if t_ns - last_ns <= c.window_ns:
-            awaited |= 1 << k
-    return awaited
+        last_ns = s.came_ns[k] if s.came_ns[k] > 0 else s.begun_ns
+        if missing & (1 << k) and t_ns - last_ns <= c.window_ns:
+            return True
+    return False
 
 
 @kernel
@@ -308,30 +377,33 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
     n, bit = s.numbers[message], 1 << message
     if math.isnan(counter):
         return OVERTAKEN
+    agrees = s.begun == 1 and n.seen > 0 and _follows(n, c, counter)
     steps = number(n, c, t_ns, counter)
-    if steps > 0:
+    if agrees and steps == 1:
+        s.newest = max(s.newest, n.number)
+    elif steps > 0:
         _agree(s, c, n, counter)
     s.came_ns[message] = t_ns
     mine = n.number + min(steps, 0)
     if s.samples > 0 and mine <= s.last:
         s.overtaken += 1
         return OVERTAKEN
-    place = mine % c.depth
+    place = mine & (c.depth - 1)
     if s.number[place] != mine:
         if s.have[place] != 0:
             s.apart += 1
         s.have[place], s.number[place] = 0, mine
     s.have[place] |= bit
     s.place = place
-    if _awaited(s, c, t_ns) & ~s.have[place]:
+    if is_awaited(s, c, t_ns, s.have[place]):
         return WAITS
     s.gap = mine - s.last if s.samples > 0 else 1
-    s.missing = ((1 << c.messages) - 1) & ~s.have[place]
+    s.missing = c.every & ~s.have[place]
     for k in range(c.depth):  # older ones come too late from here on
         if s.have[k] != 0 and s.number[k] < mine:
             s.apart += 1
             s.have[k] = 0
-    s.have[place], s.last, s.last_ns = 0, mine, t_ns
+    s.have[place], s.last, s.last_ns, s.at_ns = 0, mine, t_ns, t_ns
     s.samples += 1
     return SAMPLE
 
@@ -345,6 +417,14 @@ def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
         if back & (1 << k) and 2 * (t_ns - s.came_ns[k]) > c.period_ns:
             return True
     return False
+
+
+@kernel
+def _waits(s: Any, c: Const, message: int, t_ns: int) -> bool:
+    """Tell whether what has come of a set is not yet a sample."""
+    if c.ordered == 1:
+        return bool(message < c.messages - 1)
+    return bool(is_awaited(s, c, t_ns, s.fresh) or _belongs_to_the_next(s, c, t_ns))
 
 
 @kernel
@@ -367,14 +447,19 @@ def take(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
         return OVERTAKEN
     s.came_ns[message] = t_ns
     s.fresh |= 1 << message
-    if c.messages > 1 and (_awaited(s, c, t_ns) & ~s.fresh or _belongs_to_the_next(s, c, t_ns)):
+    if c.age_ns != FOR_EVER:
+        for k in range(c.messages):
+            if t_ns - s.came_ns[k] > c.age_ns:
+                s.fresh &= ~(1 << k)  # it is of the sample before
+    if c.messages > 1 and c.counted == 1 and _waits(s, c, message, t_ns):
         return WAITS
     s.gap = _gap(s, c, t_ns)
     for k in range(c.messages):
         if s.fresh & (1 << k):
             s.taken[k] = s.numbers[k].number
-    s.missing = s.away = ((1 << c.messages) - 1) & ~s.fresh
-    s.last_ns, s.fresh = t_ns, 0
+    s.missing = s.away = c.every & ~s.fresh
+    s.last_ns = s.at_ns = t_ns
+    s.fresh = 0
     s.samples += 1
     return SAMPLE
 
@@ -384,6 +469,8 @@ def waited(s: Any, c: Const, message: int, t_ns: int) -> float:
     """Return how long ago what a sample has of a message was due, by the frames that waited least [s]; NaN: missing."""
     if s.missing & (1 << message):
         return math.nan
+    if c.grid == 1:
+        return float((s.at_ns - s.came_ns[message]) * 1e-9)
     n = s.numbers[message]
     newer = n.number - s.last if c.depth > 0 else 0
     return float((t_ns - n.date_ns + newer * c.period_ns) * 1e-9)

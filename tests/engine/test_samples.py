@@ -70,6 +70,13 @@ def step(s, c, u, out):
     out.wake_ns = u.t_ns + 50_000_000
 
 
+@kernel
+def step_of_two(s, c, u, out):
+    row = s.seen[s.count]
+    row[0], row[1], row[3], row[4], row[5], row[7] = u.volts[0], u.amps[0], u.gap, u.which, u.missing, u.t_ns
+    s.count += 1
+
+
 def sampling(p):
     return Sampling(
         p.by,
@@ -216,6 +223,69 @@ def test_a_reload_keeps_what_has_come_of_a_sample(tmp_path):
     seen = feed(gone_on, arrivals[-1:])
     assert seen[-1, :2].tolist() == [19, 119]
     assert seen[-1, 3] == 1
+
+
+def test_messages_with_periods_of_their_own_make_samples_of_their_own(tmp_path):
+    """volts each 10 ms by counter, amps each 25 ms by the clock: a step for each, and `which` says of what it is."""
+    two = (
+        Sampling("counter", 10.0, np.inf, 1000.0, ("VOLTS.Count",), inputs=("volts",)),
+        Sampling("clock", 25.0, np.inf, 1000.0, inputs=("amps",)),
+    )
+    both = replace(MONITOR, step=step_of_two, capabilities=(Sampled(lambda _: two),))
+    (tmp_path / "a.dbc").write_text(DBC)
+    engine = build_engine([(0, load_database([tmp_path / "a.dbc"]))], [MonitorInstance("m", both, Params())], [])
+    arrivals = [(10 * k, 0, k, k) for k in range(20) if k != 7] + [(25 * k + 1, 1, 100 + k, 0) for k in range(8)]
+    seen = feed(engine, sorted(arrivals))
+    volts, amps = seen[seen[:, 4] == 0], seen[seen[:, 4] == 1]
+    assert volts[:, 0].tolist() == [k for k in range(20) if k != 7]
+    assert volts[:, 3].tolist() == [2 if k == 8 else 1 for k in range(20) if k != 7]
+    assert amps[:, 1].tolist() == [100 + k for k in range(8)]
+    assert (amps[:, 3] == 1).all()
+    # the other's input is that of its newest sample
+    assert all(row[0] == volts[volts[:, 7] < row[7]][-1, 0] for row in amps)
+
+
+def test_a_set_in_order_lacks_what_has_not_come_by_its_last_message(tmp_path):
+    one = Sampling("set", 10.0, np.inf, 1000.0, ordered=True)
+    ordered = replace(MONITOR, capabilities=(Sampled(lambda _: one),))
+    (tmp_path / "a.dbc").write_text(DBC)
+    engine = build_engine([(0, load_database([tmp_path / "a.dbc"]))], [MonitorInstance("m", ordered, Params())], [])
+    lost = {(0, 5), (1, 9), (0, 12), (0, 13)}
+    seen = feed(engine, [(10 * k + m, m, 100 * m + k, 0) for k in range(20) for m in (0, 1) if (m, k) not in lost])
+    assert seen[:, 1].tolist() == [100 + k for k in range(20) if k != 9]
+    missing = np.isnan(seen[:, 0])
+    assert seen[missing, 1].tolist() == [105, 112, 113]
+    assert (seen[missing, 4] == 1).all()
+    assert (seen[~missing, 0] + 100 == seen[~missing, 1]).all()
+
+
+def test_at_the_ticks_of_a_clock(tmp_path):
+    """Held and on the line; a message that stays away is waited for, then NaN; behind a silence all begins anew."""
+    (tmp_path / "a.dbc").write_text(DBC)
+    for between in ("held", "interpolated"):
+        grid = Sampling("clock", 10.0, 40.0, 1000.0, between=between, age_ms=30.0)
+        ticks = replace(MONITOR, step=step_of_two, capabilities=(Sampled(lambda _, grid=grid: grid),))
+        engine = build_engine([(0, load_database([tmp_path / "a.dbc"]))], [MonitorInstance("m", ticks, Params())], [])
+        arrivals = [(7 * k + 3, 0, 7 * k + 3, 0) for k in range(200)]
+        arrivals += [(25 * k + 1, 1, 25 * k + 1, 0) for k in range(56) if not 500 < 25 * k + 1 < 900]
+        arrivals = [each for each in sorted(arrivals) if not 1100 < each[0] < 1300]
+        seen = feed(engine, arrivals)
+        at = seen[:, 7] / MS - 1000.0
+        assert (at % 10.0 == 0.0).all()
+        assert (np.diff(at) / 10.0 == seen[1:, 3]).all()
+        there = seen[:, 5] == 0
+        if between == "interpolated":
+            np.testing.assert_allclose(seen[:, 0], at, atol=1e-9)
+            np.testing.assert_allclose(seen[there, 1], at[there], atol=1e-9)
+        else:
+            assert ((at - seen[:, 0] >= 0) & (at - seen[:, 0] <= 30)).all()
+            assert ((at[there] - seen[there, 1] >= 0) & (at[there] - seen[there, 1] <= 30)).all()
+        gone = at[seen[:, 5] == 2]
+        assert 480 <= gone[0] <= 520, "it is waited for 40 ms behind its newest frame, at 476 ms"
+        assert gone[gone < 1100][-1] < 940
+        assert np.isnan(seen[seen[:, 5] == 2, 1]).all()
+        assert not ((at > 1150) & (at < 1290)).any()
+        assert at[-1] >= 1370
 
 
 def test_slips_are_told(tmp_path):

@@ -4,20 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import pytest
 
-from gateway.bus.frames import empty, put
 from gateway.config.model import MonitorConfig
 from gateway.config.monitor_types import monitor_of
-from gateway.engine.build import build_engine
-from gateway.engine.instances import MonitorInstance
 from gateway.errors import InputError
-from gateway.jit import Record, f8s, i8s, kernel
+from gateway.jit import Record, f8, f8s, i8s, kernel
 from gateway.monitors import contract, registry
-from gateway.monitors.conformance import accepted, check_type, made
-from gateway.monitors.contract import Arrivals, Family, Fault, Monitor, MonitorParams, Notes, Signal
-from gateway.signals.database import load_database
+from gateway.monitors.conformance import accepted, made
+from gateway.monitors.contract import Family, Fault, Monitor, MonitorParams, Notes, Signal
 
 DBC = """VERSION ""
 NS_ :
@@ -39,9 +34,7 @@ class State(Record):
 
 
 class Const(Record):
-    message: Annotated[i8s, 3]
-    few: Annotated[i8s, 2]
-    floats: Annotated[f8s, 3]
+    unused: f8
 
 
 class Inputs(contract.Inputs):
@@ -51,7 +44,7 @@ class Inputs(contract.Inputs):
 @kernel
 def step(s, c, u, out):
     for k in range(3):
-        if c.message[k] == u.trigger:
+        if u.value[k] == u.value[k]:
             s.seen[k] += 1
 
 
@@ -66,20 +59,9 @@ GOOD = Monitor(
     connect=lambda _: {"value": [Signal("ONE.X", triggers=True), Signal("TWO.Y", triggers=True, optional=True), None]},
     prepare=lambda _p, _s, _c: None,
     faults=lambda _: (Fault("low", "P0562-16", "too low"),),
-    capabilities=(Arrivals(lambda c: c.message), Notes(lambda p: (f"{p.size} of them",))),
+    capabilities=(Notes(lambda p: (f"{p.size} of them",)),),
 )
 FAMILY = Family(type="whole", api=2, params=Params, made=lambda _p, _folder: GOOD)
-
-
-def test_the_engine_tells_in_which_message_each_input_comes(tmp_path):
-    (tmp_path / "a.dbc").write_text(DBC)
-    engine = build_engine([(0, load_database([tmp_path / "a.dbc"]))], [MonitorInstance("m", GOOD, Params())], [])
-    frames = empty(5)
-    for k, can_id in enumerate((256, 257, 257, 256, 257)):
-        put(frames, k, (k + 1) * 1_000_000, can_id, bytes(8))
-    engine.process(frames, lambda _: None)
-    assert engine.state_of(0)[0].seen.tolist() == [2, 3, 0]
-    assert engine.place_of("m") == 0
 
 
 def test_a_family_is_accepted_and_what_it_makes_is_checked():
@@ -113,12 +95,6 @@ def test_slips_of_what_it_makes(result, words):
     with pytest.raises(InputError, match=words) as caught:
         made(replace(FAMILY, made=lambda _p, _folder: result), Params(), Path())
     assert 'monitor type "whole"' in str(caught.value)
-
-
-@pytest.mark.parametrize("place", [lambda c: c.few, lambda c: c.floats, lambda c: np.zeros((3, 1), np.int64)])
-def test_arrivals_have_room(place):
-    with pytest.raises(InputError, match="Arrivals: 3 integers"):
-        check_type(replace(GOOD, capabilities=(Arrivals(place),)))
 
 
 def test_what_nothing_can_be_made_of_names_the_key(monkeypatch):

@@ -124,7 +124,6 @@ REFUSED = {
     "notes are one text": Slip("Notes.of: lines, a tuple of texts, not str", _able(
         "Notes", "", "lambda p: 'abc'", "").edits),
     "parts fail": _able("Parts", "Parts.of", 'lambda p, find, codes: {"": find(p.lwo)}', "p.lwo"),
-    "arrivals fail": _able("Arrivals", "Arrivals.of", "lambda c: c.lwo", "c.lwo"),
     # its kernel
     "no @kernel": Slip("step is no kernel: it needs @kernel", {"@kernel\ndef step": "def step"}),
     "a field that is not there": _step("lowets", "s.lowets = 1.0"),

@@ -35,7 +35,6 @@ from gateway.fdi.quantiles import chi2_above, normal_above
 from gateway.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
 from gateway.monitors.contract import (
     TIMER,
-    Arrivals,
     Blame,
     Blames,
     Debounce,
@@ -44,6 +43,7 @@ from gateway.monitors.contract import (
     Out,
     Readout,
     Refinement,
+    Sampled,
     report,
 )
 from gateway.monitors.linear import plant as linear_plant
@@ -381,9 +381,9 @@ MONITOR = Monitor(
     prepare=_prepare,
     faults=_faults,
     capabilities=(
-        Arrivals(lambda c: c.sampling.message),
         Blames(_blames),
         Readout(("nis", "missing", "restarts", "commands_lost", "untested", "reason")),
         Refinement(wanted, found),
+        Sampled(linear_plant.samplings),
     ),
 )

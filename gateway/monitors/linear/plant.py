@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import inf, isnan
 from typing import Annotated, Self
 
 import numpy as np
@@ -12,10 +13,11 @@ from gateway.common.tomlfile import StrictModel
 from gateway.fdi.linear.plant import LinearPlant, discretised
 from gateway.fdi.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 from gateway.fdi.structure.units import differ
-from gateway.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway.jit import Record, f8s, i8, i8s, kernel
 from gateway.monitors import contract
 from gateway.monitors.accuracy import Accuracy
 from gateway.monitors.contract import Connection, MonitorParams, Signal
+from gateway.monitors.sampling import Sampling
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -30,28 +32,23 @@ MOST_MISSING = 5
 _COMMANDS = 8
 #: Share of the samples before which a command's frame comes, from which on it is cyclic; samples until that is known.
 _CYCLIC, _LISTENED = 0.7, 40
-#: Numbers of the inputs: outputs, commands, counter, counters of the commands.
-_NUMBERS = MOST_OUTPUTS + 2 * MOST_INPUTS + 1
+#: Which of the samplings: a frame of commands, or a sample of the outputs.
+COMMANDS, OUTPUTS = range(2)
+#: Periods behind which a counter has gone round.
+_ANEW = 64
 
 
 class Const(Record):
-    """Constants.
-
-    ``message``: in which message each number of the inputs comes; ``own``: 1: the command's message completes the
-    sample.
-    """
+    """Constants; ``completing``: the message that completes a sample, by its place in it."""
 
     period_ns: i8
-    counted: i8
     inputs: i8
-    outputs: i8
-    message: Annotated[i8s, _NUMBERS]
-    own: i8
+    completing: i8
     command_counted: Annotated[i8s, MOST_INPUTS]
 
 
 class State(Record):
-    """State: ``t_ns`` of the last sample, and its ``counter``.
+    """State: ``t_ns``: when the last sample was due; ``steps``: samples since one that was whole.
 
     Of each command: ``value`` and ``came_ns`` of the last frames, ``heard`` of them in all, and since the last sample;
     ``lead_ns``: before its sample; ``share``: of the samples before which one came; ``told``: its alive counter. What
@@ -62,7 +59,7 @@ class State(Record):
     started: i8
     t_ns: i8
     before_ns: i8
-    counter: i8
+    steps: i8
     value: Annotated[f8s, MOST_INPUTS, _COMMANDS]
     came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS]
     heard: Annotated[i8s, MOST_INPUTS]
@@ -76,12 +73,11 @@ class State(Record):
     gap: i8
 
 
-class Inputs(contract.Inputs):
+class Inputs(contract.SampledInputs):
     """Inputs."""
 
-    y: Annotated[f8s, MOST_OUTPUTS]
     u: Annotated[f8s, MOST_INPUTS]
-    counter: f8
+    y: Annotated[f8s, MOST_OUTPUTS]
     command_counter: Annotated[f8s, MOST_INPUTS]
 
 
@@ -154,11 +150,14 @@ class PlantParams(MonitorParams):
     )
     trigger: str | None = Field(
         None,
-        description="message that completes a sample; default: that of the last output. The commands that hold "
-        "from the sample on must have come by then",
+        description="message that completes a sample, whatever the age of outputs in other messages; default: that of "
+        "the last output, and a sample is lost if another output's frame is. The commands that hold from the sample on "
+        "must have come by then",
     )
     counter: str | None = Field(
-        None, description='"Message.Signal", alive counter modulo 16: tells which samples are lost'
+        None,
+        description='"Message.Signal", alive counter modulo 16 of the message that completes a sample: tells which are '
+        "lost, late or overtaken",
     )
     mtfa_s: float = Field(1e6, gt=0, description="mean time between false alarms [s]")
 
@@ -178,6 +177,8 @@ class PlantParams(MonitorParams):
                 raise ValueError(f"{what} has {count} entries, the plant {plant.states} states")
         if not all(value >= 0.0 for value in self.disturbance):
             raise ValueError("state_noise is a standard deviation: not negative")
+        if self.counter is not None and message_of(self.counter) != completing(self):
+            raise ValueError(f'counter = "{self.counter}": of {completing(self)}, which completes a sample')
         names = [part.name for part in self.input] + [part.name for part in self.output]
         if len(set(names)) != len(names):
             raise ValueError("two inputs or outputs share a name")
@@ -208,9 +209,8 @@ def connect(p: PlantParams) -> Mapping[str, Connection]:
         return [*(Signal(part.signal, part.unit) for part in parts), *[None] * (most - len(parts))]
 
     return {
-        "y": signals(p.output, MOST_OUTPUTS),
         "u": signals(p.input, MOST_INPUTS),
-        "counter": None if p.counter is None else Signal(p.counter),
+        "y": signals(p.output, MOST_OUTPUTS),
         "command_counter": [
             *(None if part.counter is None else Signal(part.counter) for part in p.input),
             *[None] * (MOST_INPUTS - len(p.input)),
@@ -228,30 +228,45 @@ def message_of(signal: str) -> str:
     return signal.rpartition(".")[0]
 
 
+def _samples(p: PlantParams) -> tuple[str, ...]:
+    """Return the messages of a sample, in their order; the last one completes it."""
+    if p.trigger is not None:
+        return (p.trigger,)
+    return (*dict.fromkeys(m for part in p.output if (m := message_of(part.signal)) != completing(p)), completing(p))
+
+
 def triggers(p: PlantParams) -> tuple[str, ...]:
-    """Return the messages that step it: the one that completes a sample, and those of the commands."""
-    return tuple(dict.fromkeys([completing(p), *(message_of(part.signal) for part in p.input)]))
+    """Return the messages that step it: those of a sample, and those of the commands."""
+    return tuple(dict.fromkeys([*_samples(p), *(message_of(part.signal) for part in p.input)]))
+
+
+def samplings(p: PlantParams) -> tuple[Sampling, Sampling]:
+    """Return how frames become samples: each frame of commands alone, and before them the outputs together."""
+    commands = Sampling("clock", p.sample_ms, inf, _ANEW * p.sample_ms, inputs=("u", "command_counter"))
+    counters, anew_ms = () if p.counter is None else (p.counter,), _ANEW * p.sample_ms
+    if len(_samples(p)) > 1:
+        outputs = Sampling("set", p.sample_ms, inf, anew_ms, counters, ordered=True, inputs=("y",))
+    elif counters:
+        outputs = Sampling("counter", p.sample_ms, inf, anew_ms, counters, inputs=("y",))
+    else:
+        outputs = Sampling("clock", p.sample_ms, inf, anew_ms, inputs=("y",))
+    return commands, outputs
 
 
 def prepare(c: Const, p: PlantParams) -> None:
     """Fill a record of Const."""
-    c.period_ns, c.counted = round(p.sample_ms * 1e6), p.counter is not None
-    c.inputs, c.outputs = len(p.input), len(p.output)
-    c.own = any(message_of(part.signal) == completing(p) for part in p.input)
+    c.period_ns, c.inputs, c.completing = round(p.sample_ms * 1e6), len(p.input), len(_samples(p)) - 1
     c.command_counted[: c.inputs] = [part.counter is not None for part in p.input]
 
 
 @kernel
 def command(s: State, c: Const, u: Inputs) -> bool:
-    """Take a frame of commands; tells whether it was one, and no sample is complete with it."""
-    found = False
-    first = c.message[MOST_OUTPUTS]
-    if c.own == 1 or (first == u.trigger and c.message[c.outputs - 1] == u.trigger):
+    """Take a frame of commands; tells whether it is one, and no sample."""
+    if u.which != COMMANDS:
         return False
     for j in range(c.inputs):
-        if c.message[MOST_OUTPUTS + j] != u.trigger:
-            continue
-        found = True
+        if isnan(u.u[j]):
+            continue  # it comes in another message
         place = s.heard[j] % _COMMANDS
         s.value[j, place], s.came_ns[j, place] = u.u[j], u.t_ns
         if c.command_counted[j] == 1:
@@ -264,7 +279,7 @@ def command(s: State, c: Const, u: Inputs) -> bool:
             s.told[j] = told
         s.heard[j] += 1
         s.since[j] += 1
-    return found
+    return True
 
 
 @kernel
@@ -286,7 +301,7 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
     for j in range(c.inputs):
         s.unsure[j] = 0
         if s.heard[j] == 0:
-            s.u[j] = u.u[j]
+            s.u[j] = s.u[j] if isnan(u.u[j]) else u.u[j]
             continue
         found, newest = False, -1
         for back in range(min(s.heard[j], _COMMANDS)):
@@ -322,18 +337,13 @@ def heard_all(s: State, c: Const) -> None:
 
 @kernel
 def samples(s: State, c: Const, u: Inputs) -> int:
-    """Return how many samples further this frame is: 0: it was seen already; more than 1: some are missing."""
-    told = int(u.counter) if c.counted == 1 else 0
-    steps = 1
-    if s.started == 1:
-        waited = (u.t_ns - s.t_ns + c.period_ns // 2) // c.period_ns
-        steps = (told - s.counter) % 16 if c.counted == 1 else max(waited, 1)
-        # A counter that has gone round tells nothing.
-        if c.counted == 1 and waited > 16:
-            steps = waited
-    if steps == 0:
+    """Return how many samples further this one is; more than 1: some are missing; 0: it is missing itself, in part."""
+    s.steps += int(u.gap)
+    if u.missing != 0.0:
         return 0
-    s.before_ns = s.t_ns if s.started == 1 else u.t_ns - c.period_ns
-    s.started, s.t_ns, s.counter = 1, u.t_ns, told
-    _listen(s, c, int(steps))
+    steps, s.steps = s.steps, 0
+    due_ns = u.t_ns - int(1e9 * u.waited[c.completing])
+    s.before_ns = s.t_ns if s.started == 1 else due_ns - c.period_ns
+    s.started, s.t_ns = 1, due_ns
+    _listen(s, c, steps)
     return int(steps)

@@ -89,8 +89,10 @@ def _weigh(s: State, c: Const) -> None:
         s.ring = (s.ring + 1) & (WINDOW - 1)
         s.window = min(s.window + 1, WINDOW)
     clear(s.up)
+    s.without = 0
     for k in range(c.tests):
         if s.anew[k] == 1:
+            s.without += 1
             s.from_ns[k] = s.at_ns
             for d in range(WINDOW):
                 s.begun_jump[k, d, 0] = 0.0
@@ -129,8 +131,24 @@ def _measure(s: State, c: Const) -> None:
 
 
 @kernel
+def _is_tested(s: State, c: Const, group: int) -> bool:
+    """Tell whether a test of a group's faults gives a number; of what is not isolated, any test."""
+    for k in range(c.tests):
+        if s.anew[k] == 1:
+            continue
+        if group == c.groups:
+            return True
+        for fault in range(c.faults):
+            if has(c.group[group], fault) and has(c.may[fault], k):
+                return True
+    return False
+
+
+@kernel
 def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
     """Report one thing that can be told of; with its evidence, if it is what was found."""
+    if k != s.found and s.without > 0 and not _is_tested(s, c, k):
+        return
     e = report(out, k, k == s.found, largest, 1.0)
     if k != s.found:
         return
@@ -158,8 +176,6 @@ def decide(s: State, c: Const, out: Any) -> None:
     _measure(s, c)
     if s.joined_ns < c.confirm_ns or s.at_ns - s.since_ns < c.settle_ns:
         return
-    if out.n + min(c.groups + 1, AT_ONCE) + 2 > MAX_RESULTS:
-        return  # after several samples of one step: with the next one
     before = s.found
     if empty(s.fired):
         s.found = NOTHING

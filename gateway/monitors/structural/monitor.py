@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gateway.errors import Gathered, InputError
+from gateway.fdi.masks import pack
 from gateway.fdi.structure.file import find_model, load_own_model
 from gateway.fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway.fdi.structure.generator.sources import load_source
@@ -18,7 +19,6 @@ from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
-    Arrivals,
     Blames,
     Connection,
     CusumCalibration,
@@ -30,6 +30,7 @@ from gateway.monitors.contract import (
     Quantities,
     Quantity,
     Readout,
+    Sampled,
     Signal,
     Warnings,
 )
@@ -94,7 +95,6 @@ class _Made:
             prepare=self._prepare,  # type: ignore[arg-type]
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
-                Arrivals(lambda c: c.own.message),
                 Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=tuple((name, name) for name in names),
@@ -110,6 +110,7 @@ class _Made:
                 Notes(lambda p: summary.notes(self.model, plan, p)),
                 Parts(self._parts),
                 Readout((*source.sizes_of(plan), *(one.field for one in self.slow), *source.COUNTS)),
+                Sampled(lambda p: p.sampling),
                 Warnings(lambda p: summary.warnings(self.model, plan, p)),
             ),
         )
@@ -169,7 +170,8 @@ class _Made:
         needed = self._needed(p)
         return {
             "value": [
-                Signal(z, triggers=z in needed, optional=True) if z in p.connected else None for z in self.model.knowns
+                Signal(z, triggers=z in needed, optional=True, may_be_nan=True) if z in p.connected else None
+                for z in self.model.knowns
             ]
         }
 
@@ -179,8 +181,10 @@ class _Made:
         needed, plan, own = self._needed(p), self.plan, c.own
         own.inputs = len(self.model.knowns)
         own.wanted[: own.inputs] = [z in needed for z in self.model.knowns]
-        own.sets, own.interpolates = p.sample == "set", p.between == "interpolated"
-        own.period_ns, own.oldest_ns = p.period_ns, p.oldest_ns
+        own.counted, own.missing = p.sample != "set" or bool(p.counters), p.missing
+        own.period_ns = p.period_ns
+        place_of = {z: k for k, z in enumerate(self.model.knowns)}
+        own.reads[: len(plan.tests)] = pack([[place_of[z] for z in test.knowns] for test in plan.tests], len(place_of))
         own.gap_ns = round((p.missing + 1.5) * p.period_ns)
         own.settle_ns, confirm_ns = round(p.settle_s * 1e9), round(p.confirm_s * 1e9)
         program = _condition(self.model, p)
@@ -299,9 +303,14 @@ _MONITORS: dict[tuple[str, tuple[uncertain.Slow, ...]], _Made] = {}
 
 def made(p: Params, folder: Path) -> Monitor[Params]:
     """Return the monitor that has these parameters."""
-    if p.between == "interpolated" and p.sample == "set":
-        text = 'a set has its values from one time: sample = "clock", or between = "held"'
+    if p.between == "interpolated" and p.sample != "clock":
+        text = 'its values are of one time already: sample = "clock", or between = "held"'
         raise InputError(text, key="between", value=p.between)
+    if bool(p.counters) != (p.sample == "counter") and p.sample != "set":
+        text = 'counters = ["Message.Signal", ..] and sample = "counter" (or "set") go together'
+        raise InputError(text, key="counters", value=p.sample)
+    if p.max_age_ms is not None and p.sample == "counter":
+        raise InputError("what has the same counter is of one time, whatever its age", key="max_age_ms")
     if p.between == "interpolated" and p.max_age_ms is not None and p.max_age_ms > p.most_between_ms:
         text = f"with period_ms = {p.period_ms:g} at most {p.most_between_ms:g} can be interpolated over"
         raise InputError(text, key="max_age_ms", value=f"{p.max_age_ms:g}")

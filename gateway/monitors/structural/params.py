@@ -10,6 +10,7 @@ from pydantic import Field
 from gateway.fdi import cusum
 from gateway.monitors.accuracy import Accuracy, Share
 from gateway.monitors.contract import MonitorParams
+from gateway.monitors.sampling import KEPT, Sampling
 
 #: A number above 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -19,8 +20,10 @@ Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
 
 #: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
 OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
-#: Periods that can be interpolated over, at most: samples wait in a ring that has room for one more.
-MOST_BETWEEN = 63
+#: Periods that can be interpolated over, at most.
+MOST_BETWEEN = KEPT - 1
+#: Periods behind which a counter has gone round.
+ANEW = 64
 
 
 class Params(MonitorParams):
@@ -37,8 +40,15 @@ class Params(MonitorParams):
     )
     unseen: tuple[str, ...] = Field((), description="faults of the model that no test needs to see")
     period_ms: float = Field(10.0, gt=0, le=3.6e6, description="between two samples [ms]")
-    sample: Literal["clock", "set"] = Field(
-        "clock", description="clock: each period, of held values; set: when each signal has come once more"
+    sample: Literal["clock", "set", "counter"] = Field(
+        "clock",
+        description="clock: each period, of the values that there are; set: when each message has come once more;"
+        " counter: of frames whose counters agree",
+    )
+    counters: tuple[str, ...] = Field(
+        (),
+        description='frame counters of the messages, "Message.Signal": they tell which samples are lost, late or'
+        " overtaken (sample = set or counter)",
     )
     between: Literal["held", "interpolated"] = Field(
         "held",
@@ -50,10 +60,13 @@ class Params(MonitorParams):
         gt=0,
         le=3.6e6,
         description="oldest value that a sample takes, or longest time that is interpolated over [ms]; default: 250, or"
-        " three periods; of a set half a period",
+        " three periods; of a set half a period, of one by counter any",
     )
     missing: int = Field(
-        5, ge=0, le=10_000, description="samples in a row that may be missing; behind more all begins anew"
+        5,
+        ge=0,
+        le=10_000,
+        description="samples in a row that may be missing; behind more all begins anew, without what stays away",
     )
     active: str | None = Field(
         None, min_length=1, description='the tests run while this holds, e.g. "omega > 50"; names of the model'
@@ -122,6 +135,17 @@ class Params(MonitorParams):
         if self.between == "interpolated":
             default = min(default, self.most_between_ms)
         return round((default if self.max_age_ms is None else self.max_age_ms) * 1e6)
+
+    @property
+    def sampling(self) -> Sampling:
+        """How frames become samples."""
+        away_ms, age_ms = (self.missing + 1.5) * self.period_ms, self.oldest_ns * 1e-6
+        anew_ms = max(ANEW * self.period_ms, away_ms)
+        if self.sample == "clock":
+            return Sampling("clock", self.period_ms, away_ms + age_ms, anew_ms, between=self.between, age_ms=age_ms)
+        if self.sample == "counter":
+            return Sampling("counter", self.period_ms, away_ms, anew_ms, self.counters)
+        return Sampling("set", self.period_ms, away_ms, anew_ms, self.counters, age_ms=age_ms)
 
     @property
     def most_between_ms(self) -> float:

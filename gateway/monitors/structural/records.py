@@ -14,7 +14,6 @@ from gateway.fdi.masks import words
 from gateway.jit import f8, f8s, i8, i8s, means
 from gateway.monitors.contract import EVIDENCE
 from gateway.monitors.rule.machine import Code, Machine
-from gateway.monitors.structural.params import MOST_BETWEEN
 from gateway.monitors.structural.plan import MOST_FAULTS, MOST_METERS, MOST_TESTS, Plan
 
 #: Known variables of a model, things that can be told of, tests in the evidence of each.
@@ -23,8 +22,6 @@ MOST_INPUTS, MOST_TOLD, SHOWN = 128, 2 * MOST_FAULTS + 1, 3
 RESIDUAL, NORM, SIZE = range(3)
 KINDS = 3
 NOT_USED, LISTED, RANKED = -1, -2, -3
-#: Samples whose values are kept of each input, to interpolate; a power of 2.
-KEPT = MOST_BETWEEN + 1
 #: Samples that are searched for a jump; a power of 2.
 WINDOW = 32
 
@@ -38,6 +35,7 @@ MOST = {
     "groups": MOST_TOLD - 1,
     "told": MOST_TOLD,
     "words": words(max(MOST_TESTS, MOST_FAULTS)),
+    "known_words": words(MOST_INPUTS),
 }
 
 
@@ -45,12 +43,11 @@ class Const(machine.Const, lengths=MOST):
     """Constants."""
 
     inputs: i8
-    message: Annotated[i8s, "inputs"] = means("of each input, as u.trigger has it; -1: not connected")
-    wanted: Annotated[i8s, "inputs"] = means("1: a sample needs it")
-    sets: i8 = means("1: a sample is a set")
-    interpolates: i8 = means("1: values between two frames lie on a line")
+    wanted: Annotated[i8s, "inputs"] = means("1: the tests need it")
+    reads: Annotated[i8s, "tests", "known_words"] = means("inputs that each test needs, a mask")
+    counted: i8 = means("1: samples are counted; 0: their times say how many periods lie between them")
     period_ns: i8 = means(unit="ns")
-    oldest_ns: i8 = means("greatest age of a value", "ns")
+    missing: i8 = means("samples in a row that may have an input that is no number")
     gap_ns: i8 = means("behind a longer one all begins anew", "ns")
     settle_ns: i8 = means(unit="ns")
     active: Code
@@ -69,19 +66,17 @@ class Const(machine.Const, lengths=MOST):
 class State(machine.State, lengths=MOST):
     """State."""
 
-    came_ns: Annotated[i8s, "inputs"] = means("when each input came", "ns")
-    fresh: Annotated[i8s, "inputs"] = means("bit 1: it came ever; bit 0: behind the last sample")
-    last: Annotated[f8s, "inputs"] = means("the value that came last")
-    between: Annotated[f8s, "inputs", KEPT] = means("at the next samples, as far as both neighbours have come")
-    taken: Annotated[f8s, "inputs"] = means("values of the sample")
-    tick_ns: i8 = means("next sample by the clock", "ns")
     at_ns: i8 = means("time of the sample", "ns")
     last_ns: i8 = means("last sample", "ns")
     since_ns: i8 = means("when the generators began", "ns")
     running: i8
     begun: i8
     samples: i8
-    missed: i8 = means("samples that were left out, for a value too old")
+    missed: i8 = means("samples that were left out, or did not come")
+    gone: Annotated[i8s, "known_words"] = means("inputs of the sample that are no numbers, a mask")
+    left_out: i8 = means("of these in a row, for an input that is no number")
+    periods: i8 = means("since the last sample that was taken")
+    without: i8 = means("tests that give no number, as long as an input is away")
     dt: f8 = means("since the sample before", "s")
     active: Machine
     residual: Annotated[f8s, "tests"]
@@ -122,5 +117,6 @@ def lengths(plan: Plan, inputs: int) -> dict[str, int]:
         "groups": len(plan.diagnoses),
         "told": len(plan.diagnoses) + 1,
         "words": words(max(tests, faults)),
+        "known_words": words(inputs),
     }
     return {name: max(1, length) for name, length in wanted.items()}

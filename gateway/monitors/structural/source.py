@@ -10,8 +10,8 @@ from gateway.monitors.structural.plan import Plan
 from gateway.monitors.structural.records import lengths
 from gateway.monitors.structural.uncertain import STEP, Slow, neighbours
 
-#: Fields of the state that show how many samples there were, from those of its own.
-COUNTS = {"samples_taken": "samples", "samples_missed": "missed"}
+#: Fields of the state that show how many samples there were, and tests without their inputs, from those of its own.
+COUNTS = {"samples_taken": "samples", "samples_missed": "missed", "tests_without": "without"}
 
 
 def fields_of(plan: Plan) -> list[str]:
@@ -81,7 +81,7 @@ def _readings(slow: Sequence[Slow], knowns: Sequence[str], rates: Sequence[str])
             j = off[kind, z]
             return f"c.follow.bound[{j}] * (s.follow.point[{j}]{f' + {STEP!r}' if j == beside else ''})"
 
-        text = f"s.own.taken[{place[z]}]"
+        text = f"u.value[{place[z]}]"
         if ("bias", z) in off:
             text = f"({text} - {amount('bias')})"
         return f"{text} / (1.0 + {amount('gain')})" if ("gain", z) in off else text
@@ -194,7 +194,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         "    pass",
         "",
         "",
-        "class Inputs(contract.Inputs):",
+        "class Inputs(contract.SampledInputs):",
         f"    value: Annotated[f8s, {len(knowns)}]",
         "",
         "",
@@ -250,9 +250,9 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *_records(plan, knowns, slow),
             "@kernel",
             "def step(s: State, c: Const, u: Inputs, out: Any) -> None:",
-            '    """Take a frame or the clock; when a sample is due, step all tests."""',
-            "    what = sampling.arrived(s.own, c.own, u, out)",
-            "    while what != sampling.NOTHING:",
+            '    """Take a sample; step all tests."""',
+            "    what = sampling.arrived(s.own, c.own, u)",
+            "    if what != sampling.NOTHING:",
             *(f"        {line}" for line in _moved(plan, slow)),
             *(f"        {line}" for line in _readings(slow, knowns, plan.rates)),
             "        if what == sampling.FIRST:",
@@ -263,7 +263,6 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             "        decision.decide(s.own, c.own, out)",
             *(f"        s.{name} = s.own.sizes[{j}]" for j, name in enumerate(sizes_of(plan))),
             *(f"        s.{one.field} = c.follow.bound[{j}] * s.follow.slow.taken[{j}]" for j, one in enumerate(slow)),
-            "        what = sampling.again(s.own, c.own, u)",
             *(f"    s.{name} = s.own.{field}" for name, field in COUNTS.items()),
             "",
         ]

@@ -193,7 +193,6 @@ def test_what_is_no_number_is_as_good_as_lost(tmp_path, value):
 def test_records_are_as_long_as_the_model_wants(tmp_path):
     """A motor of three inputs and four tests: not the room of a pack of 64 cells."""
     state = Fed(configuration(tmp_path), ramps(0.1)).state
-    assert state.own.came_ns.shape == (3,)
     assert state.own.residual.shape == (4,)
     assert state.own.fired.shape == (1,)
     assert state.own.dtype.itemsize < 20_000
@@ -324,3 +323,140 @@ def test_noise_sets_the_motor_s_filters(tmp_path):
     given = configuration(tmp_path, keys + "filter_bandwidth = 2\n", nu=None)
     monitor, params = monitor_of(load_config(given).monitor[0])
     assert not any("fitted" in n for n in monitor.notes(params))
+
+
+# Messages that stay away, and counters
+# ----------------------------------------------------------------------------------------------------------------------
+
+WITNESSES = """
+[unknown]
+x = {}
+z = {}
+[known]
+a = {}
+b = {}
+c = {}
+[fault]
+f_a = {}
+f_c = {}
+[equation.e1]
+relation = "a = x + f_a"
+unique = ["x"]
+[equation.e2]
+relation = "b = x"
+unique = ["x"]
+[equation.e3]
+relation = "c = z + f_c"
+unique = ["z"]
+[equation.e4]
+relation = "b = z"
+unique = ["z"]
+"""
+
+
+def witnesses(folder, keys):
+    """Two sensors, each beside a third one: a monitor of three messages with counters."""
+    (folder / "witnesses.toml").write_text(WITNESSES)
+    rows = ['VERSION ""', "NS_ :", "BS_:", "BU_: A"]
+    for k, name in enumerate("abc"):
+        rows += [f"BO_ {256 + k} {name.upper()}: 8 A", f' SG_ {name} : 0|16@1- (0.001,0) [0|0] "" A']
+        rows += [' SG_ Count : 16|4@1+ (1,0) [0|0] "" A']
+    (folder / "witnesses.dbc").write_text("\n".join(rows) + "\n")
+    path = folder / "gateway.toml"
+    path.write_text(
+        '[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["witnesses.dbc"]\n'
+        f'health = {{ watched = false }}\n[memory]\npath = "{folder}/faults.sqlite"\n'
+        '[[monitor]]\nname = "w"\ntype = "structural"\nmodel = "witnesses.toml"\nperiod_ms = 10\nsettle_s = 0.1\n'
+        f'confirm_s = 0.1\n{keys}signals = {{ a = "A.a", b = "B.b", c = "C.c" }}\n'
+    )
+    tests = _tests_of(path)
+    given = "".join(
+        f"{key} = {{ {', '.join(f'{t} = {v}' for t in tests)} }}\n" for key, v in (("nu", 0.01), ("thresholds", 20))
+    )
+    path.write_text(path.read_text() + given)
+    return path
+
+
+def _tests_of(path):
+    from gateway.monitors.contract import CusumCalibration
+
+    monitor, _ = monitor_of(load_config(path).monitor[0])
+    return [name for name, _ in monitor.capability(CusumCalibration).quantities]
+
+
+def three(arrivals):
+    """Frames of (time [ms], message 0 to 2, value, number)."""
+    frames = empty(len(arrivals))
+    for n, (t_ms, message, value, number) in enumerate(sorted(arrivals)):
+        data = round(1000 * float(value)).to_bytes(2, "little", signed=True) + bytes([number % 16]) + bytes(5)
+        put(frames, n, BEGIN + round(t_ms * 1e6), 256 + message, data, bus=0)
+    return frames
+
+
+def told(config, frames):
+    """Return what was set, as (seconds, fault), and the readout."""
+    gateway = Gateway(load_config(config), None, file=config)
+    events = []
+    gateway.listen(events.append)
+    gateway.start(BEGIN)
+    gateway.feed(frames)
+    summary = gateway.summary(1.0)["monitors"]["w"]
+    gateway.close()
+    dtcs = [e for e in events if e["event"] == "dtc" and e["status"] & 1]
+    return [((e["t_ns"] - BEGIN) * 1e-9, e["fault"].split(".")[1]) for e in dtcs], summary
+
+
+SAMPLES = {
+    "clock": "max_age_ms = 25\n",
+    "line": 'between = "interpolated"\n',
+    "set": 'sample = "set"\n',
+    "counter": 'sample = "counter"\ncounters = ["A.Count", "B.Count", "C.Count"]\n',
+}
+
+
+@pytest.mark.parametrize("keys", SAMPLES.values(), ids=SAMPLES)
+def test_a_message_that_stays_away_takes_its_own_tests_along_only(tmp_path, keys):
+    """c falls silent at 1 s, a is off from 2 s on: found, and nothing of c; c comes again at 4 s with its fault."""
+    arrivals = []
+    for k in range(600):
+        t, off = 10 * k, 1.0 if 200 <= k < 300 else 0.0
+        arrivals += [(t + 1, 0, np.sin(0.01 * k) + off, k), (t + 2, 1, np.sin(0.01 * k), k)]
+        if not 100 <= k < 400:
+            arrivals.append((t + 3, 2, np.sin(0.01 * k) + (1.0 if k >= 450 else 0.0), k))
+    found, summary = told(witnesses(tmp_path, keys), three(arrivals))
+    assert [name for _, name in found] == ["f_a", "f_c"], found
+    assert 2.0 < found[0][0] < 2.4
+    assert 4.5 < found[1][0] < 4.9
+    assert summary["tests_without"] == 0, "it is there again"
+    assert 550 < summary["samples_taken"] <= 600
+
+
+def test_by_counter_a_value_that_moves_has_no_error_though_frames_are_late_overtaken_and_lost(tmp_path):
+    """Up to 8 ms late, of one period: by the clock the held values are of other times, by counter they are of one."""
+    rng = np.random.default_rng(4)
+    arrivals = []
+    for k in range(1000):
+        for message in range(3):
+            if rng.random() > 0.02:
+                late = rng.uniform(0.0, 8.0) + (12.0 if rng.random() < 0.02 else 0.0)
+                arrivals.append((10 * k + late, message, 5.0 * np.sin(0.05 * k), k))
+    by_clock, _ = told(witnesses(tmp_path, SAMPLES["clock"]), three(arrivals))
+    by_counter, summary = told(witnesses(tmp_path, SAMPLES["counter"]), three(arrivals))
+    assert by_clock
+    assert not by_counter
+    assert summary["samples_taken"] > 800
+    assert summary["overtaken"] > 0
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ('sample = "counter"\n', "counters"),
+        ('counters = ["A.Count"]\n', "counters"),
+        ('sample = "counter"\ncounters = ["A.Count", "B.Count", "C.Count"]\nmax_age_ms = 5\n', "max_age_ms"),
+        ('sample = "counter"\ncounters = ["A.Cuont"]\n', "Cuont"),
+    ],
+)
+def test_mistakes_with_counters(tmp_path, keys, said):
+    with pytest.raises(GatewayError, match=said):
+        told(witnesses(tmp_path, keys), three([(0, 0, 0.0, 0)]))

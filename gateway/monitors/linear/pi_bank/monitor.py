@@ -19,7 +19,6 @@ from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors.contract import (
     TIMER,
     VAGUE,
-    Arrivals,
     Blame,
     Blames,
     Debounce,
@@ -29,6 +28,7 @@ from gateway.monitors.contract import (
     Readout,
     Refined,
     Refinement,
+    Sampled,
     Warnings,
     report,
 )
@@ -348,10 +348,10 @@ MONITOR = Monitor(
     prepare=_prepare,
     faults=_faults,
     capabilities=(
-        Arrivals(lambda c: c.sampling.message),
         Blames(_blames),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
         Refinement(_wanted, _found),
+        Sampled(linear_plant.samplings),
         Warnings(_warnings),
     ),
 )
