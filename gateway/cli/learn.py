@@ -130,6 +130,8 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"kept: {found['kept']} lines that were changed, taken out or added by hand")
     for change in result.changes:
         print(f"widened: {change}")
+    for line in result.dropped:
+        print(f"dropped: {line}")
     if result.alarms:
         print(f"healthy frames still set {', '.join(result.alarms)}: see these lines")
     elif found["held_out_frames"]:

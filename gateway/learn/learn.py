@@ -25,7 +25,7 @@ from gateway.learn.observe import Observation, Observer
 from gateway.learn.proof import Replayed, replayed
 from gateway.learn.state import Kept, Refused, load_state, merge, state_of
 from gateway.learn.trial import MOST, Outcome, chosen, trials, tried
-from gateway.learn.update import add_before, read_file
+from gateway.learn.update import add_before, dropped, read_file
 from gateway.learn.widen import owner, widened
 from gateway.signals.database import Database
 
@@ -77,6 +77,7 @@ class Result:
         possible: how many faults a limit can show; those tried were drawn from them.
         state: what is kept for another drive.
         kept: lines that a person changed, took out or added; they stay.
+        dropped: what earlier logs gave and is not there any more, one line each.
         refused: place and key of what healthy frames broke until it was taken out.
     """
 
@@ -92,6 +93,7 @@ class Result:
     possible: int = 0
     state: dict[str, Any] = field(default_factory=dict)
     kept: int = 0
+    dropped: list[str] = field(default_factory=list)
     refused: set[Refused] = field(default_factory=set)
 
 
@@ -151,6 +153,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
         kept = add_before(learned, before, file, asked.buses)
         result.kept = len(kept)
         settle(asked, result, databases, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
+        result.dropped = dropped(before, learned, kept, set(names))
     seconds = before.seconds + sum(log.seconds for log in observation.logs)
     result.state = state_of(observation, learned, names, seconds, logs, before, kept, result.refused)
     return result

@@ -23,6 +23,8 @@ from gateway.learn.protections import ProtectionFound
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
 from gateway.monitors.signal.parts import no_value
 
+#: A share of lost frames that is told.
+LOST = 0.005
 #: Values that it takes to say anything of a signal.
 LEAST_VALUES = 100
 #: Share of what its bits can say that a signal must have gone through, and what is added on either side, of its span.
@@ -49,6 +51,8 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
     timeout = gaps.timeout_ms(seen.gaps)
     if kind != gaps.TOO_FEW:
         why.append(f"{kind}, {_ms(seen.gaps.quantile_ns(0.5))}, longest gap {_ms(seen.gaps.largest_ns)}")
+        lost = gaps.lost_share(seen.gaps)
+        why += [f"about {100 * lost:.2g} % of its frames lost"] if lost > LOST else []
     if timeout is not None and _ended(seen):
         why.append(f"ended {seen.ended_s:.1f} s before the log: no timeout")
         timeout = None
@@ -56,6 +60,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
         why.append("no timeout" if kind != gaps.TOO_FEW else "too few for a timeout")
     if timeout is not None:
         keys["timeout_ms"] = timeout
+        keys |= _wake(seen, timeout, why)
     if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
         keys["length"] = False
         why.append(
@@ -74,6 +79,16 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
     for name in found.unexplained:
         why.append(f"{name}: no rule proven in {found.frames} different frames")
     return Line(bus, CHECK, message.name, keys, "; ".join(why))
+
+
+def _wake(seen: Seen, timeout: float, why: list[str]) -> dict[str, Any]:
+    """Return what a message has to come after a wake-up, and add what it stands on."""
+    wake = gaps.wake_ms(seen.gaps, timeout)
+    if wake is None:
+        return {}
+    times, latest_ns = seen.gaps.wakes
+    why.append(f"came {latest_ns * 1e-9:.3g} s after a wake-up at most, of {times}")
+    return {"wake_ms": wake}
 
 
 def _ms(ns: float) -> str:
@@ -215,6 +230,12 @@ def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
     """Return what came and is in no database, and what is in one and never came; one line each."""
     notes = []
     for bus, name in enumerate(buses):
+        pauses = observation.pauses[bus]
+        if pauses.count:
+            notes.append(
+                f"{name}: {pauses.count} pauses of the bus or the recorder, {pauses.longest_s:.3g} s at most:"
+                " no gap of a message"
+            )
         absent = sorted(message for index, message in observation.absent if index == bus)
         if absent:
             notes.append(f"{name}: {len(absent)} messages of the database never came: {', '.join(absent)}")

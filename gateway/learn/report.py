@@ -35,6 +35,7 @@ def summary(result: Result) -> dict[str, Any]:
         "faults_tried": len(result.outcomes),
         "faults_named": sum(outcome.named for outcome in result.outcomes),
         "kept": result.kept,
+        "dropped": result.dropped,
         "wheels": wheels(result),
     }
 
@@ -86,6 +87,7 @@ def markdown(asked: Asked, result: Result) -> str:
         *(f"{line}." for line in found["wheels"]),
         *_faults(result),
         *_lines(result),
+        *_list("Not there any more", result.dropped),
         *_list("Not in it", result.learned.notes),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

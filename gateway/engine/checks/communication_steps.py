@@ -111,7 +111,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         if c.bus != bus:
             continue
         c.seen = 0
-        deadline_ns = t_ns + c.timeout_ns
+        deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
         c.losses = 0 if condition == RUNNING else c.losses + 1
