@@ -70,6 +70,10 @@ class Gaps:
         place = int(np.log(max(ns, FIRST_NS) / FIRST_NS) / np.log(RATIO)) + 1
         return float(self.bins[place:].sum() / max(self.count, 1))
 
+    def near(self, ns: float, within: float) -> float:
+        """Return the share of gaps within a share of a length."""
+        return self.beyond((1.0 - within) * ns) - self.beyond((1.0 + within) * ns)
+
     def quantile_ns(self, share: float) -> float:
         """Return a gap that a share of all gaps does not exceed, to 1 % [ns]."""
         assert self.count
@@ -109,6 +113,8 @@ LEAST_GAPS = 10
 #: A cyclic message's gaps, of its cycle: nine of ten, 99 of 100, and the share that may be longer than so many cycles
 #: (frames were lost one after the other, its ECU began anew).
 MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
+#: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
+NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
 #: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says it is missing.
 AWAY, AWAY_NS = 100.0, 10_000_000_000
 #: Cycles of a timeout, at least; more where so many lost frames one after the other are not rare enough.
@@ -126,9 +132,17 @@ def sending(gaps: Gaps) -> str:
         return TOO_FEW
     middle, long, longer = (gaps.quantile_ns(share) for share in (0.5, 0.9, 0.99))
     cycle = 0.0
-    if long <= MOST_OF_TEN * middle and longer <= MOST_OF_HUNDRED * middle:
+    if (
+        long <= MOST_OF_TEN * middle
+        and longer <= MOST_OF_HUNDRED * middle
+        and gaps.near(middle, WITHIN_CYCLIC) >= NEAR_CYCLIC
+    ):
         kind, cycle = CYCLIC, middle
-    elif longer <= MOST_OF_TEN * long and gaps.quantile_ns(0.75) >= 0.8 * long:
+    elif (
+        longer <= MOST_OF_TEN * long
+        and gaps.quantile_ns(0.75) >= 0.8 * long
+        and gaps.near(long, WITHIN_MIXED) >= NEAR_MIXED
+    ):
         kind, cycle = MIXED, long
     if cycle == 0.0 or gaps.beyond(FAR * cycle) > max(SHARE_FAR, 1.5 / gaps.count):
         return ON_CHANGE

@@ -72,7 +72,11 @@ def _joined(old: Line, new: Line) -> Line:
         return old if old.keys["tolerance"] >= new.keys["tolerance"] else new
     if new.table == CHECK:
         for name in ("e2e", "crc", "checksum", "counter"):
-            other = ("counter", "crc", "checksum") if name == "e2e" else ("e2e", "crc" if name == "checksum" else "checksum")
+            other = (
+                ("counter", "crc", "checksum")
+                if name == "e2e"
+                else ("e2e", "crc" if name == "checksum" else "checksum")
+            )
             if name in old.keys and name not in keys and not (name != "counter" and set(other) & set(keys)):
                 keys[name] = old.keys[name]
                 why += f"; {name} of earlier logs"
