@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.learn import limits
+from gateway.learn.gaps import cycle_ns
 from gateway.learn.lines import Learned
 from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound, protection_found
@@ -39,7 +40,10 @@ def derive(
         bus, name = key
         file: Path = databases[bus].file_of(name)
         several = senders(seen)
-        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=seen.frames >= LEAST_FRAMES)
+        cycle = cycle_ns(seen.gaps)
+        times = [(stamps - stamps[0]) / cycle for stamps in seen.samples.stamps] if cycle > 0.0 else None
+        whole = seen.frames >= LEAST_FRAMES
+        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
         line = limits.check_line(buses[bus], seen, found[key])
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")

@@ -54,7 +54,7 @@ def learn(*, cars: int, seconds: float, hours: float, ways: tuple[str, ...], see
 
 def _say(row: dict[str, object]) -> None:
     print(f"car {row['car']} {row['way']}: {row['found']} of {row['true']}, learned in {row['seconds']:.1f} s")
-    for title in ("wrong", "missed"):
+    for title in ("wrong", "missed", "unshown"):
         for line in row[title]:  # type: ignore[attr-defined]
             print(f"  {title}: {line}")
     for fault, count in row["codes"].items():  # type: ignore[attr-defined]

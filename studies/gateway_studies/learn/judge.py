@@ -21,6 +21,10 @@ from gateway_studies.learn.drive import Way, frames_of
 from gateway_studies.learn.network import Network, Sent
 
 
+#: Frames, and different payloads, that show a counter and a checksum.
+SHOWN = 64
+
+
 @dataclass
 class Claims:
     """Claims of one car.
@@ -30,6 +34,7 @@ class Claims:
         found: of these.
         wrong: claims that are not so, one line each.
         missed: protections that were not found.
+        unshown: of messages that came too seldom, or hardly changed.
         seconds: that ``learn`` took.
         codes: healthy drives' codes, fault -> how often.
         hours: of these drives.
@@ -39,6 +44,7 @@ class Claims:
     found: int = 0
     wrong: list[str] = field(default_factory=list)
     missed: list[str] = field(default_factory=list)
+    unshown: list[str] = field(default_factory=list)
     seconds: float = 0.0
     codes: Counter[str] = field(default_factory=Counter)
     hours: float = 0.0
@@ -68,12 +74,20 @@ def judged(folder: Path, net: Network, seed: int, seconds: float, way: Way) -> t
     lines = {place[2]: line for place, line in result.learned.lines.items() if place[1] == CHECK}
     for m in net.messages:
         keys = dict(lines[m.name].keys) if m.name in lines else {}
-        _compare(claims, m, keys)
+        mine = frames[frames["can_id"] == m.can_id]
+        shown = len(np.unique(mine["data"][:, :8].copy().view(np.uint64)))
+        _compare(
+            claims, m, keys, 0.7 * len(mine) >= max(SHOWN, 2 * (m.counter[3] if m.counter else 0)), 0.7 * shown >= SHOWN
+        )
     return out, claims
 
 
-def _compare(claims: Claims, m: Sent, keys: dict[str, object]) -> None:
-    """Count what is so, and what was claimed of it."""
+def _compare(claims: Claims, m: Sent, keys: dict[str, object], often: bool, changes: bool) -> None:
+    """Count what is so, and what was claimed of it.
+
+    A protection counts as missed only where the log shows it: a counter of a message that came often enough, a checksum
+    of one that had different payloads enough.
+    """
     counter = keys.get("counter")
     checksum = next((keys[name] for name in ("checksum", "crc", "e2e") if name in keys), None)
     facts = [
@@ -82,6 +96,9 @@ def _compare(claims: Claims, m: Sent, keys: dict[str, object]) -> None:
         ("checksum", m.checksum is not None, checksum is not None, _right_checksum(m, checksum), checksum),
     ]
     for name, there, claimed, right, said in facts:
+        if there and not claimed and not {"counter": often, "checksum": changes}.get(name, True):
+            claims.unshown.append(f"{m.name}: {name}")
+            continue
         claims.true += there
         claims.found += there and claimed and right
         if there and not claimed:
