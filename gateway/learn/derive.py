@@ -10,6 +10,7 @@ import numpy as np
 from gateway.learn import limits
 from gateway.learn.gaps import cycle_ns
 from gateway.learn.lines import Learned
+from gateway.learn.moves import drives
 from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound, protection_found
 from gateway.learn.rules import rule_lines
@@ -48,9 +49,10 @@ def derive(
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
         learned.add(line)
+    speeds = [drives(observation, bus) for bus in range(len(buses))]
     for key, seen in observation.seen.items():
         names = taken.setdefault(key[0], set())
-        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names))
+        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
     limits.add(learned, rule_lines(observation, found, buses))
     learned.notes += limits.notes_of(observation, buses)
     return learned

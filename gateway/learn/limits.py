@@ -18,6 +18,7 @@ from gateway.learn.claims import called_checksum
 from gateway.learn.counters import called_counter, signal_of
 from gateway.learn.course import Course
 from gateway.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
+from gateway.learn.moves import Drives, moving
 from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
@@ -100,7 +101,9 @@ def _ended(seen: Seen) -> bool:
     return seen.ended_s * 1e9 > max(2e9, 3.0 * seen.gaps.largest_ns)
 
 
-def signal_lines(bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str]) -> list[Line]:
+def signal_lines(
+    bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str], speeds: Sequence[Drives] = ()
+) -> list[Line]:
     """Return what is asked of the signals of a message.
 
     Args:
@@ -109,16 +112,21 @@ def signal_lines(bus: str, seen: Seen, found: ProtectionFound, seconds: float, t
         found: how the message is protected: its counter and checksum are no quantities.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
+        speeds: signals that say how fast the car is.
     """
     own = {found.counter.signal} if found.counter is not None else set()
     if found.claim is not None:
         own |= {str(part.get("signal")) for part in found.claim.keys.values()}
     lines = []
+    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds)}
     period = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
     for signal, course in zip(seen.signals, seen.courses.each, strict=True):
         if signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer:
             continue
         keys, why = _limits(signal, course, period, seconds)
+        if signal.name in moves and "stuck" not in keys:
+            keys["stuck"], text = moves[signal.name]
+            why.append(text)
         if keys:
             name = f"{seen.message.name}.{signal.name}"
             head: dict[str, Any] = {"signal": name}

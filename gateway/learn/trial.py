@@ -11,7 +11,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.engine.core import Engine
 from gateway.engine.events import QUALIFIED_FAILED, Events
-from gateway.learn.document import BusAsked, monitor_name
+from gateway.learn.document import SIGNAL_NAME, BusAsked, monitor_name
 from gateway.learn.limits import representable
 from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway.learn.proof import Replayed, restore
@@ -121,7 +121,9 @@ def _of_signal(
         least, most = line.keys.get("plausible", (low, high))
         if 0 < size < 0.25 * (most - least):
             yield trial("jump", size, "gradient")
-    if "stuck" in line.keys and line.keys["stuck"]["seconds"] < seconds - LEAD_S - 1.0:
+    if "share" in line.keys.get("stuck", {}):
+        yield trial("stuck", 0.0, "stuck")
+    elif "stuck" in line.keys and line.keys["stuck"]["seconds"] < seconds - LEAD_S - 1.0:
         yield trial("stuck", 0.0, "stuck")
     if line.keys.get("undefined"):
         unknown = _undefined(signal)
@@ -140,8 +142,9 @@ def _of_rule(
     line: Line, index: dict[str, int], databases: Sequence[Database], buses: Sequence[BusAsked]
 ) -> Iterator[Trial]:
     """Yield an offset of the signal on the left, above the tolerance."""
-    left = line.keys["holds"].split(" == ")[0].removeprefix("number(").removesuffix(")")
-    parts = left.split(".")
+    left = SIGNAL_NAME.search(line.keys["holds"])
+    assert left is not None
+    parts = left[0].split(".")
     bus = index[parts[0]] if len(parts) == 3 else index[line.bus]
     message, name = parts[-2:]
     signal = databases[bus].signal(message, name)

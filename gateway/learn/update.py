@@ -99,6 +99,8 @@ def _widest(keys: dict[str, Any], old: Line) -> None:
     if "plausible" in keys:
         (low, high), (least, most) = keys["plausible"], before["plausible"]
         keys["plausible"] = [short(min(low, least)), short(max(high, most))]
+    if "stuck" in keys:
+        keys["stuck"] = max(keys["stuck"], before["stuck"], key=_slower)
     if "gradient" in keys:
         keys["gradient"] = max(keys["gradient"], before["gradient"])
     if before.get("invalid") == [] and "invalid" in keys:
@@ -122,6 +124,11 @@ def dropped(before: Kept, learned: Learned, kept: Set[tuple[str, str, str]], bus
 
 #: Keys that say which line it is.
 _NAMES = ("message", "signal", "name", "tolerance", "when", "failed_ms")
+
+
+def _slower(stuck: dict[str, Any]) -> tuple[float, float]:
+    """Return what to sort limits of rest by, the one that asks least last."""
+    return -stuck.get("share", 0.0), stuck.get("seconds", 0.0)
 
 
 def _in_order(learned: Learned) -> None:
