@@ -9,6 +9,7 @@ import numpy as np
 
 from gateway.learn import limits
 from gateway.learn.gaps import cycle_ns
+from gateway.learn.grip import grip_lines
 from gateway.learn.lines import Learned
 from gateway.learn.moves import drives
 from gateway.learn.observe import Observation, Seen
@@ -54,6 +55,7 @@ def derive(
         names = taken.setdefault(key[0], set())
         limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
     limits.add(learned, rule_lines(observation, found, buses))
+    limits.add(learned, grip_lines(observation, buses, speeds))
     learned.notes += limits.notes_of(observation, buses)
     return learned
 

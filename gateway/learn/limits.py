@@ -42,6 +42,8 @@ LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
 HEALTHY_NONE_S = 0.25
 #: Share of the texts of a value table that must have come for others to be a fault, and how many there must be.
 TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
+#: Or chance would put the values seen among the texts with a probability below this one.
+TEXTS_BY_CHANCE = 1e-3
 
 
 def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
@@ -118,12 +120,17 @@ def signal_lines(
     if found.claim is not None:
         own |= {str(part.get("signal")) for part in found.claim.keys.values()}
     lines = []
-    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds)}
+    counted = found.counter is not None or (found.claim is not None and "e2e" in found.claim.keys)
+    checksum = None if counted or found.claim is None else next(iter(own), None)
+    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds, checksum)}
     period = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
     for signal, course in zip(seen.signals, seen.courses.each, strict=True):
-        if signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer:
-            continue
-        keys, why = _limits(signal, course, period, seconds)
+        keys: dict[str, Any] = {}
+        why: list[str] = []
+        if not (
+            signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
+        ):
+            keys, why = _limits(signal, course, period, seconds)
         if signal.name in moves and "stuck" not in keys:
             keys["stuck"], text = moves[signal.name]
             why.append(text)
@@ -228,8 +235,12 @@ def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
     texts = {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
     if not LEAST_TEXTS <= len(texts) <= MOST_VALUES or not course.values or len(texts) == 1 << signal.length:
         return {}, ""
-    shown_share = len(course.values & texts) / len(texts)
-    if not course.values <= texts or shown_share < TEXTS_SEEN:
+    seen, shown_share = len(course.values), len(course.values & texts) / len(texts)
+    if not course.values <= texts:
+        return {}, ""
+    room = min(1 << signal.length, 1 << 20)
+    chance = float(np.prod([(len(texts) - k) / (room - k) for k in range(seen)]))
+    if shown_share < TEXTS_SEEN and chance > TEXTS_BY_CHANCE:
         return {}, ""
     return {"undefined": True}, f"{len(course.values)} of {len(texts)} texts seen, and nothing else"
 

@@ -26,7 +26,7 @@ from gateway.signals.payloads import bits_of
 #: Values of one share, and the time that they take at least, and at most [s].
 VALUES, LEAST_S, MOST_S = 50, 1.0, 15.0
 #: Blocks that it takes to know a share, and the least one that is asked for.
-LEAST_BLOCKS, LEAST_SHARE = 20, 0.1
+LEAST_BLOCKS, LEAST_SHARE = 12, 0.1
 #: Of the least share seen so much is asked for at most. Frames that come twice halve the share.
 OF_LEAST = 0.65
 #: Blocks so much longer are tried, too, where the share that can be asked for is below this one, which shows such frames.
@@ -51,11 +51,13 @@ class Drives:
         name: of the signal, ``Message.Signal``.
         message: of it.
         at: times [ns] -> values, NaN where none is known.
+        unit: of it, in small letters.
         least, most: of it, seen.
     """
 
     name: str
     message: str
+    unit: str
     at: Callable[[NDArray[np.int64]], NDArray[np.float64]]
     least: float
     most: float
@@ -74,8 +76,9 @@ def drives(observation: Observation, bus: int) -> list[Drives]:
                 continue
             column = matrix[:, seen.columns.start + k]
             named = any(word in signal.name.upper() for word in NAMES)
-            rank = (signal.unit or "").lower() not in UNITS, not named, "WHEEL" in signal.name.upper(), -seen.frames
-            made = Drives(f"{name}.{signal.name}", name, _at(stamps, column), course.lowest, course.highest)
+            unit = (signal.unit or "").lower()
+            rank = unit not in UNITS, not named, "WHEEL" in signal.name.upper(), -seen.frames
+            made = Drives(f"{name}.{signal.name}", name, unit, _at(stamps, column), course.lowest, course.highest)
             found.append((rank, len(found), made))
     return [made for _, _, made in sorted(found, key=lambda each: each[:2])]
 
@@ -96,13 +99,16 @@ def _at(stamps: NDArray[np.int64], column: NDArray[np.float64]) -> Callable[[NDA
     return at
 
 
-def moving(seen: Seen, own: set[str], speeds: Sequence[Drives]) -> Iterator[tuple[Signal, dict[str, Any], str]]:
+def moving(
+    seen: Seen, own: set[str], speeds: Sequence[Drives], checksum: str | None = None
+) -> Iterator[tuple[Signal, dict[str, Any], str]]:
     """Yield the signals of a message that move, what is asked of each, and what it stands on.
 
     Args:
         seen: of the message.
         own: names of its counter and checksum.
         speeds: of :func:`drives`.
+        checksum: of a message without a counter: it moves with any bit of the frame; None: not looked at.
     """
     period = cycle_ns(seen.gaps) * 1e-9
     if period <= 0.0 or period * VALUES > MOST_S or not len(seen.samples.runs):
@@ -111,8 +117,8 @@ def moving(seen: Seen, own: set[str], speeds: Sequence[Drives]) -> Iterator[tupl
     speed = next((each for each in speeds if each.message != seen.message.name), None)
     for signal, course in zip(seen.signals, seen.courses.each, strict=True):
         quantity = not (signal.choices or signal.multiplexer_ids or signal.is_multiplexer) and signal.length > 1
-        called = called_checksum(signal.name) or called_counter(signal.name)
-        if not quantity or called or signal.name in own or course.changes < LEAST_BLOCKS or course.none:
+        called = called_checksum(signal.name) or called_counter(signal.name) or signal.name in own
+        if not quantity or (called and signal.name != checksum) or course.changes < LEAST_BLOCKS or course.none:
             continue
         each = [(found, times * count) for times in LONGER if (found := _asked(seen, signal, speed, times * count))]
         if each:

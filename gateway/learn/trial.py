@@ -148,6 +148,8 @@ def _of_rule(
     bus = index[parts[0]] if len(parts) == 3 else index[line.bus]
     message, name = parts[-2:]
     signal = databases[bus].signal(message, name)
+    if "tolerance" not in line.keys:
+        return
     size = 1.5 * line.keys["tolerance"] + abs(float(signal.scale))
     low, high = representable(signal)
     if 2.5 * size > high - low:

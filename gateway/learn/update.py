@@ -69,7 +69,7 @@ def _joined(old: Line, new: Line) -> Line:
     keys = dict(new.keys)
     why = new.why
     if new.table == RULE:
-        return old if old.keys["tolerance"] >= new.keys["tolerance"] else new
+        return old if old.keys.get("tolerance", 0.0) >= new.keys.get("tolerance", 0.0) else new
     if new.table == CHECK:
         for name in ("e2e", "crc", "checksum", "counter"):
             other = (
