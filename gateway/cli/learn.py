@@ -143,7 +143,7 @@ def _say(asked: Asked, result: Result) -> None:
     for wheel in found["wheels"]:
         print(wheel)
     for note in result.learned.notes:
-        print(note if len(note) <= 78 else f"{note[:75]}...")
+        print(note if len(note) <= 78 or "DOES NOT LOOK" in note else f"{note[:75]}...")
     print(f"{asked.out.with_suffix('.md')}: the evidence. Next: gateway check {asked.out}")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.learn import limits
+from gateway.learn.belonging import strangers
 from gateway.learn.gaps import cycle_ns
 from gateway.learn.grip import grip_lines
 from gateway.learn.lines import Learned
@@ -56,6 +57,7 @@ def derive(
         limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
     limits.add(learned, rule_lines(observation, found, buses))
     limits.add(learned, grip_lines(observation, buses, speeds))
+    learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses)
     return learned
 
