@@ -30,7 +30,7 @@ def strangers(observation: Observation, buses: Sequence[str]) -> list[str]:
         chance = float(hypergeom.sf(len(alike) - 1, IDENTIFIERS, min(told, IDENTIFIERS), min(came, IDENTIFIERS)))
         if chance > CHANCE:
             said.append(
-                f"{name}: THE LOG DOES NOT LOOK AS IF IT WERE OF THIS DATABASE: of its {told} messages {len(alike)} came, of"
-                f" {came} identifiers in the log; chance alone gives as many with a probability of {chance:.2g}"
+                f"{name}: THE LOG DOES NOT LOOK AS IF IT WERE OF THIS DATABASE: of its {told} messages {len(alike)}"
+                f" came, of {came} identifiers in the log; chance alone gives as many with probability {chance:.2g}"
             )
     return said

@@ -89,8 +89,8 @@ def of_raw(
 ) -> CounterFound | None:
     """Tell whether a field counts: each frame one more, but for frames that were lost.
 
-    Chance is a permutation: the same values in any order, so that a value that comes often follows any other often. What
-    is claimed is less probable than one in 10^9 by it, for each of the fields that are looked at.
+    Chance is a permutation: the same values in any order, so that a value that comes often follows any other often.
+    What is claimed is less probable than one in 10^9 by it, for each of the fields that are looked at.
 
     Args:
         name: of the signal.
@@ -130,7 +130,7 @@ def _counts(
     values: tuple[int, int],
     wraps: int,
 ) -> tuple[CounterFound, float] | None:
-    """Return a counter of these values, first and how many, and how much more the pairs say for it than chance [bit]."""
+    """Return a counter of these values (first, how many), and how much more than chance the pairs say for it [bit]."""
     before, after = pairs
     first, modulus = values
     if modulus < 3 and not (modulus == 2 and called_counter(name)):

@@ -115,7 +115,8 @@ LEAST_GAPS = 10
 MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
 #: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
 NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
-#: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says it is missing.
+#: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says that it is
+#: missing.
 AWAY, AWAY_NS = 100.0, 10_000_000_000
 #: Cycles of a timeout, at least; more where so many lost frames one after the other are not rare enough.
 CYCLES, RARE = 5.0, 1e-10
@@ -125,8 +126,8 @@ def sending(gaps: Gaps) -> str:
     """Tell how a message is sent.
 
     Cyclic: nearly all gaps are a cycle; frames that were lost make a few of two, three, ... of them. Cyclic and on
-    change: many gaps are as long as nearly the longest, which is its cycle, others shorter. Else on change: nothing says
-    how long it may stay away.
+    change: many gaps are as long as nearly the longest, which is its cycle, others shorter. Else on change: nothing
+    says how long it may stay away.
     """
     if gaps.count < LEAST_GAPS:
         return TOO_FEW

@@ -1,8 +1,8 @@
 """What tyres allow: the faster a car is, the less its steering wheel is turned.
 
-A car that turns its steering wheel by an angle goes through a curve with the lateral acceleration a = v^2 tan(angle / i)
-/ l, i the ratio of the steering, l the wheelbase. Tyres end it; so angle * v^2 has a bound that a healthy car keeps,
-whatever the road. It is a range by condition: wide at walking pace, narrow at speed.
+A car that turns its steering wheel by an angle goes through a curve with the lateral acceleration
+a = v^2 tan(angle / i) / l, i the ratio of the steering, l the wheelbase. Tyres end it; so angle * v^2 has a bound that
+a healthy car keeps, whatever the road. It is a range by condition: wide at walking pace, narrow at speed.
 """
 
 from __future__ import annotations

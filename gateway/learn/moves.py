@@ -29,7 +29,8 @@ VALUES, LEAST_S, MOST_S = 50, 1.0, 15.0
 LEAST_BLOCKS, LEAST_SHARE = 12, 0.1
 #: Of the least share seen so much is asked for at most. Frames that come twice halve the share.
 OF_LEAST = 0.65
-#: Blocks so much longer are tried, too, where the share that can be asked for is below this one, which shows such frames.
+#: Blocks so much longer are tried, too, where the share that can be asked for is below this one, which shows
+#: such frames.
 LONGER, TWICE = (1, 3), 0.46
 #: Where nothing says how fast the car is: the signal's own range, if it is so far from zero, of its span.
 FROM_ZERO = 0.2
@@ -66,7 +67,7 @@ class Drives:
 def drives(observation: Observation, bus: int) -> list[Drives]:
     """Return the signals of a bus that say how fast the car is, the likeliest first."""
     stamps, matrix = observation.snapshots.stamps(), observation.snapshots.matrix()
-    found = []
+    found: list[tuple[tuple[bool, bool, bool, int], int, Drives]] = []
     for (index, name), seen in observation.seen.items():
         if index != bus:
             continue

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from gateway.learn.gaps import Gaps, cycle_ns
 
-#: A silence of the whole bus is a pause from so many times the gap on that 99.5 % of its gaps do not exceed, and from so
-#: long on [ns]; of a bus of so many identifiers: one or two may fall silent themselves.
+#: A silence of the whole bus is a pause from so many times the gap on that 99.5 % of its gaps do not exceed, and from
+#: so long on [ns]; of a bus of so many identifiers: one or two may fall silent themselves.
 UNUSUAL, SHARE, LEAST_NS, LEAST_IDS = 20.0, 0.995, 100_000_000, 3
 #: Gaps of a bus that it takes to know what is usual.
 LEAST_GAPS = 100

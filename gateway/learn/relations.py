@@ -187,9 +187,8 @@ def _checked(values: NDArray[np.float64], of: int, by: tuple[int, ...], form: st
     limit = limit_above(block_maxima(lasting, rows), LASTS_S, 0.25 * step)
     worst = max(float(np.abs(off).max()), float(held.max()))
     seen = float(x.min()), float(x.max())
-    return [
-        Relation(of, by, slope, offset, max(limit, float(held.max())), worst, len(x), movement, form, delay * step_s, seen, error)
-    ]  # fmt: skip
+    limit, late = max(limit, float(held.max())), delay * step_s
+    return [Relation(of, by, slope, offset, limit, worst, len(x), movement, form, late, seen, error)]  # fmt: skip
 
 
 def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -227,7 +226,7 @@ def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, floa
 def _noise(y: NDArray[np.float64]) -> float:
     """Return the standard deviation of a signal around its course, at least that of its rounding."""
     second = y[2:] - 2.0 * y[1:-1] + y[:-2]
-    return max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), _resolution(y) / np.sqrt(12.0))
+    return float(max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0), _resolution(y) / np.sqrt(12.0)))
 
 
 def _delay(x: NDArray[np.float64], y: NDArray[np.float64]) -> int:

@@ -88,8 +88,8 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
     others = "_".join(names[column][1].name for column in relation.by)
     name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{seen.message.name}_{signal.name}_by_{others}")
     why = (
-        f"{relation.rows} times, slope to {relation.slope_error:.2g}, for {LASTS_S:g} s at most {shown(relation.limit)} off"
-        f" once in {HOURS:g} h, {shown(relation.worst)} at once; movements agree to {relation.movement:.3f}"
+        f"{relation.rows} times, slope to {relation.slope_error:.2g}, for {LASTS_S:g} s at most {shown(relation.limit)}"
+        f" off once in {HOURS:g} h, {shown(relation.worst)} at once; movements agree to {relation.movement:.3f}"
     )
     keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": FAILED_MS}
     return Line(buses[seen.bus], RULE, name, keys, why)

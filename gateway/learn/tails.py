@@ -35,7 +35,7 @@ def limit_above(maxima: NDArray[np.float64], block_s: float, floor: float) -> fl
 def sustained(off: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
     """Return how far a deviation stays on one side of zero for so many rows at least, shape (len(off) - rows + 1,)."""
     windows = np.lib.stride_tricks.sliding_window_view(off, min(rows, len(off)))
-    return np.maximum(np.maximum(windows.min(axis=1), -windows.max(axis=1)), 0.0)
+    return np.asarray(np.maximum(np.maximum(windows.min(axis=1), -windows.max(axis=1)), 0.0), np.float64)
 
 
 def block_maxima(values: NDArray[np.float64], rows: int) -> NDArray[np.float64]:

@@ -28,7 +28,8 @@ from gateway.runtime.injection import Injection, Injector
 
 #: A fault begins so long after the cut [s]; signals that are tried at most: others are drawn by chance.
 LEAD_S, MOST = 1.0, 60
-#: Offsets in spreads of the signal, and factors: the first is tried first, then smaller ones if it is seen, else larger.
+#: Offsets in spreads of the signal, and factors: the first is tried first, then smaller ones if it is seen, else
+#: larger.
 OFFSETS, SCALES = (1.0, 0.5, 0.25, 2.0, 4.0), (1.3, 1.1, 1.0, 2.0, 4.0)
 #: How many of these are smaller than the first, they follow it.
 SMALLER = 2

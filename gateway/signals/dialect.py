@@ -56,7 +56,7 @@ def _numbers(text: str) -> str:
 
 def _impossible(text: str) -> str:
     """Leave out messages whose identifier has more than 29 bits, and what is said of them."""
-    gone = [found[1] for found in _BLOCK.finditer(text) if _EXTENDED < int(found[1]) & ~_FLAG]
+    gone = [found[1] for found in _BLOCK.finditer(text) if int(found[1]) & ~_FLAG > _EXTENDED]
     text = _BLOCK.sub(lambda found: "" if found[1] in gone else found[0], text)
     for number in gone:
         text = re.sub(rf"^(?:CM_|BA_)[^\n]* {number} [^;]*;[^\n]*\n", "", text, flags=re.MULTILINE)

@@ -62,7 +62,7 @@ def learn(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first car.")] = 2026,
     json: Json = False,
 ) -> None:
-    """Evaluate what is learned of virtual cars of 40 messages: claims beside the truth, codes of other healthy drives."""
+    """Evaluate what is learned of virtual cars of 40 messages: claims and truth, codes of healthy drives."""
     from gateway_studies.learn.command import learn as work
 
     raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=tuple(ways.split(",")), seed=seed, json=json))

@@ -350,3 +350,20 @@ def test_a_log_that_cannot_be_read_to_its_end_teaches_nothing(tmp_path):
     log.write_bytes(lzma.compress(lzma.decompress(DRIVE.read_bytes())[:-13]))
     with pytest.raises((InputError, InputErrors)):
         learn(asked(tmp_path / "car.toml", log), quiet)
+
+
+def test_a_log_of_another_car_is_told(tmp_path):
+    """Sixty identifiers, and a database of eight messages that shares one of them by chance."""
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nBS_:\nBU_: A\n'
+        + "".join(f'BO_ {256 + 3 * k} M{k}: 8 A\n SG_ X{k} : 0|8@1+ (1,0) [0|255] "" A\n' for k in range(8))
+    )
+    ids = [256, *range(900, 1900, 17)]
+    log = drive(tmp_path / "drive.log", 20.0, [(can_id, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for can_id in ids])
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    assert any("DOES NOT LOOK" in note for note in result.learned.notes)
+    mine = drive(
+        tmp_path / "mine.log", 20.0, [(256 + 3 * k, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for k in range(6)]
+    )
+    result = learn(asked(tmp_path / "car.toml", mine, databases=(tmp_path / "car.dbc",)), quiet)
+    assert not any("DOES NOT LOOK" in note for note in result.learned.notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_text
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from gateway_studies.learn.drive import Way
 from gateway_studies.learn.judge import healthy, judged
@@ -24,7 +25,7 @@ OTHER = Way(lost=0.0, pauses=0, sleeps=1, late=3, batch_s=0.004)
 
 def learn(*, cars: int, seconds: float, hours: float, ways: tuple[str, ...], seed: int, json: bool) -> int:
     """Learn of virtual cars, judge the claims, replay other healthy drives; returns the exit code."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for car in range(cars):
         net = network(seed + car)
         for name in ways:
@@ -52,10 +53,10 @@ def learn(*, cars: int, seconds: float, hours: float, ways: tuple[str, ...], see
     return 0
 
 
-def _say(row: dict[str, object]) -> None:
+def _say(row: dict[str, Any]) -> None:
     print(f"car {row['car']} {row['way']}: {row['found']} of {row['true']}, learned in {row['seconds']:.1f} s")
     for title in ("wrong", "missed", "unshown"):
-        for line in row[title]:  # type: ignore[attr-defined]
+        for line in row[title]:
             print(f"  {title}: {line}")
-    for fault, count in row["codes"].items():  # type: ignore[attr-defined]
+    for fault, count in row["codes"].items():
         print(f"  healthy drives: {fault} {count} times")

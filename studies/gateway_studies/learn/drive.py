@@ -1,4 +1,4 @@
-"""Drives of the virtual car: courses of a road drawn from a seed, frames of them, and what becomes of frames on the way."""
+"""Drives of the virtual car: courses of a road drawn from a seed, and their frames, as a recorder has them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _road(rng: np.random.Generator, count: int) -> tuple[Course, Course]:
 
 
 def courses(seed: int, seconds: float) -> Callable[[str], Course]:
-    """Return the courses of a drive by their names, shape (seconds / STEP_S,); those of the rest bus come when asked."""
+    """Return the courses of a drive by their names, shape (seconds / STEP_S,); the rest bus when asked."""
     rng = np.random.default_rng([77, seed])
     count = int(seconds / STEP_S) + 1
     v, angle = _road(rng, count)
@@ -75,7 +75,10 @@ def courses(seed: int, seconds: float) -> Callable[[str], Course]:
     along = np.gradient(v, STEP_S)
     kmh = 3.6 * v
     moves = v > 0.05
-    noise = lambda size: rng.normal(0.0, size, count) * moves  # noqa: E731
+
+    def noise(size: float) -> Course:
+        return np.asarray(rng.normal(0.0, size, count) * moves, np.float64)
+
     made: dict[str, Course] = {"speed": kmh * 1.0 + noise(0.02), "angle": angle}
     slip = 1.0 + np.clip(along, 0.0, None) * 0.004
     for name, side, driven, tyre in (
@@ -127,7 +130,8 @@ def _own(name: str, seed: int, count: int) -> Course:
     if kind == "flag":
         return (np.cumsum(drive.random(count) < 0.0005) % 2).astype(float)
     if kind == "state":
-        return np.floor(np.cumsum(drive.random(count) < 0.001) * 7 % int(rng.integers(2, 9))).astype(float)
+        states = np.cumsum(drive.random(count) < 0.001) * 7 % int(rng.integers(2, 9))
+        return np.asarray(states, np.float64)
     if kind == "ramp":
         return np.clip(drive.uniform(0, 0.2) * top + t * float(rng.uniform(0, 0.3)) * top / 1e5, 0, top)
     if kind == "torque":
@@ -135,7 +139,7 @@ def _own(name: str, seed: int, count: int) -> Course:
     slow = np.convolve(drive.normal(0, 1.0, count // 50 + 60), np.ones(40) / 40, "same")
     wave = np.interp(t, np.arange(len(slow)) * 50, slow)
     wave = (wave - wave.mean()) / max(wave.std(), 1e-9)
-    return np.clip(top * (0.45 + 0.12 * wave) + drive.normal(0, 0.002 * top, count), 0, top)
+    return np.asarray(np.clip(top * (0.45 + 0.12 * wave) + drive.normal(0, 0.002 * top, count), 0, top), np.float64)
 
 
 def _times(
@@ -143,11 +147,11 @@ def _times(
 ) -> Course:
     """Return when a message is sent [s]."""
     if m.period_s == 0.0:
-        t = np.sort(rng.uniform(0.5, seconds - 0.1, max(int(seconds / 4.0), 4)))
-        asleep = [(t >= begin) & (t < end + 1.0) for begin, end in sleeps]
-        return t[~np.any(asleep, axis=0)] if asleep else t
+        some: Course = np.sort(rng.uniform(0.5, seconds - 0.1, max(int(seconds / 4.0), 4)))
+        asleep = [(some >= begin) & (some < end + 1.0) for begin, end in sleeps]
+        return some[~np.any(asleep, axis=0)] if asleep else some
     count = int(1.002 * seconds / m.period_s) + 2
-    t = rng.uniform(0, m.period_s) + np.arange(count) * m.period_s * rng.uniform(0.999, 1.001)
+    t: Course = rng.uniform(0, m.period_s) + np.arange(count) * m.period_s * rng.uniform(0.999, 1.001)
     t += rng.uniform(-0.05, 0.05, count) * m.period_s
     awake = np.ones(count, np.bool_)
     for begin, end in [(-1.0, 0.0), *sleeps]:

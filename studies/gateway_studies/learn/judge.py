@@ -20,7 +20,6 @@ from gateway.runtime.assemble import prepare
 from gateway_studies.learn.drive import Way, frames_of
 from gateway_studies.learn.network import Network, Sent
 
-
 #: Frames, and different payloads, that show a counter and a checksum.
 SHOWN = 64
 

@@ -77,7 +77,7 @@ class Network:
             plain += [Field(m.checksum[0], m.checksum[1], 8, "")] if m.checksum else []
             for f in plain:
                 sign = "-" if f.signed else "+"
-                text += f' SG_ {f.name} : {f.start}|{f.bits}@1{sign} ({f.scale},{f.offset}) [{f.low}|{f.high}] "{f.unit}" E0\n'
+                text += f' SG_ {f.name} : {f.start}|{f.bits}@1{sign} ({f.scale},{f.offset}) [{f.low}|{f.high}] "{f.unit}" E0\n'  # noqa: E501
         text += 'VAL_ 180 GearNow 0 "N" 1 "1st" 2 "2nd" 3 "3rd" 4 "4th" 5 "5th" 6 "6th" 14 "R" ;\n'
         return text
 
@@ -90,15 +90,15 @@ def _drive() -> list[tuple[str, float, int, list[Field]]]:
     return [
         ("Wheels", 0.02, 0, wheel),
         ("Speed", 0.02, 0, [Field("Vehicle", 0, 16, "speed", 0.01, unit="km/h", high=250.0)]),
-        ("Engine", 0.01, 1, [Field("Rpm", 0, 16, "rpm", 0.25, unit="rpm"), Field("Torque", 16, 12, "torque", 0.25, -200.0, unit="Nm")]),
-        ("Pedal", 0.02, 1, [Field("Accel", 0, 8, "pedal", 0.4, unit="%"), Field("Brake", 8, 12, "brake", 0.1, unit="bar")]),
+        ("Engine", 0.01, 1, [Field("Rpm", 0, 16, "rpm", 0.25, unit="rpm"), Field("Torque", 16, 12, "torque", 0.25, -200.0, unit="Nm")]),  # noqa: E501
+        ("Pedal", 0.02, 1, [Field("Accel", 0, 8, "pedal", 0.4, unit="%"), Field("Brake", 8, 12, "brake", 0.1, unit="bar")]),  # noqa: E501
         ("Steering", 0.01, 2, [Field("Angle", 0, 16, "angle", 0.1, -1500.0, unit="deg", low=-780.0, high=780.0)]),
-        ("Column", 0.02, 2, [Field("Angle2", 0, 12, "angle", 0.5, -1000.0, unit="deg"), Field("Effort", 16, 12, "effort", 0.01, -20.0, unit="Nm")]),
-        ("Motion", 0.02, 3, [Field("Yaw", 0, 12, "yaw", 0.05, -100.0, unit="deg/s"), Field("Lateral", 12, 12, "lateral", 0.01, -20.0, unit="m/s2"), Field("Along", 24, 12, "along", 0.01, -20.0, unit="m/s2")]),
+        ("Column", 0.02, 2, [Field("Angle2", 0, 12, "angle", 0.5, -1000.0, unit="deg"), Field("Effort", 16, 12, "effort", 0.01, -20.0, unit="Nm")]),  # noqa: E501
+        ("Motion", 0.02, 3, [Field("Yaw", 0, 12, "yaw", 0.05, -100.0, unit="deg/s"), Field("Lateral", 12, 12, "lateral", 0.01, -20.0, unit="m/s2"), Field("Along", 24, 12, "along", 0.01, -20.0, unit="m/s2")]),  # noqa: E501
         ("Gear", 0.1, 4, [Field("GearNow", 0, 4, "gear")]),
-        ("Temps", 0.5, 1, [Field("Coolant", 0, 8, "coolant", 1.0, -40.0, unit="degC"), Field("Outside", 8, 8, "outside", 0.5, -40.0, unit="degC")]),
+        ("Temps", 0.5, 1, [Field("Coolant", 0, 8, "coolant", 1.0, -40.0, unit="degC"), Field("Outside", 8, 8, "outside", 0.5, -40.0, unit="degC")]),  # noqa: E501
         ("Battery", 0.1, 5, [Field("Volts", 0, 8, "volts", 0.1, unit="V")]),
-        ("Cluster", 0.1, 6, [Field("Shown", 0, 8, "shown", 1.0, unit="km/h"), Field("Trip", 8, 16, "trip", 0.1, unit="km")]),
+        ("Cluster", 0.1, 6, [Field("Shown", 0, 8, "shown", 1.0, unit="km/h"), Field("Trip", 8, 16, "trip", 0.1, unit="km")]),  # noqa: E501
     ]  # fmt: skip
 
 
@@ -153,7 +153,7 @@ def _protected(
         rule = {
             "sum": Checksum(plus=int(rng.integers(256))),
             "xor": Checksum(xor=True, plus=int(rng.integers(256))),
-            "crc": Checksum(Crc(8, int(rng.integers(256)) | 1, int(rng.integers(256)), False, False, int(rng.integers(256)))),
+            "crc": Checksum(Crc(8, int(rng.integers(256)) | 1, int(rng.integers(256)), False, False, int(rng.integers(256)))),  # noqa: E501
             "toyota": RULES["toyota"](Frame(can_id, False, length)),
             "subaru": RULES["subaru"](Frame(can_id, False, length)),
         }[kind]  # fmt: skip
