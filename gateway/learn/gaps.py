@@ -206,4 +206,4 @@ def wake_ms(gaps: Gaps, timeout: float) -> float | None:
     need = max(_rounded(LATER * max(latest_ns, 1_000_000) * 1e-6), timeout)
     if times >= LEAST_WAKES:
         return need
-    return max(need, WAKE_MS) if latest_ns * 1e-6 > min(timeout, WAKE_MS / LATER) else None
+    return max(need, WAKE_MS) if LATER * latest_ns * 1e-6 > min(timeout, WAKE_MS) else None

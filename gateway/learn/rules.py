@@ -19,6 +19,8 @@ from gateway.learn.tails import HOURS
 #: What deviations that last exceed once in hundreds of hours -> tolerance: with this share of the largest value: tyres
 #: wear, a car is loaded, logs seldom show tight turns and slip.
 WIDER, SHARE = 1.2, 0.06
+#: A law with a product is true for small angles, and for slow movements: it gets more.
+SHARE_PRODUCT = 0.2
 #: Outside of what was seen the tolerance grows by this share of how far, and so many standard errors of the slope.
 GROWTH, ERRORS = 0.15, 4.0
 #: A range that begins so near to nothing has no lower end.
@@ -83,7 +85,8 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
     else:
         rounding += abs(offset)
     step = 0.0 if signal.is_float else abs(signal.scale)
-    tolerance = _up(WIDER * relation.limit + SHARE * high + rounding + step)
+    share = SHARE_PRODUCT if relation.form == TIMES else SHARE
+    tolerance = _up(WIDER * relation.limit + share * high + rounding + step)
     text = f"abs({of} - {_in_sum(side)}) <= {_growth(relation, right)}"
     others = "_".join(names[column][1].name for column in relation.by)
     name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{seen.message.name}_{signal.name}_by_{others}")

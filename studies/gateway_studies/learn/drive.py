@@ -17,6 +17,8 @@ from gateway_studies.learn.network import Network, Sent
 STEP_S = 0.01
 #: Track and wheelbase [m], steering wheel to wheels, tyres' growth by wheel.
 TRACK, BASE, RATIO = 1.55, 2.7, 15.5
+#: Lateral acceleration that nobody goes beyond [m/s2].
+GRIP = 5.0
 #: First stamp [ns].
 BEGIN_NS = 1_700_000_000_000_000_000
 
@@ -62,6 +64,8 @@ def _road(rng: np.random.Generator, count: int) -> tuple[Course, Course]:
         turn += float(np.clip((aim - turn) * 1.5, -300.0, 300.0)) * STEP_S + (
             0.02 * noise[count - 1 - k] if v > 0 else 0.0
         )
+        most = min(GRIP / max(v, 1.0) ** 2 * BASE * RATIO * 57.3, 500.0)
+        turn = float(np.clip(turn, -most, most))
         speed[k], angle[k] = v, turn
     return speed, angle
 
