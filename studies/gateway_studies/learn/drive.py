@@ -155,8 +155,8 @@ def _times(
         asleep = [(some >= begin) & (some < end + 1.0) for begin, end in sleeps]
         return some[~np.any(asleep, axis=0)] if asleep else some
     count = int(1.002 * seconds / m.period_s) + 2
-    t: Course = rng.uniform(0, m.period_s) + np.arange(count) * m.period_s * rng.uniform(0.999, 1.001)
-    t += rng.uniform(-0.05, 0.05, count) * m.period_s
+    start, period = rng.uniform(0, m.period_s), m.period_s * rng.uniform(0.999, 1.001)
+    t = np.asarray(start + np.arange(count) * period + rng.uniform(-0.05, 0.05, count) * m.period_s, np.float64)
     awake = np.ones(count, np.bool_)
     for begin, end in [(-1.0, 0.0), *sleeps]:
         up = end + (rng.uniform(2.0, 6.0) if m.ecu in late else rng.uniform(0.0, 0.15))
