@@ -115,6 +115,8 @@ LEAST_GAPS = 10
 MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
 #: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
 NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
+#: One and a half standard deviations of a share of a half, of one gap.
+FEW = 0.75
 #: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says that it is
 #: missing.
 AWAY, AWAY_NS = 100.0, 10_000_000_000
@@ -131,18 +133,19 @@ def sending(gaps: Gaps) -> str:
     """
     if gaps.count < LEAST_GAPS:
         return TOO_FEW
+    room = FEW / np.sqrt(gaps.count)  # few gaps show a share only roughly
     middle, long, longer = (gaps.quantile_ns(share) for share in (0.5, 0.9, 0.99))
     cycle = 0.0
     if (
         long <= MOST_OF_TEN * middle
         and longer <= MOST_OF_HUNDRED * middle
-        and gaps.near(middle, WITHIN_CYCLIC) >= NEAR_CYCLIC
+        and gaps.near(middle, WITHIN_CYCLIC) >= NEAR_CYCLIC + room
     ):
         kind, cycle = CYCLIC, middle
     elif (
         longer <= MOST_OF_TEN * long
         and gaps.quantile_ns(0.75) >= 0.8 * long
-        and gaps.near(long, WITHIN_MIXED) >= NEAR_MIXED
+        and gaps.near(long, WITHIN_MIXED) >= NEAR_MIXED + room
     ):
         kind, cycle = MIXED, long
     if cycle == 0.0 or gaps.beyond(FAR * cycle) > max(SHARE_FAR, 1.5 / gaps.count):
