@@ -361,6 +361,17 @@ def test_a_wrong_rule_of_4_bits_is_doubted_for_good_though_frames_pass_by_chance
     assert len(wrong.of("protection")) == 1
 
 
+def test_a_doubt_does_not_end_with_one_payload_that_passes_by_chance_again_and_again(tmp_path):
+    text = 'BO_ 256 M: 8 A\n SG_ CHECKSUM : 56|8@1+ (1,0) [0|255] "" B\n'
+    made = Car(write(tmp_path, text, 'message = "M"\nchecksum = { rule = "sum" }'))
+    made.feed([bytes([k, 7, 0, 0, 0, 0, 0, k + 8]) for k in range(60)])
+    assert made.failed() == ["rule"]
+    made.feed([bytes([1, 7, 0, 0, 0, 0, 0, 8])] * 200)
+    assert [e for e in made.of("dtc") if e["dtc"].endswith("-56")][-1]["status"] & 1, "one in 256"
+    made.feed([bytes([k, 7, 0, 0, 0, 0, 0, k + 7]) for k in range(60)])
+    assert not [e for e in made.of("dtc") if e["dtc"].endswith("-56")][-1]["status"] & 1
+
+
 def test_a_right_rule_of_4_bits_is_taken_after_7_frames_and_one_payload_again_and_again_is_one_frame(tmp_path):
     frames = [bytes([k, 0, 0, 0, 0, 0, 0, -k & 0xF]) for k in range(1, 16)]  # a sum of nibbles
     check = 'message = "M"\nchecksum = { rule = "sum", of = "nibbles", negative = true }'

@@ -130,6 +130,8 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"kept: {found['kept']} lines that were changed, taken out or added by hand")
     for change in result.changes:
         print(f"widened: {change}")
+    for line in result.dropped:
+        print(f"dropped: {line}")
     if result.alarms:
         print(f"healthy frames still set {', '.join(result.alarms)}: see these lines")
     elif found["held_out_frames"]:
@@ -141,7 +143,7 @@ def _say(asked: Asked, result: Result) -> None:
     for wheel in found["wheels"]:
         print(wheel)
     for note in result.learned.notes:
-        print(note if len(note) <= 78 else f"{note[:75]}...")
+        print(note if len(note) <= 78 or "DOES NOT LOOK" in note else f"{note[:75]}...")
     print(f"{asked.out.with_suffix('.md')}: the evidence. Next: gateway check {asked.out}")
 
 

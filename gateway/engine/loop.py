@@ -392,7 +392,7 @@ def advance(T: Any, t_ns: int) -> None:
         for k in range(T.checks.shape[0]):
             c = T.checks[k]
             if c.timeout_ns > 0:
-                c.deadline_ns = t_ns + c.timeout_ns
+                c.deadline_ns = t_ns + c.first_ns
                 arm(T, c.timer, c.deadline_ns)
         own = T.health[T.health.shape[0] - 1]
         watch_clock(own, t_ns)

@@ -26,7 +26,7 @@ FIRST_LOOK = 12
 LEAST_BITS, LEAST_BITS_UNNAMED, MOST_BITS = 4, 8, 64
 #: Fields of a message that are not called checksums, and looked at as if they were.
 MOST_UNNAMED = 8
-#: A field that is not called a checksum is taken for one if so many bytes beside it and the counter change.
+#: A field that is not called a checksum is taken for one if so many bytes beside it change, one of which may count.
 LEAST_BYTES = 2
 
 
@@ -65,7 +65,8 @@ def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFo
     if counter is not None:
         own |= mask_of(field_of(signal_of(message, counter)))
     changing = (frames.bytes != frames.bytes[0]).any(axis=0)
-    return sum(bool(moved) and not own >> (8 * k) & 0xFF for k, moved in enumerate(changing)) >= LEAST_BYTES
+    least = LEAST_BYTES if counter is None else LEAST_BYTES - 1
+    return sum(bool(moved) and not own >> (8 * k) & 0xFF for k, moved in enumerate(changing)) >= least
 
 
 def rule_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from gateway.errors import InputError
+from gateway.learn.evidence import LEAST_EVIDENCE
 from gateway.learn.judged import Payloads, judged
 from gateway.signals.bits import mask_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 
-#: Chance explains what is claimed with a probability below one in 10^9: so many bits beyond what was free to be chosen.
-LEAST_EVIDENCE = 9.0 / np.log10(2.0)
 #: Frames whose bits are turned, one at a time, to see what a rule covers.
 TURNED = 4
 #: Share of the pairs that must be right: the bus may have disturbed a frame that the recorder kept.

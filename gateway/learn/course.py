@@ -97,12 +97,14 @@ class Courses:
         self._moved_ns = np.full(count, -1, np.int64)
         self._none_ns = np.full(count, -1, np.int64)
 
-    def add(self, t_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    def add(self, t_ns: NDArray[np.int64], values: NDArray[np.float64], usual_s: float = 0.0) -> None:
         """Add frames.
 
         Args:
             t_ns: their stamps, in order.
             values: shape (frames, signals), NaN where there is none.
+            usual_s: time from frame to frame: a change is taken over so long at least, as the monitor takes it; frames
+                that an adapter hands over together change no faster [s].
         """
         none = self._without_codes(t_ns, values)
         started = t_ns >= self._start_ns + START_NS
@@ -119,7 +121,7 @@ class Courses:
             if len(course.values) <= MOST_VALUES:
                 more = np.unique(settled[:, k][~np.isnan(settled[:, k])])[: MOST_VALUES + 1]
                 course.values.update(float(each) for each in more)
-        self._movement(t_ns, values, started)
+        self._movement(t_ns, values, started, usual_s)
 
     def _without_codes(self, t_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.int64]:
         """Take out what stands for no value; returns how often each signal had it."""
@@ -145,14 +147,17 @@ class Courses:
             self.each[k].none_s = max(self.each[k].none_s, float(t_ns[-1] - began) * 1e-9)
         self._none_ns[k] = began
 
-    def _movement(self, t_ns: NDArray[np.int64], values: NDArray[np.float64], started: NDArray[np.bool_]) -> None:
+    def _movement(
+        self, t_ns: NDArray[np.int64], values: NDArray[np.float64], started: NDArray[np.bool_], usual_s: float
+    ) -> None:
         """Take in changes: how steep, how many, how long there was none."""
         first_ns = self._last_ns if self._last_ns else int(t_ns[0])
         seconds = np.diff(np.concatenate([[first_ns], t_ns])) * 1e-9
         before = np.concatenate([self._last[None], values[:-1]])
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.abs(values - before)
-            rate = np.where((seconds > 0)[:, None] & started[:, None], change / seconds[:, None], np.nan)
+            over = np.maximum(seconds, usual_s)
+            rate = np.where((over > 0)[:, None] & started[:, None], change / over[:, None], np.nan)
         steepest = np.fmax.reduce(rate, axis=0, initial=0.0)
         moved = change > 0
         for k, course in enumerate(self.each):

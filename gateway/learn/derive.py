@@ -8,7 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from gateway.learn import limits
+from gateway.learn.belonging import strangers
+from gateway.learn.gaps import cycle_ns
+from gateway.learn.grip import grip_lines
 from gateway.learn.lines import Learned
+from gateway.learn.moves import drives
 from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound, protection_found
 from gateway.learn.rules import rule_lines
@@ -39,15 +43,21 @@ def derive(
         bus, name = key
         file: Path = databases[bus].file_of(name)
         several = senders(seen)
-        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=seen.frames >= LEAST_FRAMES)
+        cycle = cycle_ns(seen.gaps)
+        times = [(stamps - stamps[0]) / cycle for stamps in seen.samples.stamps] if cycle > 0.0 else None
+        whole = seen.frames >= LEAST_FRAMES
+        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
         line = limits.check_line(buses[bus], seen, found[key])
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
         learned.add(line)
+    speeds = [drives(observation, bus) for bus in range(len(buses))]
     for key, seen in observation.seen.items():
         names = taken.setdefault(key[0], set())
-        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names))
+        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
     limits.add(learned, rule_lines(observation, found, buses))
+    limits.add(learned, grip_lines(observation, buses, speeds))
+    learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses)
     return learned
 

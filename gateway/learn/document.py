@@ -37,7 +37,7 @@ _CAUSES = """
 """
 
 #: A signal in the text of a relation.
-_SIGNAL = re.compile(r"[A-Za-z_][\w-]*(?:\.[A-Za-z_]\w*)+")
+SIGNAL_NAME = re.compile(r"[A-Za-z_][\w-]*(?:\.[A-Za-z_]\w*)+")
 
 _HEAD = """\
 # {title}
@@ -134,7 +134,7 @@ def causes(buses: Sequence[BusAsked], learned: Learned) -> list[Line]:
     for bus in buses:
         for line in learned.of(bus.name, RULE):
             found = []
-            for signal in _SIGNAL.findall(line.keys["holds"]):
+            for signal in dict.fromkeys(SIGNAL_NAME.findall(line.keys["holds"])):
                 full = signal if signal.count(".") == 2 else f"{bus.name}.{signal}"
                 found += faults.get(full, [])
             if found:

@@ -25,22 +25,31 @@ class Gaps:
         bins: how many gaps are in each, shape (BINS,).
         longest_ns: the longest, in falling order.
         last_ns: stamp of the latest frame in this log; None: none yet.
+        returns_ns: number of a pause of the bus -> when it came again after it [ns].
+        wakes: after how many times the bus woke up, and the latest that it came then [ns].
     """
 
     count: int = 0
     bins: NDArray[np.int64] = field(default_factory=lambda: np.zeros(BINS, np.int64))
     longest_ns: list[int] = field(default_factory=list)
     last_ns: int | None = None
+    returns_ns: dict[int, int] = field(default_factory=dict)
+    wakes: tuple[int, int] = (0, 0)
 
     def begin(self) -> None:
         """Begin with another log: what lies between is no gap."""
         self.last_ns = None
 
-    def add(self, t_ns: NDArray[np.int64]) -> None:
-        """Add the stamps of frames, in order."""
-        stamps = t_ns if self.last_ns is None else np.concatenate([[self.last_ns], t_ns])
+    def stamps(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the stamps of frames, with the one before them."""
+        return t_ns if self.last_ns is None else np.concatenate([[self.last_ns], t_ns])
+
+    def add(self, t_ns: NDArray[np.int64], none: NDArray[np.bool_] | None = None) -> None:
+        """Add the stamps of frames, in order; ``none``: which gaps of :meth:`stamps` are none of this message."""
+        gaps = np.diff(self.stamps(t_ns))
         self.last_ns = int(t_ns[-1])
-        gaps = np.diff(stamps)
+        if none is not None:
+            gaps = gaps[~none]
         if not len(gaps):
             return
         self.count += len(gaps)
@@ -54,6 +63,16 @@ class Gaps:
         self.count += other.count
         self.bins += other.bins
         self.longest_ns = sorted([*self.longest_ns, *other.longest_ns], reverse=True)[:LONGEST]
+        self.wakes = self.wakes[0] + other.wakes[0], max(self.wakes[1], other.wakes[1])
+
+    def beyond(self, ns: float) -> float:
+        """Return the share of gaps that are longer, to 2 % of the length."""
+        place = int(np.log(max(ns, FIRST_NS) / FIRST_NS) / np.log(RATIO)) + 1
+        return float(self.bins[place:].sum() / max(self.count, 1))
+
+    def near(self, ns: float, within: float) -> float:
+        """Return the share of gaps within a share of a length."""
+        return self.beyond((1.0 - within) * ns) - self.beyond((1.0 + within) * ns)
 
     def quantile_ns(self, share: float) -> float:
         """Return a gap that a share of all gaps does not exceed, to 1 % [ns]."""
@@ -73,6 +92,7 @@ class Gaps:
             "count": self.count,
             "bins": {str(k): int(self.bins[k]) for k in used},
             "longest_ns": self.longest_ns,
+            "wakes": list(self.wakes),
         }
 
     @classmethod
@@ -81,6 +101,8 @@ class Gaps:
         made = cls(int(data["count"]), longest_ns=[int(gap) for gap in data["longest_ns"]])
         for k, count in data["bins"].items():
             made.bins[int(k)] = count
+        times, latest_ns = data.get("wakes", (0, 0))
+        made.wakes = int(times), int(latest_ns)
         return made
 
 
@@ -88,38 +110,103 @@ class Gaps:
 CYCLIC, MIXED, ON_CHANGE, TOO_FEW = "cyclic", "cyclic and on change", "on change", "too few"
 #: Gaps that it takes to say anything.
 LEAST_GAPS = 10
+#: A cyclic message's gaps, of its cycle: nine of ten, 99 of 100, and the share that may be longer than so many cycles
+#: (frames were lost one after the other, its ECU began anew).
+MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
+#: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
+NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
+#: One and a half standard deviations of a share of a half, of one gap.
+FEW = 0.75
+#: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says that it is
+#: missing.
+AWAY, AWAY_NS = 100.0, 10_000_000_000
+#: Cycles of a timeout, at least; more where so many lost frames one after the other are not rare enough.
+CYCLES, RARE = 5.0, 1e-10
 
 
 def sending(gaps: Gaps) -> str:
     """Tell how a message is sent.
 
-    Cyclic: the longest gap is near the middle one. Cyclic and on change: many gaps are as long as the longest, which is
-    its cycle, others shorter. Else on change: nothing says how long it may stay away.
+    Cyclic: nearly all gaps are a cycle; frames that were lost make a few of two, three, ... of them. Cyclic and on
+    change: many gaps are as long as nearly the longest, which is its cycle, others shorter. Else on change: nothing
+    says how long it may stay away.
     """
     if gaps.count < LEAST_GAPS:
         return TOO_FEW
-    middle = gaps.quantile_ns(0.5)
-    long = gaps.quantile_ns(0.9)
-    if gaps.largest_ns <= 5 * middle and long <= 2.5 * middle:
-        return CYCLIC
-    if gaps.largest_ns <= 2 * long and gaps.quantile_ns(0.75) >= 0.8 * long:
-        return MIXED
-    return ON_CHANGE
+    room = FEW / np.sqrt(gaps.count)  # few gaps show a share only roughly
+    middle, long, longer = (gaps.quantile_ns(share) for share in (0.5, 0.9, 0.99))
+    cycle = 0.0
+    if (
+        long <= MOST_OF_TEN * middle
+        and longer <= MOST_OF_HUNDRED * middle
+        and gaps.near(middle, WITHIN_CYCLIC) >= NEAR_CYCLIC + room
+    ):
+        kind, cycle = CYCLIC, middle
+    elif (
+        longer <= MOST_OF_TEN * long
+        and gaps.quantile_ns(0.75) >= 0.8 * long
+        and gaps.near(long, WITHIN_MIXED) >= NEAR_MIXED + room
+    ):
+        kind, cycle = MIXED, long
+    if cycle == 0.0 or gaps.beyond(FAR * cycle) > max(SHARE_FAR, 1.5 / gaps.count):
+        return ON_CHANGE
+    return ON_CHANGE if gaps.largest_ns > max(AWAY * cycle, AWAY_NS) else kind
+
+
+def cycle_ns(gaps: Gaps) -> float:
+    """Return the cycle of a message [ns], 0 where it has none."""
+    kind = sending(gaps)
+    return 0.0 if kind in (ON_CHANGE, TOO_FEW) else gaps.quantile_ns(0.5 if kind == CYCLIC else 0.9)
+
+
+def lost_share(gaps: Gaps) -> float:
+    """Return the share of a cyclic message's frames that the log does not have, estimated.
+
+    Of frames lost by chance, each with probability p, gaps of k cycles come p^(k - 1) (1 - p) of the time: gaps of two
+    cycles are more than those of one and a half. Where they are not, the gaps are late frames.
+    """
+    if sending(gaps) != CYCLIC:
+        return 0.0
+    cycle = gaps.quantile_ns(0.5)
+    half, two, rest = (gaps.beyond(times * cycle) for times in (1.3, 1.75, 2.25))
+    return gaps.beyond(1.5 * cycle) if two - rest > 2.0 * (half - two) else 0.0
 
 
 def timeout_ms(gaps: Gaps) -> float | None:
     """Return a time after which a message is missing [ms], None where gaps do not say one.
 
     Of n gaps that follow one law the next exceeds the longest with probability 1/(n + 1): the fewer there are the more
-    is added to it.
+    is added to it. Where frames get lost, it is longer than any row of losses that is not rare.
     """
-    if sending(gaps) in (ON_CHANGE, TOO_FEW):
+    cycle = cycle_ns(gaps)
+    if cycle == 0.0:
         return None
-    cycle = gaps.quantile_ns(0.5 if sending(gaps) == CYCLIC else 0.9)
-    return _rounded(max(5.0 * cycle, gaps.largest_ns * (2.0 + 20.0 / gaps.count)) * 1e-6)
+    lost = min(lost_share(gaps), 0.5)
+    cycles = max(CYCLES, np.log(RARE) / np.log(lost)) if lost > 0.0 else CYCLES
+    return _rounded(max(cycles * cycle, gaps.largest_ns * (2.0 + 20.0 / gaps.count)) * 1e-6)
 
 
 def _rounded(value: float) -> float:
     """Round up to two digits, as people write."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+#: After a wake-up a message may come so much later than it ever did; the bus's own time to wake is this [ms].
+LATER, WAKE_MS = 2.0, 15_000.0
+#: Wake-ups that it takes to wait less than the bus's own time.
+LEAST_WAKES = 3
+
+
+def wake_ms(gaps: Gaps, timeout: float) -> float | None:
+    """Return the time that a message has to come after a wake-up [ms], None: that of the bus fits.
+
+    Args:
+        gaps: of the message.
+        timeout: of it [ms].
+    """
+    times, latest_ns = gaps.wakes
+    need = max(_rounded(LATER * max(latest_ns, 1_000_000) * 1e-6), timeout)
+    if times >= LEAST_WAKES:
+        return need
+    return max(need, WAKE_MS) if LATER * latest_ns * 1e-6 > min(timeout, WAKE_MS) else None

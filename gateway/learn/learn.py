@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import load_databases
 from gateway.engine.checks.memory_health import OWNER
@@ -24,8 +22,8 @@ from gateway.learn.merge import merged
 from gateway.learn.observe import Observation, Observer
 from gateway.learn.proof import Replayed, replayed
 from gateway.learn.state import Kept, Refused, load_state, merge, state_of
-from gateway.learn.trial import MOST, Outcome, chosen, trials, tried
-from gateway.learn.update import add_before, read_file
+from gateway.learn.trial import Outcome, Trials, tried
+from gateway.learn.update import add_before, dropped, read_file
 from gateway.learn.widen import owner, widened
 from gateway.signals.database import Database
 
@@ -73,10 +71,10 @@ class Result:
         alarms: faults that healthy logs set still, none if all is well.
         conditions: faults of the logs themselves: their clock was set, the bus was off.
         held_s, held_frames: what was held out.
-        outcomes: of the faults that were put into it.
-        possible: how many faults a limit can show; those tried were drawn from them.
+        trials: what came of the faults that were put into it.
         state: what is kept for another drive.
         kept: lines that a person changed, took out or added; they stay.
+        dropped: what earlier logs gave and is not there any more, one line each.
         refused: place and key of what healthy frames broke until it was taken out.
     """
 
@@ -88,11 +86,16 @@ class Result:
     conditions: tuple[str, ...] = ()
     held_s: float = 0.0
     held_frames: int = 0
-    outcomes: list[Outcome] = field(default_factory=list)
-    possible: int = 0
+    trials: Trials = field(default_factory=Trials)
     state: dict[str, Any] = field(default_factory=dict)
     kept: int = 0
+    dropped: list[str] = field(default_factory=list)
     refused: set[Refused] = field(default_factory=set)
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """What came of one fault of each kind and place."""
+        return self.trials.outcomes
 
 
 def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
@@ -146,11 +149,12 @@ def learn(asked: Asked, progress: Progress) -> Result:
     logs = [*before.logs, *logs_text(observation)]
     kept: set[tuple[str, str, str]] = set()
     if file is None:
-        settle(asked, result, databases, lambda: document(asked.name, asked.buses, learned, logs), progress)
+        settle(asked, result, lambda: document(asked.name, asked.buses, learned, logs), progress)
     else:
         kept = add_before(learned, before, file, asked.buses)
         result.kept = len(kept)
-        settle(asked, result, databases, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
+        settle(asked, result, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
+        result.dropped = dropped(before, learned, kept, set(names))
     seconds = before.seconds + sum(log.seconds for log in observation.logs)
     result.state = state_of(observation, learned, names, seconds, logs, before, kept, result.refused)
     return result
@@ -159,7 +163,6 @@ def learn(asked: Asked, progress: Progress) -> Result:
 def settle(
     asked: Asked,
     result: Result,
-    databases: Sequence[Database],
     compose: Callable[[], str],
     progress: Progress,
 ) -> None:
@@ -179,7 +182,7 @@ def settle(
             break
     assert proof is not None
     if not result.alarms:
-        _try(asked, result, proof, databases, progress)
+        _try(asked, result, proof, progress)
 
 
 def _of_log(fault: str, buses: Sequence[str]) -> bool:
@@ -214,16 +217,14 @@ def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[
     return changed
 
 
-def _try(asked: Asked, result: Result, proof: Replayed, databases: Sequence[Database], progress: Progress) -> None:
-    longest = max((float(w["t_ns"].max() - w["t_ns"].min()) * 1e-9 for w in proof.windows if len(w)), default=0.0)
-    periods = {
-        key: seen.gaps.quantile_ns(0.5) * 1e-9 for key, seen in result.observation.seen.items() if seen.gaps.count
-    }
-    possible = list(trials(result.learned, databases, asked.buses, longest, periods))
-    result.possible = len(possible)
-    some = chosen(possible, MOST, np.random.default_rng(asked.seed))
-    result.outcomes = tried(
-        proof, some, asked.seed, lambda done, count: progress("faults", f"{done} of {count}", done / count)
+def _try(asked: Asked, result: Result, proof: Replayed, progress: Progress) -> None:
+    result.trials = tried(
+        proof,
+        result.learned,
+        result.observation,
+        asked.buses,
+        asked.seed,
+        lambda done, count: progress("faults", f"{done} of {count}", done / count),
     )
 
 

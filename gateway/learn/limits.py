@@ -18,11 +18,14 @@ from gateway.learn.claims import called_checksum
 from gateway.learn.counters import called_counter, signal_of
 from gateway.learn.course import Course
 from gateway.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
+from gateway.learn.moves import Drives, moving
 from gateway.learn.observe import Observation, Seen
 from gateway.learn.protections import ProtectionFound
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
 from gateway.monitors.signal.parts import no_value
 
+#: A share of lost frames that is told.
+LOST = 0.005
 #: Values that it takes to say anything of a signal.
 LEAST_VALUES = 100
 #: Share of what its bits can say that a signal must have gone through, and what is added on either side, of its span.
@@ -39,6 +42,8 @@ LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
 HEALTHY_NONE_S = 0.25
 #: Share of the texts of a value table that must have come for others to be a fault, and how many there must be.
 TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
+#: Or chance would put the values seen among the texts with a probability below this one.
+TEXTS_BY_CHANCE = 1e-3
 
 
 def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
@@ -49,6 +54,8 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
     timeout = gaps.timeout_ms(seen.gaps)
     if kind != gaps.TOO_FEW:
         why.append(f"{kind}, {_ms(seen.gaps.quantile_ns(0.5))}, longest gap {_ms(seen.gaps.largest_ns)}")
+        lost = gaps.lost_share(seen.gaps)
+        why += [f"about {100 * lost:.2g} % of its frames lost"] if lost > LOST else []
     if timeout is not None and _ended(seen):
         why.append(f"ended {seen.ended_s:.1f} s before the log: no timeout")
         timeout = None
@@ -56,6 +63,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
         why.append("no timeout" if kind != gaps.TOO_FEW else "too few for a timeout")
     if timeout is not None:
         keys["timeout_ms"] = timeout
+        keys |= _wake(seen, timeout, why)
     if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
         keys["length"] = False
         why.append(
@@ -76,6 +84,16 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
     return Line(bus, CHECK, message.name, keys, "; ".join(why))
 
 
+def _wake(seen: Seen, timeout: float, why: list[str]) -> dict[str, Any]:
+    """Return what a message has to come after a wake-up, and add what it stands on."""
+    wake = gaps.wake_ms(seen.gaps, timeout)
+    if wake is None:
+        return {}
+    times, latest_ns = seen.gaps.wakes
+    why.append(f"came {latest_ns * 1e-9:.3g} s after a wake-up at most, of {times}")
+    return {"wake_ms": wake}
+
+
 def _ms(ns: float) -> str:
     return f"{ns * 1e-6:.3g} ms"
 
@@ -85,7 +103,9 @@ def _ended(seen: Seen) -> bool:
     return seen.ended_s * 1e9 > max(2e9, 3.0 * seen.gaps.largest_ns)
 
 
-def signal_lines(bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str]) -> list[Line]:
+def signal_lines(
+    bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str], speeds: Sequence[Drives] = ()
+) -> list[Line]:
     """Return what is asked of the signals of a message.
 
     Args:
@@ -94,16 +114,26 @@ def signal_lines(bus: str, seen: Seen, found: ProtectionFound, seconds: float, t
         found: how the message is protected: its counter and checksum are no quantities.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
+        speeds: signals that say how fast the car is.
     """
     own = {found.counter.signal} if found.counter is not None else set()
     if found.claim is not None:
         own |= {str(part.get("signal")) for part in found.claim.keys.values()}
     lines = []
+    counted = found.counter is not None or (found.claim is not None and "e2e" in found.claim.keys)
+    checksum = None if counted or found.claim is None else next(iter(own), None)
+    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds, checksum)}
     period = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
     for signal, course in zip(seen.signals, seen.courses.each, strict=True):
-        if signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer:
-            continue
-        keys, why = _limits(signal, course, period, seconds)
+        keys: dict[str, Any] = {}
+        why: list[str] = []
+        if not (
+            signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
+        ):
+            keys, why = _limits(signal, course, period, seconds)
+        if signal.name in moves and "stuck" not in keys:
+            keys["stuck"], text = moves[signal.name]
+            why.append(text)
         if keys:
             name = f"{seen.message.name}.{signal.name}"
             head: dict[str, Any] = {"signal": name}
@@ -205,8 +235,12 @@ def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
     texts = {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
     if not LEAST_TEXTS <= len(texts) <= MOST_VALUES or not course.values or len(texts) == 1 << signal.length:
         return {}, ""
-    shown_share = len(course.values & texts) / len(texts)
-    if not course.values <= texts or shown_share < TEXTS_SEEN:
+    seen, shown_share = len(course.values), len(course.values & texts) / len(texts)
+    if not course.values <= texts:
+        return {}, ""
+    room = min(1 << signal.length, 1 << 20)
+    chance = float(np.prod([(len(texts) - k) / (room - k) for k in range(seen)]))
+    if shown_share < TEXTS_SEEN and chance > TEXTS_BY_CHANCE:
         return {}, ""
     return {"undefined": True}, f"{len(course.values)} of {len(texts)} texts seen, and nothing else"
 
@@ -215,6 +249,12 @@ def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
     """Return what came and is in no database, and what is in one and never came; one line each."""
     notes = []
     for bus, name in enumerate(buses):
+        pauses = observation.pauses[bus]
+        if pauses.count:
+            notes.append(
+                f"{name}: {pauses.count} pauses of the bus or the recorder, {pauses.longest_s:.3g} s at most:"
+                " no gap of a message"
+            )
         absent = sorted(message for index, message in observation.absent if index == bus)
         if absent:
             notes.append(f"{name}: {len(absent)} messages of the database never came: {', '.join(absent)}")

@@ -17,6 +17,7 @@ from gateway.calibration.logs import read_even
 from gateway.config.model import Config
 from gateway.learn.course import Courses
 from gateway.learn.gaps import Gaps
+from gateway.learn.pauses import Pauses, tell_wakes
 from gateway.learn.samples import Samples
 from gateway.learn.snapshots import Snapshots
 from gateway.learn.wheels import Teeth
@@ -95,6 +96,7 @@ class Observation:
         doubled: messages left out, since others have their identifier.
         logs: that were read.
         snapshots: values of all signals at the same times.
+        pauses: of each bus as a whole.
     """
 
     seen: dict[tuple[int, str], Seen]
@@ -103,6 +105,7 @@ class Observation:
     doubled: list[tuple[int, str]]
     logs: list[LogSeen]
     snapshots: Snapshots
+    pauses: list[Pauses]
 
 
 Progress = Callable[[Path, int, float], None]
@@ -139,6 +142,7 @@ class Observer:
         self._doubled = doubled
         self._snapshots = Snapshots(sum(len(seen.signals) for seen in self._made))
         self._logs: list[LogSeen] = []
+        self._pauses = [Pauses() for _ in config.bus]
 
     def _seen(self, row: int, databases: list[tuple[int, Database]]) -> Seen:
         bus, name = self._plan.message_names[row]
@@ -163,6 +167,8 @@ class Observer:
         log = LogSeen(path)
         self._logs.append(log)
         self._snapshots.begin()
+        for pauses in self._pauses:
+            pauses.begin()
         for seen in self._made:
             seen.gaps.begin()
             seen.last_ns = None
@@ -187,6 +193,10 @@ class Observer:
         log.frames += len(frames)
         log.last_ns = max(log.last_ns, int(frames["t_ns"].max()))
         self._snapshots.grid(int(frames["t_ns"][0]), int(frames["t_ns"][-1]))
+        for bus, pauses in enumerate(self._pauses):
+            mine = frames[frames["bus"] == bus]
+            if len(mine):
+                pauses.add(mine["t_ns"], mine["can_id"])
         came = set()
         for row, group in self._groups(frames):
             came.add(row)
@@ -226,14 +236,15 @@ class Observer:
         t_ns = frames["t_ns"]
         seen.frames += len(frames)
         seen.last_ns = int(t_ns[-1])
-        seen.gaps.add(t_ns)
+        self._pauses[seen.bus].give(seen.gaps, t_ns)
         lengths, counts = np.unique(frames["length"], return_counts=True)
         seen.lengths.update({int(length): int(count) for length, count in zip(lengths, counts, strict=True)})
         seen.samples.add(words_of(frames), frames["length"].astype(np.int64), t_ns)
         if seen.signals:
             values, decoded = columns(frames, self._plan, row)
             seen.decoded += decoded
-            seen.courses.add(t_ns, values)
+            usual_s = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
+            seen.courses.add(t_ns, values, usual_s)
             self._snapshots.put(seen.columns, t_ns, values)
             if seen.teeth:
                 seen.teeth.add(values)
@@ -245,6 +256,8 @@ class Observer:
 
     def result(self) -> Observation:
         """Return what was seen."""
+        for bus in range(len(self._pauses)):
+            tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
         return Observation(
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],
@@ -252,6 +265,7 @@ class Observer:
             self._doubled,
             self._logs,
             self._snapshots,
+            self._pauses,
         )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.errors import InputError
 from gateway.learn.checksums import any_claim, rule_claim
 from gateway.learn.claims import Claim, called_checksum, proven
-from gateway.learn.counters import CounterFound, candidates, of_raw
+from gateway.learn.counters import CounterFound, candidates, likelier, of_raw
 from gateway.learn.judged import Payloads
 from gateway.learn.profiles import e2e_claim
 from gateway.signals.bits import field_of
@@ -42,7 +42,14 @@ class ProtectionFound:
     frames: int
 
 
-def protection_found(message: Message, file: Path, runs: Sequence[Payloads], *, whole: bool = True) -> ProtectionFound:
+def protection_found(
+    message: Message,
+    file: Path,
+    runs: Sequence[Payloads],
+    *,
+    whole: bool = True,
+    cycles: Sequence[NDArray[np.float64]] | None = None,
+) -> ProtectionFound:
     """Find what protects a message.
 
     Args:
@@ -50,13 +57,18 @@ def protection_found(message: Message, file: Path, runs: Sequence[Payloads], *, 
         file: the database.
         runs: frames of it, each run without a gap.
         whole: False: only its counter is looked for.
+        cycles: of each run, the times of its frames in cycles of the message; None: it has no cycle.
     """
     right = [run[run.lengths == message.length] for run in runs]
     words = np.concatenate([run.words for run in right]) if right else np.zeros((0, 8), np.uint64)
     lengths = np.concatenate([run.lengths for run in right]) if right else np.zeros(0, np.int64)
     frames = Payloads(words, lengths)
     follows = _follows([len(run) for run in right])
-    counter = _counter(message, frames, follows)
+    between = None
+    if cycles is not None and right:
+        times = [time[run.lengths == message.length] for time, run in zip(cycles, runs, strict=True)]
+        between = np.diff(np.concatenate(times))
+    counter = _counter(message, frames, follows, between)
     named = tuple(signal.name for signal in message.signals if called_checksum(signal.name))
     if not whole:
         return ProtectionFound(counter, None, named, len(frames))
@@ -87,15 +99,20 @@ def _follows(lengths: Sequence[int]) -> NDArray[np.bool_]:
     return follows
 
 
-def _counter(message: Message, frames: Payloads, follows: NDArray[np.bool_]) -> CounterFound | None:
+def _counter(
+    message: Message, frames: Payloads, follows: NDArray[np.bool_], cycles: NDArray[np.float64] | None
+) -> CounterFound | None:
     if len(frames) < 2:
         return None
-    for signal in candidates(message):
+    fields = candidates(message)
+    each: list[tuple[tuple[bool, bool, bool], int, CounterFound]] = []
+    for signal in fields:
         raw = bits_of(frames.words, field_of(signal)).astype(np.int64)
-        found = of_raw(signal.name, raw, follows, signal.length)
-        if found is not None:
-            return found
-    return None
+        found = of_raw(signal.name, raw, follows, signal.length, cycles, len(fields))
+        rank = None if found is None else likelier(found, signal.length)
+        if found is not None and rank is not None and not (called_checksum(signal.name) and (rank[1] or rank[2])):
+            each.append((rank, len(each), found))
+    return min(each)[2] if each else None
 
 
 def _split(frames: Payloads) -> tuple[Payloads, Payloads]:

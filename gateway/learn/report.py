@@ -8,7 +8,7 @@ from typing import Any
 
 from gateway.fdi.wheel_seen import told
 from gateway.learn.learn import Asked, Result
-from gateway.learn.lines import CHECK, RULE, SIGNAL, inline
+from gateway.learn.lines import CHECK, RULE, SIGNAL, inline, shown
 from gateway.learn.trial import Outcome
 
 
@@ -31,10 +31,10 @@ def summary(result: Result) -> dict[str, Any]:
         "alarms": list(result.alarms),
         "conditions": list(result.conditions),
         "widened": result.changes,
-        "faults_possible": result.possible,
         "faults_tried": len(result.outcomes),
         "faults_named": sum(outcome.named for outcome in result.outcomes),
         "kept": result.kept,
+        "dropped": result.dropped,
         "wheels": wheels(result),
     }
 
@@ -62,13 +62,16 @@ def data(result: Result) -> dict[str, Any]:
                 "message": outcome.trial.message,
                 "signal": outcome.trial.injection.signal,
                 "value": outcome.trial.injection.value,
-                "expected": outcome.trial.expected,
+                "by": outcome.by,
+                "after_s": None if not outcome.named else round(outcome.after_s, 3),
                 "frames": outcome.frames,
                 "named": outcome.named,
                 "others": list(outcome.others),
             }
             for outcome in result.outcomes
         ],
+        "smallest": [vars(each) for each in result.trials.seeing],
+        "unwatched": result.trials.unwatched,
     }
 
 
@@ -86,6 +89,7 @@ def markdown(asked: Asked, result: Result) -> str:
         *(f"{line}." for line in found["wheels"]),
         *_faults(result),
         *_lines(result),
+        *_list("Not there any more", result.dropped),
         *_list("Not in it", result.learned.notes),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -104,21 +108,44 @@ def _faults(result: Result) -> list[str]:
     if not result.outcomes:
         return []
     named = sum(outcome.named for outcome in result.outcomes)
-    of = "" if result.possible == len(result.outcomes) else f", drawn from {result.possible} that a limit can show"
+    left = result.trials.left
+    of = f"; {left} more signals were not tried" if left else ""
     kinds = sorted({outcome.trial.injection.kind for outcome in result.outcomes})
     head = f"{named} of {len(result.outcomes)} faults put into what was held out were named{of}."
+    head += " An offset is as large as the signal's own spread, whatever its limits are."
     table = ["| message | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
     for message in sorted({outcome.trial.message for outcome in result.outcomes}):
         mine = [outcome for outcome in result.outcomes if outcome.trial.message == message]
         table.append(f"| {message} | " + " | ".join(_cell(mine, kind) for kind in kinds) + " |")
     missed = [
         f"{outcome.trial.injection.kind} of {outcome.trial.message}"
-        f"{'.' + outcome.trial.injection.signal if outcome.trial.injection.signal else ''}: {outcome.trial.expected}"
-        f" was not set ({outcome.frames} frames)"
+        f"{'.' + outcome.trial.injection.signal if outcome.trial.injection.signal else ''}: nothing was set"
+        f" ({outcome.frames} frames)"
         for outcome in result.outcomes
         if not outcome.named
     ]
-    return ["## Faults put in", head, "\n".join(table), *_list("Not named", missed, level=3)]
+    parts = ["## Faults put in", head, "\n".join(table), *_list("Not named", missed, level=3), *_smallest(result)]
+    return [
+        *parts,
+        *_list("What nothing watches", [", ".join(result.trials.unwatched)] if result.trials.unwatched else []),
+    ]
+
+
+def _smallest(result: Result) -> list[str]:
+    """Return the smallest faults of each signal that were seen."""
+    rows = []
+    for each in result.trials.seeing:
+        unit = f" {each.unit}" if each.unit else ""
+        cells = [
+            each.name,
+            f"{shown(each.spread)}{unit}",
+            "-" if each.offset is None else f"{shown(each.offset)}{unit}",
+            "-" if each.scale is None else f"{each.scale:g} times",
+            "-" if each.stuck_s is None else f"after {each.stuck_s:.1f} s",
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
+    head = "| signal | its spread | smallest offset seen | factor seen | standing value seen |\n|---|---|---|---|---|"
+    return ["## Smallest faults that are seen", "\n".join([head, *rows])] if rows else []
 
 
 def _cell(outcomes: Sequence[Outcome], kind: str) -> str:

@@ -24,6 +24,7 @@ class Snapshots:
         self._held = np.full(signals, np.nan)
         self._since_ns = np.full(signals, np.iinfo(np.int64).min // 2)
         self._rows: list[NDArray[np.float64]] = []
+        self._stamps: list[NDArray[np.int64]] = []
         self._step_ns = STEP_NS
         self._next_ns: int | None = None
 
@@ -73,10 +74,20 @@ class Snapshots:
     def end(self) -> None:
         """Keep the batch's rows."""
         self._rows.append(self._block)
+        self._stamps.append(self._times)
         if sum(len(block) for block in self._rows) > MOST:
-            kept = np.concatenate(self._rows)[::2]
-            self._rows = [kept]
+            self._rows = [np.concatenate(self._rows)[::2]]
+            self._stamps = [np.concatenate(self._stamps)[::2]]
             self._step_ns *= 2
+
+    @property
+    def step_s(self) -> float:
+        """Time between rows [s]."""
+        return self._step_ns * 1e-9
+
+    def stamps(self) -> NDArray[np.int64]:
+        """Return the times of the rows [ns]."""
+        return np.concatenate(self._stamps) if self._stamps else np.zeros(0, np.int64)
 
     def matrix(self) -> NDArray[np.float64]:
         """Return the rows, shape (times, signals), NaN where a signal has no value."""

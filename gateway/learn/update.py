@@ -69,13 +69,17 @@ def _joined(old: Line, new: Line) -> Line:
     keys = dict(new.keys)
     why = new.why
     if new.table == RULE:
-        return old if old.keys["tolerance"] >= new.keys["tolerance"] else new
+        return old if old.keys.get("tolerance", 0.0) >= new.keys.get("tolerance", 0.0) else new
     if new.table == CHECK:
-        if not {"e2e", "crc", "checksum", "counter"} & set(keys):
-            for name in ("e2e", "crc", "checksum", "counter"):
-                if name in old.keys:
-                    keys[name] = old.keys[name]
-                    why += f"; {name} of earlier logs"
+        for name in ("e2e", "crc", "checksum", "counter"):
+            other = (
+                ("counter", "crc", "checksum")
+                if name == "e2e"
+                else ("e2e", "crc" if name == "checksum" else "checksum")
+            )
+            if name in old.keys and name not in keys and not (name != "counter" and set(other) & set(keys)):
+                keys[name] = old.keys[name]
+                why += f"; {name} of earlier logs"
         if "timeout_ms" in keys and "timeout_ms" in old.keys:
             keys["timeout_ms"] = max(keys["timeout_ms"], old.keys["timeout_ms"])
         for name in ("length", "value"):
@@ -95,10 +99,36 @@ def _widest(keys: dict[str, Any], old: Line) -> None:
     if "plausible" in keys:
         (low, high), (least, most) = keys["plausible"], before["plausible"]
         keys["plausible"] = [short(min(low, least)), short(max(high, most))]
+    if "stuck" in keys:
+        keys["stuck"] = max(keys["stuck"], before["stuck"], key=_slower)
     if "gradient" in keys:
         keys["gradient"] = max(keys["gradient"], before["gradient"])
     if before.get("invalid") == [] and "invalid" in keys:
         keys["invalid"] = []
+
+
+def dropped(before: Kept, learned: Learned, kept: Set[tuple[str, str, str]], buses: Set[str]) -> list[str]:
+    """Return what earlier logs gave and is not there any more, one line each; a person's places are none of it."""
+    said = []
+    for place, old in before.written.items():
+        if place in kept or place[0] not in buses or place[1] == CAUSE:
+            continue
+        line = learned.lines.get(place)
+        gone = [key for key in old.keys if line is None or key not in line.keys]
+        gone = [key for key in gone if key not in _NAMES and old.keys[key] not in (False, [])]
+        if gone:
+            why = "" if line is None else f" ({line.why})"
+            said.append(f"{place[0]}: {place[2]}: {', '.join(gone)} of earlier logs is not there any more{why}")
+    return said
+
+
+#: Keys that say which line it is.
+_NAMES = ("message", "signal", "name", "tolerance", "when", "failed_ms")
+
+
+def _slower(stuck: dict[str, Any]) -> tuple[float, float]:
+    """Return what to sort limits of rest by, the one that asks least last."""
+    return -stuck.get("share", 0.0), stuck.get("seconds", 0.0)
 
 
 def _in_order(learned: Learned) -> None:

@@ -74,6 +74,12 @@ def _changed(keys: dict[str, Any], kind: str, alarm: Alarm, again: bool) -> str:
     if kind == "gradient" and not again:
         keys["gradient"] = short(WIDER * max(alarm.value, keys["gradient"]), 3)
         return f"gradient {inline(keys['gradient'])}"
+    counter = keys.get("counter")
+    if kind == "counter" and counter is not None and not again:
+        most = counter.get("modulus", alarm.threshold + 2.0) - 1
+        step = max(counter.get("max_step", 1) + 1, min(alarm.value, most))
+        keys["counter"] = dict(counter) | {"max_step": int(step)}
+        return f"steps up to {int(step)}"
     return _taken_out(keys, kind)  # a relation, too: one that did not hold in all of the log is none
 
 

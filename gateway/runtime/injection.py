@@ -12,21 +12,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.engine.checks.communication import CheckInstance
 from gateway.errors import InputError, nearest
-from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
+from gateway.signals.changing import ChangedMessage, ChangedSignal
 from gateway.signals.database import Database
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
 
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
 FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
-#: Of a signal: it stays; something is added; it has one value; something is added and taken off in turn.
-SIGNAL_KINDS = ("stuck", "offset", "value", "jump")
+#: Of a signal: it stays; something is added; it is so many times what it is; it has one value; something is added and
+#: taken off in turn.
+SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump")
 #: Of these, those that want a number.
-_NUMBERED = ("offset", "value", "jump")
+_NUMBERED = ("offset", "scale", "value", "jump")
 
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _TEXT = re.compile(
@@ -153,7 +155,7 @@ class Injector:
         self._signal = None
         if asked.signal is not None:
             self._signal = ChangedSignal(asked.bus, database, asked.message, asked.signal)
-        self._change = _OF_FRAME[asked.kind](rng) if asked.kind in _OF_FRAME else self._change_signal
+        self._change = _OF_FRAME[asked.kind](rng) if asked.kind in _OF_FRAME else None
         self._held, self._turn = np.nan, 1.0
 
     def apply(self, frames: Frames) -> Frames:
@@ -172,35 +174,51 @@ class Injector:
         if not mine.any():
             return frames
         frames = frames.copy()
-        for k in np.flatnonzero(mine):
+        places = np.flatnonzero(mine)
+        if self._change is None:
+            self._change_signal(frames, places, hit[places])
+            return frames
+        for k in places:
             self._change(frames[k : k + 1], bool(hit[k]))
         return frames
 
-    def _change_signal(self, frame: Frames, hit: bool) -> None:
-        """Give the signal of one frame, shape (1,), the value that the fault gives it."""
+    def _change_signal(self, frames: Frames, places: NDArray[np.intp], hit: NDArray[np.bool_]) -> None:
+        """Give the signal in frames of its message the values that the fault gives it, where it is hit."""
         assert self._signal is not None
-        words, length = words_of(frame[0]), int(frame["length"][0])
-        now = self._signal.value(words, length)
-        if np.isnan(now):
-            return  # it does not carry the signal
-        if not hit:
-            self._held = now
-            return
-        self._signal.put(words, self._faulty(now))
-        self._message.renew(words, length)
-        frame["data"][0] = words.view(np.uint8)
+        mine = frames[places]
+        now = self._signal.values(mine)
+        carries = ~np.isnan(now)  # else the frame does not carry the signal
+        words = np.ascontiguousarray(mine["data"]).view("<u8").reshape(len(mine), 8)
+        where = hit & carries
+        self._signal.put_all(words, self._faulty(now, where, carries), where)
+        for k in np.flatnonzero(where):
+            self._message.renew(words[k], int(mine["length"][k]))
+        mine["data"] = words.view(np.uint8).reshape(len(mine), -1)
+        frames[places] = mine
 
-    def _faulty(self, now: float) -> float:
-        """Return what the fault makes of a value."""
-        if self._asked.kind == "stuck":
-            self._held = now if np.isnan(self._held) else self._held
-            return float(self._held)
-        if self._asked.kind == "value":
-            return self._asked.value
-        if self._asked.kind == "offset":
-            return now + self._asked.value
-        self._turn = -self._turn
-        return now + self._turn * self._asked.value
+    def _faulty(
+        self, now: NDArray[np.float64], where: NDArray[np.bool_], carries: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return what the fault makes of values, where it is to."""
+        kind, value = self._asked.kind, self._asked.value
+        if kind == "stuck":
+            held = np.empty(len(now))
+            for k in range(len(now)):
+                if carries[k] and (not where[k] or np.isnan(self._held)):
+                    self._held = now[k]
+                held[k] = self._held
+            return held
+        if kind == "value":
+            return np.full(len(now), value)
+        if kind == "scale":
+            return now * value
+        if kind == "offset":
+            return now + value
+        turns = np.cumsum(where)  # the first one down, then in turn
+        signs = self._turn * np.where(turns % 2 == 1, -1.0, 1.0)
+        if turns[-1] % 2 == 1:
+            self._turn = -self._turn
+        return now + signs * value
 
 
 class _Repeat:

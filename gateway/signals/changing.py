@@ -15,6 +15,7 @@ from gateway.bus.frames import EXTENDED, Frames
 from gateway.signals.columns import put_column
 from gateway.signals.database import Database
 from gateway.signals.decode import OK, decode, lookup
+from gateway.signals.payloads import columns
 from gateway.signals.protection.protection import (
     Protection,
     ProtectionConst,
@@ -102,6 +103,14 @@ class ChangedSignal:
         values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
         status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
         return float(values[self._place]) if status == OK and present[self._place] else float("nan")
+
+    def values(self, frames: Frames) -> NDArray[np.float64]:
+        """Return what the signal has in each frame of its message, NaN where one does not carry it."""
+        return columns(frames, self._plan, 0)[0][:, self._place]
+
+    def put_all(self, words: Words, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+        """Write values into payloads, shape (frames, 8), where they are asked for."""
+        put_column(words, self.row, values, where)
 
     def put(self, words: Words, value: float) -> None:
         """Write a value, whatever the bits are before; an integer signal takes the nearest that it can carry."""

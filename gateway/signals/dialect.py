@@ -10,7 +10,9 @@ import re
 #: Largest identifier of 11 bits, of 29 bits; the flag by which DBC tells the latter.
 _STANDARD, _EXTENDED, _FLAG = 0x7FF, 0x1FFF_FFFF, 1 << 31
 
-_NAMELESS = re.compile(r'^CM_ +(?:(?:SG_ +\d+|BO_|BU_|EV_) *"[^"]*" *;|"[^"\n]*"(?=[ \t]*\n))[ \t]*\n?', re.MULTILINE)
+_NAMELESS = re.compile(
+    r'^CM_ +(?:(?:SG_ +\d+|BO_|BU_|EV_|\d+) *"[^"]*" *;|"[^"\n]*"(?=[ \t]*\n))[ \t]*\n?', re.MULTILINE
+)
 _POINT = re.compile(r"(?<=[(\[,|])(-?)\.(?=\d)")
 _SIGNAL_LINE = re.compile(r"^ *SG_ .*$", re.MULTILINE)
 _ENDLESS = re.compile(r'^VAL_ +\d+ +\w+(?: +-?\d+ +"[^"\n]*")+(?=[ \t]*\r?\n)', re.MULTILINE)
@@ -19,6 +21,8 @@ _IDENTIFIED = re.compile(
     r'|BA_ +"[^"]*" +BO_|BA_ +"[^"]*" +SG_) +)(\d+)\b',
     re.MULTILINE,
 )
+_DIGIT = re.compile(r"^((?:BO_ +\d+|VAL_ +\d+|CM_ +SG_ +\d+|SIG_VALTYPE_ +\d+| *SG_) +)(\d)", re.MULTILINE)
+_BLOCK = re.compile(r"^BO_ +(\d+) [^\n]*\n(?: *SG_ [^\n]*\n)*", re.MULTILINE)
 _MESSAGE = re.compile(r"^BO_ +(\d+) ")
 _SIGNAL = re.compile(r"^ *SG_ +(\w+)")
 _TEXTS = re.compile(r"^VAL_ +(\d+) +(\w+) ")
@@ -35,6 +39,8 @@ def mended(text: str) -> tuple[str, list[str]]:
         ("comments of no name or without an end left out", lambda now: _NAMELESS.sub("", now)),
         ("texts of values without an end", lambda now: _ENDLESS.sub(r"\g<0> ;", now)),
         ("numbers without a digit before their point", _numbers),
+        ("names that begin with a digit, a _ before them", lambda now: _DIGIT.sub(r"\1_\2", now)),
+        ("messages of identifiers that no bus has left out", _impossible),
         ("29-bit identifiers without their flag", lambda now: _IDENTIFIED.sub(_flagged, now)),
         ("texts of signals that are not there left out", _texts),
     ):
@@ -46,6 +52,15 @@ def mended(text: str) -> tuple[str, list[str]]:
 
 def _numbers(text: str) -> str:
     return _SIGNAL_LINE.sub(lambda line: _POINT.sub(r"\g<1>0.", line[0]), text)
+
+
+def _impossible(text: str) -> str:
+    """Leave out messages whose identifier has more than 29 bits, and what is said of them."""
+    gone = [found[1] for found in _BLOCK.finditer(text) if int(found[1]) & ~_FLAG > _EXTENDED]
+    text = _BLOCK.sub(lambda found: "" if found[1] in gone else found[0], text)
+    for number in gone:
+        text = re.sub(rf"^(?:CM_|BA_)[^\n]* {number} [^;]*;[^\n]*\n", "", text, flags=re.MULTILINE)
+    return text
 
 
 def _flagged(found: re.Match[str]) -> str:

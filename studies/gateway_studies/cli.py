@@ -53,6 +53,21 @@ def crank(
     raise typer.Exit(work(runs=seeds, pulses=pulses, outside=outside, seed=seed, json=json, plot=plot))
 
 
+@evaluate.command("learn")
+def learn(
+    cars: Annotated[int, typer.Option(min=1, help="Number of virtual cars.")] = 3,
+    seconds: Annotated[float, typer.Option(min=30, help="Length of the drive that is learned of [s].")] = 300.0,
+    hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
+    ways: Annotated[str, typer.Option(help="What becomes of the frames: clean,lost,sleeps,host,all.")] = "lost,all",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first car.")] = 2026,
+    json: Json = False,
+) -> None:
+    """Evaluate what is learned of virtual cars of 40 messages: claims and truth, codes of healthy drives."""
+    from gateway_studies.learn.command import learn as work
+
+    raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=tuple(ways.split(",")), seed=seed, json=json))
+
+
 @evaluate.command("pedal")
 def pedal(
     seeds: Annotated[int, typer.Option(min=0, help="Number of runs per case; 0: none.")] = 300,

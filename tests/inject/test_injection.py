@@ -86,9 +86,13 @@ def test_a_fault_of_a_signal_changes_it_alone_and_leaves_the_protection_right(ca
                 held = was[signal]
                 continue
             turn = -turn
-            wanted = {"stuck": held, "offset": was[signal] + value, "value": value, "jump": was[signal] + turn * value}[
-                kind
-            ]
+            wanted = {
+                "stuck": held,
+                "offset": was[signal] + value,
+                "scale": was[signal] * value,
+                "value": value,
+                "jump": was[signal] + turn * value,
+            }[kind]
             low, high = (-50, 769.1) if signal == "Speed" else (-4096, 4095.5)
             assert now[signal] == pytest.approx(min(max(wanted, low), high), abs=0.26), f"seed {seed}"
             for other in was:

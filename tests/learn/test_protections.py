@@ -13,6 +13,7 @@ from opendbc.can.dbc import DBC
 from opendbc.can.packer import CANPacker
 
 from gateway.learn.claims import proven
+from gateway.learn.counters import of_raw
 from gateway.learn.judged import Payloads, judged
 from gateway.learn.protections import protection_found
 from gateway.signals.bits import field_of
@@ -284,3 +285,35 @@ def test_what_a_database_says_is_believed_only_with_proof(tmp_path):
     right = [bytes([*f[:7], (sum(f[:7]) + 8 + 0x01 + 0x23) & 0xFF]) for f in frames]
     found = protection_found(message, file, [payloads(right)])
     assert found.claim.keys["checksum"]["rule"] == "toyota"
+
+
+@pytest.mark.parametrize("seed", range(amount(40, 8)))
+def test_counters_whose_frames_get_lost_are_found_and_fields_by_chance_are_not(seed):
+    """Four per cent of the frames are lost; beside the counter a sum of it, a wander and a state."""
+    rng = np.random.default_rng(seed)
+    modulus = int(rng.choice([4, 15, 16, 256]))
+    count = np.arange(4000) % modulus
+    wander = np.cumsum(rng.integers(-1, 2, 4000)) & 0xFF
+    state = np.cumsum(rng.random(4000) < 0.01) % 4
+    kept = rng.random(4000) >= 0.04
+    between = np.diff(np.flatnonzero(kept)) + rng.uniform(-0.2, 0.2, int(kept.sum()) - 1)
+    follows = np.ones(int(kept.sum()) - 1, np.bool_)
+    bits = {4: 2, 15: 4, 16: 4, 256: 8}[modulus]
+    found = of_raw("X", count[kept], follows, bits, between, 4)
+    assert found is not None, f"seed {seed}: {modulus}"
+    assert (found.first, found.modulus) == (0, modulus), f"seed {seed}"
+    assert found.lost == pytest.approx(0.04 * found.steps, rel=0.4), f"seed {seed}"
+    for other in (wander, state, rng.integers(0, 16, 4000)):
+        assert of_raw("X", other[kept], follows, 8, between, 4) is None, f"seed {seed}"
+    assert of_raw("X", count[:6], follows[:5], bits, None) is None, "six frames are chance"
+
+
+def test_the_sum_of_a_counter_and_constants_is_no_counter():
+    """Its values go up with the counter's: the field that is called a checksum is none."""
+    frames = [bytes([7, k % 16, 0, (7 + k % 16 + 90) & 0xFF]) for k in range(400)]
+    message = message_of(4, Signal("M_X", 8, 4), Signal("M_Checksum", 24, 8))
+    found = protection_found(message, NOWHERE, [payloads(frames)])
+    assert found.counter.signal == "M_X"
+    only = message_of(4, Signal("M_Checksum", 24, 8))
+    lone = protection_found(only, NOWHERE, [payloads([f[:1] + bytes([3]) + f[2:] for f in frames])])
+    assert lone.counter is None or lone.counter.signal != "M_Checksum"

@@ -46,3 +46,16 @@ def test_a_file_that_is_wrong_otherwise_has_the_error_that_it_had(tmp_path):
     with pytest.raises(InputError) as told:
         load_database([file])
     assert told.value.line == 2
+
+
+def test_names_that_begin_with_a_digit_and_identifiers_that_no_bus_has(tmp_path):
+    """As in opendbc's psa_aee2010_r3, mazda_2017, toyota_2017_ref_pt and hyundai_kia_generic."""
+    file = tmp_path / "car.dbc"
+    file.write_text(
+        'VERSION ""\nBS_:\nBU_: A\nBO_ 1275 2017_5: 8 A\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" A\n'
+        'BO_ 1075054137 Gone: 8 A\n SG_ X : 0|8@1+ (1,0) [0|255] "" A\n'
+        'CM_ 145 "no name";\nCM_ SG_ 1075054137 X "of the one that is gone";\nVAL_ 1275 0_COUNTER 0 "zero" ;\n'
+    )
+    database = load_database([file])
+    assert [message.name for message in database] == ["_2017_5"]
+    assert [signal.name for signal in database.message("_2017_5").signals] == ["_0_COUNTER"]

@@ -126,7 +126,8 @@ class Params(MonitorParams, ProtectionParams):
         None,
         ge=0,
         le=3.6e6,
-        description="time that it has to come after the bus was silent, or asleep [ms]; default: that of the bus",
+        description="time that it has to come after the bus was silent, or asleep, and since the gateway listens [ms];"
+        " default: that of the bus, and the timeout",
     )
     length: bool = Field(True, description="judge frames shorter than the message")
     value: bool = Field(
@@ -163,6 +164,7 @@ class CheckConst(Record):
 
     timeout_ns: i8 = means(unit="ns")
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
+    first_ns: i8 = means("time to come since there is something to hear", "ns")
     length: i4
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     rule: i8 = means("digest of the checksum's rule; 0: there is none")
@@ -334,6 +336,7 @@ def fill(
     row["length"] = message.length
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)
+    row["first_ns"] = round(max(p.timeout_ms or 0, p.wake_ms or 0) * 1e6)
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["rule"] = protection.digest(asked, message.frame_id)

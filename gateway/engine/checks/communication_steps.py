@@ -111,7 +111,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         if c.bus != bus:
             continue
         c.seen = 0
-        deadline_ns = t_ns + c.timeout_ns
+        deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
         c.losses = 0 if condition == RUNNING else c.losses + 1
@@ -162,6 +162,7 @@ def weigh_rule(c: Any, words: Any, wrong: bool) -> None:
 
     The payload of the right frame before, sent again, is right again. With few bits it says nothing new, and only takes
     back what wrong ones said. With more it counts: many messages have no counter, and stand still while they are right.
+    Once the rule is doubted it does not: a doubt ends when chance is refuted, by payloads that differ.
     """
     if wrong:
         c.proof = max(c.proof - AGAINST, -PROVEN)
@@ -171,7 +172,8 @@ def weigh_rule(c: Any, words: Any, wrong: bool) -> None:
     payload = np.uint64(1)
     for k in range(8):
         payload = (payload << np.uint64(7) | payload >> np.uint64(57)) ^ words[k]
-    c.proof = max(c.proof, min(more, 0)) if payload == c.weighed and width < WIDE else min(more, PROVEN)
+    again = payload == c.weighed and (width < WIDE or c.misfits >= MISFITS)
+    c.proof = max(c.proof, min(more, 0)) if again else min(more, PROVEN)
     c.weighed = payload
 
 

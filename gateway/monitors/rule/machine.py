@@ -190,24 +190,31 @@ def power(x: float, y: float) -> float:
 
 @kernel
 def compare(s: Machine, op: int, x: float, y: float, tolerance: float) -> float:
-    """Return 1 if a comparison holds, within the tolerance; remembers what was compared."""
+    """Return 1 if a comparison holds, within the tolerance; remembers what was compared.
+
+    That is the left side, and what the right side allows it to be; of an equality the distance, and the tolerance: the
+    ratio says how near to its limit it is.
+    """
     s.left, s.right = x, y
     if isnan(x) or isnan(y):
         s.unknown = 1
         return 0.0
     holds = False
     if op == LESS:
-        holds = x < y + tolerance
+        s.right = y + tolerance
+        holds = x < s.right
     elif op == AT_MOST:
-        holds = x <= y + tolerance
+        s.right = y + tolerance
+        holds = x <= s.right
     elif op == MORE:
-        holds = x > y - tolerance
+        s.right = y - tolerance
+        holds = x > s.right
     elif op == AT_LEAST:
-        holds = x >= y - tolerance
-    elif op == EQUAL:
-        holds = abs(x - y) <= tolerance
-    elif op == UNEQUAL:
-        holds = abs(x - y) > tolerance
+        s.right = y - tolerance
+        holds = x >= s.right
+    else:
+        s.left, s.right = abs(x - y), tolerance
+        holds = s.left <= tolerance if op == EQUAL else s.left > tolerance
     return 1.0 if holds else 0.0
 
 

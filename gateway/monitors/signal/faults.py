@@ -57,7 +57,7 @@ def _tested(kind: int, watched: Watched) -> str:
         return f"scatter [{unit}]" if unit else "scatter"
     stuck = watched.limits.stuck
     if kind == STUCK and stuck is not None and stuck.moving is None:
-        return "does not move for [s]"
+        return "share of values that move" if stuck.share is not None else "does not move for [s]"
     return "away [s]" if kind == MISSING else ""
 
 

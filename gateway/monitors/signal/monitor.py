@@ -104,6 +104,21 @@ def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool
 
 
 @kernel
+def seldom_moves(p: One, s: Course, x: float, other: float, usual_s: float) -> bool:
+    """Return whether too few of a signal's values differ from the one before; ``moved`` is the share that do.
+
+    The share is that of the last ``stuck_s``, each value counting less the older it is; where it need not move, and
+    after no value, it begins again from all.
+    """
+    if s.valid == 0 or (p.during_low > -inf and not p.during_low <= other <= p.during_high):
+        s.moved = 1.0
+        return False
+    weight = min(max(usual_s, 1e-3) / p.stuck_s, 1.0)
+    s.moved += weight * ((1.0 if abs(x - s.before) > p.stuck_by else 0.0) - s.moved)
+    return bool(s.moved < p.stuck_share)
+
+
+@kernel
 def follow_rhythm(s: Course, t_ns: int) -> None:
     """Learn how often values come; a gap, in which nobody knows what a signal did, begins its scatter again."""
     seconds = (t_ns - s.came_ns) * 1e-9
@@ -149,7 +164,11 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
         rate = abs(x - s.before) / max(seconds, least_s)
         tell(out, p, s, GRADIENT, rate > p.gradient, rate, p.gradient, x)
     asks = p.moving_by > 0.0 or p.during_low > -inf  # another signal; until it comes nothing is known
-    if p.fault[STUCK] >= 0 and not (asks and isnan(other)):
+    if p.fault[STUCK] >= 0 and p.stuck_share > 0.0:
+        if not (asks and isnan(other)):
+            seldom = seldom_moves(p, s, x, other, usual_s)
+            tell(out, p, s, STUCK, seldom, s.moved, p.stuck_share, x)
+    elif p.fault[STUCK] >= 0 and not (asks and isnan(other)):
         stuck = has_stuck(p, s, x, other, seconds)
         moved = p.moving_by > 0.0
         still = abs(other - s.other) if moved else s.still_s
@@ -264,6 +283,7 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         if limits.stuck is not None:
             one["stuck_s"], one["stuck_by"] = limits.stuck.seconds or inf, limits.stuck.by
             one["during_low"], one["during_high"] = limits.stuck.within or (-inf, inf)
+            one["stuck_share"] = limits.stuck.share or 0.0
             one["moving_by"] = limits.stuck.moving_by or 0.0
         if limits.noise is not None:
             one["deviation"], one["samples"] = limits.noise.deviation, limits.noise.samples
@@ -282,6 +302,7 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         for kind in kinds_of(watched):
             one["fault"][kind] = number
             number += 1
+        course["moved"] = 1.0
         course["before"] = course["second"] = course["anchor"] = course["other"] = np.nan
 
 

@@ -27,6 +27,9 @@ class Stuck(StrictModel):
 
     seconds: float | None = Field(None, gt=0, le=86400, description="so long without moving is a fault [s]")
     by: float = Field(0.0, ge=0, description="a change of no more than this is no movement, signal's unit")
+    share: float | None = Field(
+        None, gt=0, lt=1, description="not time alone: of its values in seconds so many must differ from the one before"
+    )
     during: str | None = Field(None, description='only while this signal is in within: "Message.Signal"')
     within: Range | None = Field(None, description="of during, its unit")
     moving: str | None = Field(None, description='instead of time alone: while this signal moves, "Message.Signal"')
@@ -42,6 +45,8 @@ class Stuck(StrictModel):
             raise ValueError("give seconds, or moving: another signal that says when this one must")
         if self.during is not None and self.moving is not None:
             raise ValueError("give during, or moving")
+        if self.share is not None and self.seconds is None:
+            raise ValueError("share goes with seconds")
         return self
 
 

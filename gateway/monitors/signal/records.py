@@ -31,6 +31,7 @@ class One(Record):
     patience_ns: i8 = means("for so long a test that has failed counts without another frame", "ns")
     stuck_s: f8
     stuck_by: f8
+    stuck_share: f8 = means("of its values that must differ from the one before; 0: time counts")
     during_low: f8
     during_high: f8
     moving_by: f8 = means("0: time counts")
@@ -67,6 +68,7 @@ class Course(Record):
     anchor: f8 = means("where it last moved to")
     still_s: f8 = means("how long it has been there while it should move", "s")
     other: f8 = means("what the other signal was then")
+    moved: f8 = means("share of the last values that differ from the one before")
     variance: f8 = means("mean of the squared scatter")
     usual_s: f8 = means("mean time from one value to the next", "s")
     even: i8 = means("values so far, since the last that was none, or came after a gap")

@@ -164,6 +164,22 @@ def test_a_rule_is_a_fault_with_its_operands_in_the_evidence(tmp_path):
     assert not made.of("dtc")[-1]["status"] & 1
 
 
+@pytest.mark.parametrize(
+    ("holds", "pair", "value", "limit"),
+    [
+        ("Wheels.FL == Wheels.FR", (50, 59), 9.0, 8.0),
+        ("Wheels.FL < Wheels.FR", (59, 50), 59.0, 58.0),
+        ("Wheels.FL > Wheels.FR", (50, 59), 50.0, 51.0),
+    ],
+)
+def test_value_and_threshold_say_how_near_a_rule_is_to_its_limit(tmp_path, holds, pair, value, limit):
+    """The healthiest equality had a ratio of one: both sides were told, without the tolerance."""
+    made = Car(write(tmp_path, DBC, rules(f'name = "w", holds = "{holds}", tolerance = 8, {NOW}')))
+    made.feed([two(50, 50)] * 5 + [two(*pair)] * 3)
+    (dtc,) = [e for e in made.of("dtc") if e["status"] & 1]
+    assert (dtc["evidence"]["value"], dtc["evidence"]["threshold"]) == (value, limit)
+
+
 def test_when_and_signals_that_never_came(tmp_path):
     text = rules(f'name = "w", holds = "Wheels.FL == Wheels.FR", when = "Vehicle.Speed > 5", tolerance = 1, {NOW}')
     made = Car(write(tmp_path, DBC, text))

@@ -321,3 +321,18 @@ def test_a_reload_keeps_what_is_known_of_signals_whose_limits_are_as_before(tmp_
     before.gateway = after
     before.feed(frames([10.0] * 15))
     assert before.failed() == ["Speed.stuck"], "0.4 s before the reload and 0.15 s after it"
+
+
+def test_a_share_of_values_must_move_so_that_frames_that_come_twice_are_seen(tmp_path):
+    stuck = '{ seconds = 0.5, share = 0.6, during = "Body.Moving", within = [5, 1000] }'
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {stuck}, {NOW}')
+    moves = [10.0 + 0.01 * (k % 7) for k in range(300)]
+    made.feed(frames([10.0] * 200))
+    assert made.failed() == [], "the car stands"
+    made.feed([(100).to_bytes(2, "little") + bytes(6)], can_id=0x101)
+    made.feed(frames(moves))
+    assert made.failed() == []
+    made.feed(frames([moves[k - k % 2] for k in range(300)]))
+    assert made.failed() == ["Speed.stuck"], "each second frame as the one before: half of them move"
+    made.feed(frames(moves))
+    assert not made.of("dtc")[-1]["status"] & 1

@@ -1,0 +1,58 @@
+"""Limits that see: tails at a told rate, relations that hold outside of what was seen, signals that must move."""
+
+import numpy as np
+import pytest
+
+from gateway.learn.relations import LESS, TIMES, _delay, _fitted, relations
+from gateway.learn.tails import HOURS, SHARERS, block_maxima, limit_above, sustained
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_limit_of_exponential_maxima_is_that_of_their_law(seed):
+    """Of maxima with mean 1 in blocks of a second one in n exceeds ln n."""
+    maxima = np.random.default_rng(seed).exponential(1.0, 20000)
+    wanted = np.log(HOURS * SHARERS * 3600.0)
+    assert limit_above(maxima, 1.0, 0.0) == pytest.approx(wanted, rel=0.12), f"seed {seed}"
+    assert limit_above(maxima, 10.0, 0.0) < limit_above(maxima, 1.0, 0.0)
+    assert limit_above(np.zeros(100), 1.0, 0.5) > 5.0, "what never moved is known to its resolution only"
+
+
+def test_a_deviation_counts_while_it_lasts():
+    off = np.array([0.0, 5.0, -5.0, 3.0, 3.0, 4.0, 0.0, -2.0, -1.0, -3.0])
+    assert sustained(off, 3).tolist() == [0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+    assert block_maxima(off, 4).tolist() == [5.0, 4.0, -1.0]
+
+
+def road(seed, count=4000):
+    rng = np.random.default_rng(seed)
+    return 12.0 + 6.0 * np.convolve(rng.normal(0, 1, count + 200), np.ones(201) / 14.0, "valid")[:count]
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_noise_on_both_sides_bends_no_slope_and_delays_are_found(seed):
+    rng = np.random.default_rng(seed)
+    v = road(seed)
+    noise = 0.3 * v.std()
+    x, y = v + rng.normal(0, noise, len(v)), 2.0 * v + rng.normal(0, 2.0 * noise, len(v))
+    y[::97] += 40.0  # slip
+    assert abs(_fitted(x, y)[0] - 2.0) < 0.05, f"seed {seed}"
+    assert abs(np.polyfit(x, y, 1)[0] - 2.0) > 0.1, "least squares bends it"
+    for delay in (-5, 0, 7):
+        assert _delay(v, 3.0 * np.roll(v, delay)) == delay, f"seed {seed}"
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_laws_of_three_signals(seed):
+    """The yaw rate is that of the wheels' difference, and that of speed and steering angle."""
+    rng = np.random.default_rng(seed)
+    v, angle = np.abs(road(seed)) + 2.0, 10.0 * (road(seed + 50) - 12.0)
+    yaw = v * angle / 40.0
+    left, right = v - 0.0135 * yaw, v + 0.0135 * yaw
+    noise = [rng.normal(0, size, len(v)) for size in (0.002, 0.002, 0.002, 0.01, 0.01)]
+    values = np.column_stack([v, left, right, angle, yaw]) + np.column_stack(noise)
+    found = relations(values, [True] * 5)
+    assert any(r.of == 4 and r.form == LESS and set(r.by) <= {0, 1, 2} for r in found), f"seed {seed}"
+    found = relations(np.column_stack([values[:, 0], 3.6 * v, values[:, 3:]]), [True] * 4)
+    law = [r for r in found if r.form == TIMES]
+    assert [r for r in law if r.of == 3 and 2 in r.by], f"seed {seed}"
+    assert law[0].slope == pytest.approx(1 / 40, rel=0.02)

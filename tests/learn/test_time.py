@@ -1,0 +1,112 @@
+"""Time as it is: pauses of the bus are no message's, lost frames are not "on change", late ECUs have their time."""
+
+import random
+
+import numpy as np
+import pytest
+from learning import asked, drive, quiet
+from wire.replayed import through
+
+from gateway.bus.ring import read_recording
+from gateway.cli.learn import learn_car
+from gateway.config.channels import channels_of
+from gateway.config.load import load_config
+from gateway.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
+from gateway.learn.learn import learn
+from gateway.learn.lines import CHECK
+
+MS = 1_000_000
+IDS = (256, 512, 768, 1024)
+DBC = 'VERSION ""\nNS_ :\nBS_:\nBU_: A B C D\n' + "".join(
+    f'BO_ {can_id} M{k}: 2 {"ABCD"[k]}\n SG_ X{k} : 0|8@1+ (1,0) [0|255] "" A\n' for k, can_id in enumerate(IDS)
+)
+
+
+def lines_of(log, keep, rng):
+    """Keep lines of a log by their time after its begin [s] and identifier."""
+    kept = []
+    for line in log.read_text().splitlines():
+        t, can_id = float(line[1:].split(")")[0]) - 1000.0, int(line.split()[2].split("#")[0], 16)
+        if keep(t, can_id, rng):
+            kept.append(line)
+    log.write_text("\n".join(kept) + "\n")
+    return log
+
+
+def learned(tmp_path, keep, seed=1, seconds=60.0):
+    rng = random.Random(seed)
+    (tmp_path / "car.dbc").write_text(DBC)
+    periods = (0.01, 0.02, 0.05, 0.1)
+    messages = [
+        (can_id, p, lambda k: bytes([k % 7, 0]), 0.001 * n)
+        for n, (can_id, p) in enumerate(zip(IDS, periods, strict=True))
+    ]
+    log = lines_of(drive(tmp_path / "drive.log", seconds, messages, rng), keep, rng)
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    (tmp_path / "car.toml").write_text(result.text)
+    return log, result, {place[2]: line.keys for place, line in result.learned.lines.items() if place[1] == CHECK}
+
+
+def test_a_pause_of_the_whole_bus_deletes_no_timeout_and_is_told(tmp_path):
+    log, result, keys = learned(tmp_path, lambda t, _id, _rng: not 20.0 < t < 35.0)
+    limits = [keys[f"M{k}"]["timeout_ms"] for k in range(4)]
+    assert limits == sorted(limits)
+    assert limits[0] <= 100
+    assert limits[3] <= 1000
+    assert not any("wake_ms" in each for each in keys.values()), "all came within their cycle: the recorder paused"
+    assert any("1 pauses" in note for note in result.learned.notes)
+    config = load_config(tmp_path / "car.toml")
+    said = through(config, list(read_recording(log, channels_of(config, ()))))
+    assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == []
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_lost_frames_are_estimated(tmp_path, seed):
+    _, _, keys = learned(tmp_path, lambda _t, _id, rng: rng.random() > 0.04, seed)
+    assert all("timeout_ms" in each for each in keys.values()), keys
+    rng = np.random.default_rng(seed)
+    stamps = np.cumsum(rng.uniform(9.5, 10.5, 20000)) * MS
+    for lost in (0.0, 0.01, 0.04, 0.1):
+        gaps = Gaps()
+        gaps.add(stamps[rng.random(len(stamps)) >= lost].astype(np.int64))
+        assert sending(gaps) == CYCLIC
+        assert lost_share(gaps) == pytest.approx(lost, abs=0.006), f"seed {seed}"
+        assert 50 <= timeout_ms(gaps) <= 200
+    jitter = Gaps()
+    jitter.add(np.sort(np.arange(20000) * 10 * MS + rng.uniform(0, 9 * MS, 20000)).astype(np.int64))
+    assert lost_share(jitter) == 0.0, "late frames are no lost ones"
+
+
+def test_an_ecu_that_wakes_late_has_its_time(tmp_path):
+    """M3 comes 5 s after each wake-up, at the log's begin and after 15 s of sleep; another log is silent, too."""
+
+    def keep(t, can_id, _rng):
+        awake = t < 18.0 or t >= 33.0
+        return awake and not (can_id == IDS[3] and (t < 5.0 or 33.0 <= t < 38.0))
+
+    log, result, keys = learned(tmp_path, keep)
+    assert result.alarms == ()
+    assert result.changes == []
+    assert keys["M3"]["wake_ms"] >= 10_000
+    assert keys["M3"]["timeout_ms"] <= 1000, "that it wakes late says nothing of its cycle"
+    assert "wake_ms" not in keys["M0"]
+    config = load_config(tmp_path / "car.toml")
+    silent = lines_of(log, lambda t, can_id, _rng: not (can_id == IDS[3] and t > 45.0), None)
+    said = through(config, list(read_recording(silent, channels_of(config, ()))))
+    assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == ["M3.timeout"]
+
+
+def test_what_an_update_drops_is_told(tmp_path):
+    """A second drive in which a message comes when it likes: its timeout goes, and a line says so."""
+    learned(tmp_path, lambda _t, _id, _rng: True)
+    (tmp_path / "car.toml").unlink()
+    more = {"buses": (), "hold_out": 0.3, "maps": (), "pgn": False, "seed": 1, "json": False}
+    out = tmp_path / "car.toml"
+    learn_car([tmp_path / "car.dbc", tmp_path / "drive.log"], out=out, update=False, force=False, **more)
+    rng = random.Random(8)
+    stamps = np.cumsum([rng.expovariate(1.0) for _ in range(600)])
+    text = [f"({1000 + t:.6f}) can0 400#0100" for t in stamps]
+    (tmp_path / "second.log").write_text("\n".join(text) + "\n")
+    result = learn(asked(out, tmp_path / "second.log", databases=(tmp_path / "car.dbc",), update=True), quiet)
+    assert [line for line in result.dropped if "M3" in line and "timeout_ms" in line], result.dropped
+    assert not any("M0" in line for line in result.dropped)
