@@ -140,8 +140,8 @@ def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: 
     bursts = noise.jobs(outside, seed) if outside else []
     mismatched = wrong.jobs(pairs, seed) if pairs else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        jobs = (faults if runs else [], healthy, others, bursts, mismatched)
-        task = bar.add_task("crank", total=sum(map(len, jobs)))
+        total = (len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts) + len(mismatched)
+        task = bar.add_task("crank", total=total)
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
         rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
