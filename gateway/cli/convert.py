@@ -10,7 +10,7 @@ from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.cli.present import print_json, say
 from gateway.errors import InputError, InputErrors
-from gateway.fdi.wheel_seen import data, see, told
+from gateway.fdi.wheel_told import data, see, told
 from gateway.vecu.crank.capture import read_capture
 from gateway.vecu.crank.tooth_frames import Format, tooth_frames
 

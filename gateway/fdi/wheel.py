@@ -67,6 +67,11 @@ class Wheel:
         return self.repeats == 1
 
     @property
+    def lone(self) -> bool:
+        """Whether one gap is all that its pitches differ by."""
+        return self.pitches[-1] > 1.0 and all(pitch == 1.0 for pitch in self.pitches[:-1])
+
+    @property
     def tiles(self) -> int:
         """Turns that lie one behind the other in :attr:`laid_out`: 1, of a wheel of few pulses whole working cycles."""
         if self.pulses >= (FEW_EVEN if self.even else FEW):

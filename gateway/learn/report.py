@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from gateway.fdi.wheel_seen import told
+from gateway.fdi.wheel_told import told
 from gateway.learn.learn import Asked, Result
 from gateway.learn.lines import CHECK, RULE, SIGNAL, inline, shown
 from gateway.learn.trial import Outcome

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.wheel_seen import Watch, WheelSeen
+from gateway.fdi.wheel_told import Watch, WheelSeen
 from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 
 #: Messages that carry intervals: intervals of a frame, and the signals that are needed.

@@ -40,6 +40,9 @@ def crank(
     outside: Annotated[
         int, typer.Option(min=0, help="Number of runs per engine, defect and wheel outside the regular sweep; 0: none.")
     ] = 0,
+    pairs: Annotated[
+        int, typer.Option(min=0, help="Number of runs per configured wheel, real wheel and speed; 0: none.")
+    ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
     plot: Annotated[Path | None, typer.Option(help="Draw Figs. 2 to 5 of the paper into this folder.")] = None,
@@ -50,7 +53,7 @@ def crank(
     """
     from gateway_studies.crank.command import crank as work
 
-    raise typer.Exit(work(runs=seeds, pulses=pulses, outside=outside, seed=seed, json=json, plot=plot))
+    raise typer.Exit(work(runs=seeds, pulses=pulses, outside=outside, pairs=pairs, seed=seed, json=json, plot=plot))
 
 
 @evaluate.command("learn")

@@ -42,6 +42,8 @@ MOST_CHANGE = 0.05
 MOST_ORDERS = 6
 #: Most that a tooth's pitch, and a gap's, can be learned to be off by itself [pitch].
 MOST_OFF, MOST_GAP_OFF = 0.35, 0.4
+#: Share of the turn that a gap and its part in the first order have at most, so that its error can be told from that.
+MOST_SHARE = 0.5
 #: Neighbouring pitches over which the edges' jitter is averaged.
 SMOOTHED = 5
 #: Order per turn that ripple which is not learned is taken for.
@@ -53,13 +55,14 @@ SPEED_STEP = 1.1
 class LearnedWheel(Record):
     """Wheel.
 
-    What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, which slots
-    are or follow a gap, and cosine and sine of each order in the middle of each slot, those of order k + 1 from
-    ``k * MOST_TEETH`` on.
+    What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, whether the last
+    slot is its only gap (``lone``), which slots are or follow a gap, and cosine and sine of each order in the middle of
+    each slot, those of order k + 1 from ``k * MOST_TEETH`` on.
     """
 
     pulses: i4
     orders: i4
+    lone: u1
     whole: f8
     nominal: Annotated[f8s, MOST_TEETH]
     gap: Annotated[u1s, MOST_TEETH]
@@ -292,9 +295,33 @@ def _harmonics(pr: Profile, wh: LearnedWheel) -> None:
         pr.evens[k], pr.odds[k] = even, odd
         for i in range(wh.pulses):
             pr.ripple[i] += even * wh.cosine[at + i] + odd * wh.sine[at + i]
-    even, odd = pr.evens[0], pr.odds[0]
+    even, odd = _without_gap(pr, wh, pr.evens[0], pr.odds[0])
     pr.even, pr.odd = pr.even + even, pr.odd + odd
     pr.first = (even * even + odd * odd) ** 0.5
+
+
+@kernel
+def tells_runout(wh: LearnedWheel) -> bool:
+    """Return whether runout can be told from an error of the wheel's only gap: not where that is a third of a turn."""
+    return bool(wh.lone == 0 or 3.0 * wh.nominal[wh.pulses - 1] <= MOST_SHARE * wh.whole)
+
+
+@kernel
+def _without_gap(pr: Profile, wh: LearnedWheel, even: float, odd: float) -> tuple[float, float]:
+    """Take the error of the wheel's only gap off the first order, as its projection has it.
+
+    A gap of ``a`` pitches of ``S`` that is off by g has a share w = 2 a / S of g in the projection, and half of that in
+    the mean: what the gap's slot shows beyond the first order is g (1 - 3 w / 2).
+    """
+    last = wh.pulses - 1
+    share = 2.0 * wh.nominal[last] / wh.whole
+    if wh.lone == 0 or not tells_runout(wh):
+        return even, odd
+    cosine, sine = wh.cosine[last], wh.sine[last]
+    off = (pr.logs[last] - even * cosine - odd * sine) / (1.0 - 1.5 * share)
+    most = MOST_GAP_OFF / wh.nominal[last]
+    off = min(max(off, -most), most)
+    return even - share * off * cosine, odd - share * off * sine
 
 
 @kernel

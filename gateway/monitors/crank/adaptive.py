@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.fdi import wheel_seen
+from gateway.fdi import wheel_pairs, wheel_seen
 from gateway.fdi.pulse_tracking import profile
 from gateway.fdi.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway.fdi.pulse_tracking.branching import MOST_MISSED
@@ -76,8 +76,9 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     """
     unwatched(s, c, number, out)
     wheel_seen.skip(s.seen)
+    wheel_pairs.skip(s.pairs)
     if s.burst.count > 0:
-        noise.tell(s.burst, out)
+        noise.tell(s.burst, c.firing_us, out)
         search(s, c)
     _pass_over(s, c, number)
     waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
@@ -171,7 +172,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
 @kernel
 def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
     """Wait for the end of a burst; then go on by the time that has passed, or look for the place again."""
-    if noise.goes_on(s.burst, y, out):
+    if noise.goes_on(s.burst, y, c.firing_us, out):
         return
     number = 0
     s.burst.told = s.teeth

@@ -39,8 +39,9 @@ RIGHT = 1.65
 DISTINCT = 2.4
 #: Wins of a shift in a row after which it is believed.
 WINS = 2
-#: What :func:`ask` found besides a shift: it cannot tell; the present place is the likeliest by far.
-UNDECIDED, HERE = -1, 0
+#: What :func:`ask` found besides a shift: the turn is even, no gap is in it; it cannot tell; the present place is the
+#: likeliest by far.
+ABSENT, UNDECIDED, HERE = -2, -1, 0
 
 
 class Const(Record):
@@ -214,7 +215,7 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
         index: of the latest tooth, as it is believed.
 
     Returns:
-        the shift that is likelier than the present place, HERE or UNDECIDED.
+        the shift that is likelier than the present place, HERE, ABSENT or UNDECIDED.
     """
     known = contrasts(an, pulses)
     if known < least_known(pulses):
@@ -228,7 +229,10 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
         elif rest < second:
             second = rest
     variance = max(first / (known - 1), LEAST_VARIANCE)
-    if second - first < 2.0 * UNIQUE * variance or plain(an, pulses) - first < 2.0 * ODDS * variance:
+    even = plain(an, pulses)
+    if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
+        return ABSENT
+    if second - first < 2.0 * UNIQUE * variance or even - first < 2.0 * ODDS * variance:
         return UNDECIDED
     if shift == 0:
         return HERE

@@ -287,7 +287,7 @@ FAULTS = (
     Fault(
         "wrong_wheel",
         "P0335-56",
-        "the pulses are of another wheel than the configured one: change `wheel` to the one that is seen",
+        "the pulses are of another wheel than the configured one: change `wheel`, or the wheel is damaged like it",
         labels(WrongWheel),
         Debounce(failed_after=1, passed_after=1),
         tested="turns in a row that showed another wheel",
@@ -308,5 +308,5 @@ BLAMES = {
     "damaged_tooth": (_WHEEL,),
     "noise": (_SENSOR,),
     "two_places": (_WHEEL,),
-    "wrong_wheel": (_WHEEL, Blame("wheel configured", "model")),
+    "wrong_wheel": (_WHEEL, Blame("wheel configured", "model"), _SENSOR._replace(share=0.2)),
 }

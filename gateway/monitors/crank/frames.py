@@ -22,7 +22,7 @@ def stand(s: State, c: Const, out: Reports) -> None:
     """The engine stands: synchronisation ends, and a burst of pulses that was not told yet is."""
     if c.adaptive == 1:
         if s.fast.burst.count > 0:
-            noise.tell(s.fast.burst, out)
+            noise.tell(s.fast.burst, c.fast.firing_us, out)
         place.stand(s.fast, c.fast)
         phase.forget(s.phase)
     else:

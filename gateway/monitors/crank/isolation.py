@@ -67,6 +67,8 @@ LATE = 8
 PARTS = 8
 #: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
 SURE = 3
+#: Turns in a row without a fault, the gap at its place in each, that only the configured wheel has.
+FITTED = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
 #: Tooth of the next revolution by which one has to be decided to count.
@@ -87,7 +89,7 @@ def lose(s: State, c: Const, out: Reports, cost: float) -> None:
     """
     of_late = s.teeth - s.doubted < 2 * c.pulses and s.hole == 0 and s.reversal.stood == 0
     of_late = of_late and s.teeth - s.named > 2 * c.pulses and s.teeth - s.burst.crowded < 2 * c.pulses
-    of_late = of_late and s.speed_rpm > runout.FIRING_RPM and s.doubling == 0
+    of_late = of_late and s.speed_rpm > runout.FIRING_RPM and s.doubling == 0 and not wrong_wheel.unsure(s, c)
     if s.phase == CONFIRMED or of_late:
         e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
         e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
@@ -179,8 +181,9 @@ def decide(s: State, c: Const, out: Reports) -> None:
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
+    s.fitted = 0
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
-    if s.phase == CONFIRMED and s.tracker.took > LATE:
+    if s.phase == CONFIRMED and (s.tracker.took > LATE or wrong_wheel.unsure(s, c)):
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
@@ -221,9 +224,13 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if added > 0:
         burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
         if burst or s.teeth - s.burst.told <= TOGETHER:
-            _tell_noise(s, c, out)
+            if s.y1 < c.firing_us:
+                _tell_noise(s, c, out)
+            else:
+                doubt(s)  # pulses no closer than those of an engine that the starter turns may be an engine's
             return
-        s.doubled += added
+        # Of teeth with a second pulse: several pulses behind one tooth are one.
+        s.doubled += min(added, max((s.index - added_at) % c.pulses, 1))
         if s.doubling == 0:
             _fail(s, c, out, ADDED, s.burst_added, s.burst_tooth if missed == 0 else added_at)
 
@@ -300,10 +307,16 @@ def prove(s: State, c: Const, out: Reports) -> None:
             confirm(s, out)
         return
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or not decides(s, c):
+    if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
+
+
+@kernel
+def _held_back(s: State, c: Const) -> bool:
+    """Return whether a fault is held until it is known that the wheel is the configured one."""
+    return bool((s.held_fault >= 0 or s.recurring == 1) and wrong_wheel.unsure(s, c))
 
 
 @kernel
@@ -377,6 +390,9 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
         _trust(s, c)
     if s.profile.turns != before:
         runout.take(s.law, 60e6 * c.turns / us, s.profile.even, s.profile.odd)
+    s.fitted = s.fitted + 1 if clean else 0
+    if s.fitted >= FITTED:
+        s.known = 1
     doubled = s.doubled
     s.doubled = 0
     if s.phase != CONFIRMED:
@@ -422,9 +438,10 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
     """Judge the wheel as it was learned: off centre, a tooth out of its place."""
     learned_rpm = 60e6 / (s.profile.period * c.wheel.whole)
     amplitude, most = runout.geometry(s.law, learned_rpm, s.profile.first, c.runout)
-    r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
-    r.amplitude, r.tooth = amplitude, tooth_of(s, c, s.profile.worst)
-    r.speed = s.speed_rpm
+    if profile.tells_runout(c.wheel):
+        r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
+        r.amplitude, r.tooth = amplitude, tooth_of(s, c, s.profile.worst)
+        r.speed = s.speed_rpm
     off = s.profile.off
     limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
@@ -457,6 +474,8 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.wins = 0
             an.verified = 1
             _witness(s, c, out)
+        elif found == anchor.ABSENT and s.known == 0:
+            doubt(s)
         elif found > 0 and s.teeth - s.uneven > c.pulses:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
@@ -542,7 +561,7 @@ def _witness(s: State, c: Const, out: Reports) -> None:
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
-    if s.phase != TENTATIVE or not told or not decides(s, c):
+    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c):
         return
     if s.recurring == 1 and not _told_apart(s, c):
         return
@@ -567,7 +586,7 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     """Put the index right by a shift that the whole turn proves; what was learned at the wrong place is forgotten."""
     shift(s.tracker, c.pulses, found)
     s.index = best(s.tracker).index
-    if s.phase == CONFIRMED:
+    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
         off = found if 2 * found <= c.pulses else found - c.pulses
         e = report(out, RELOCATED, True, off, 0.0).relocated
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
@@ -578,6 +597,13 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     runout.forget(s.law)
     _trust(s, c)
     anchor.restart(s.anchor)
+
+
+@kernel
+def _open(s: State, c: Const) -> bool:
+    """Return whether something else than a missing gap is about to be told: another wheel, defects of each turn."""
+    defect = s.phase == TENTATIVE and s.recurring == 1
+    return bool(defect or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c))
 
 
 @kernel
@@ -601,8 +627,8 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         d.share, d.teeth = share, s.teeth
     elif c.even == 1:
         pass  # it has no gap that could be missing
-    elif wrong_wheel.expected(s) and wa.pulses < LONG_PATIENCE * patience:
-        return  # it may be another wheel
+    elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
+        return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
         g.teeth, g.widest = s.teeth, wa.widest

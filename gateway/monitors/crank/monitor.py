@@ -13,6 +13,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from gateway.fdi.pulse_tracking.profile import MOST_SHARE
 from gateway.fdi.wheel import FEW, WheelText
 from gateway.jit import kernel
 from gateway.monitors.contract import (
@@ -191,6 +192,8 @@ def _limits(p: Params) -> tuple[str, ...]:
             " and another number of teeth looks like another speed"
         )
     untested = ["runout", "damaged_tooth", "reversed"] if wheel.tiles > 1 else []
+    if not untested and wheel.lone and 3.0 * max(wheel.pitches) > MOST_SHARE * wheel.turn:
+        untested = ["runout"]
     if wheel.even:
         untested += ["no_gap", "relocated", "two_places"] + ([] if untested else ["reversed"])
     if wheel.tiles > 1:

@@ -101,19 +101,33 @@ def passed(b: Burst, h: Hypothesis, pitches: f8s, pulses: int) -> int:
 
 
 @kernel
-def goes_on(b: Burst, y: float, out: Reports) -> bool:
-    """Take an interval [us]; returns whether its pulse is still of the burst. Tells the burst when it ends."""
+def goes_on(b: Burst, y: float, firing_us: float, out: Reports) -> bool:
+    """Take an interval [us]; returns whether its pulse is still of the burst. Tells the burst when it ends.
+
+    Args:
+        b: record of Burst.
+        y: the interval [us].
+        firing_us: time of a pitch of the slowest engine that fires [us], see :func:`tell`.
+        out: record of Out.
+    """
     b.us += y
     if y < SHORT * b.period and b.count < MOST:
         b.count += 1
         return True
-    tell(b, out)
+    tell(b, firing_us, out)
     return False
 
 
 @kernel
-def tell(b: Burst, out: Reports) -> None:
-    """Report the burst, and forget it."""
+def tell(b: Burst, firing_us: float, out: Reports) -> None:
+    """Report the burst, and forget it.
+
+    Not one whose pulses came no closer than those of an engine that is turned by its starter: one that nearly stood,
+    and was thrown back, has such pulses as well.
+    """
+    if b.us > firing_us * b.count:
+        b.count = 0
+        return
     e = report(out, NOISE, True, b.count, BURST).noise
     e.count, e.tooth, e.speed = b.count, b.named, b.rpm
     b.count = 0

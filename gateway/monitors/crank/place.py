@@ -10,12 +10,14 @@ from gateway.fdi.pulse_tracking.acquisition import Search, restart
 from gateway.fdi.pulse_tracking.profile import MOST_ORDERS, REST_ORDER, LearnedWheel, Profile, forget, harmonics
 from gateway.fdi.pulse_tracking.tracker import Tracker, best, unanimous
 from gateway.fdi.wheel import MOST_TEETH, Wheel
-from gateway.fdi.wheel_seen import Seen, skip
+from gateway.fdi.wheel_pairs import Pairs
+from gateway.fdi.wheel_pairs import skip as skip_pairs
+from gateway.fdi.wheel_seen import LEAST_PULSES, Seen, skip
 from gateway.jit import Record, f8, f8s, i4, i8, kernel, u1
-from gateway.monitors.crank import anchor, defects, noise, rival, waiting
+from gateway.monitors.crank import anchor, defects, made, noise, rival, waiting
 from gateway.monitors.crank.faults import RESIDUALS, Shape
 from gateway.monitors.crank.reversal import Reversal
-from gateway.monitors.crank.runout import ALLOWED, ALLOWED_RPM, Law
+from gateway.monitors.crank.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 
 #: Synchronisation: none, a place that one more revolution has to prove, proven.
 SEARCHING, TENTATIVE, CONFIRMED = range(3)
@@ -51,13 +53,15 @@ class Const(Record):
     """Constants.
 
     ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
-    ``turn_us`` least time over one pitch of one that turns back; ``told`` whether that is reported; ``short`` share of
-    the wheel's own pitches that are much shorter than the one before.
+    ``firing_us`` time of a pitch at the least speed of an engine that fires; ``turn_us`` least time over one pitch of
+    one that turns back; ``told`` whether that is reported; ``short`` share of the wheel's own pitches that are much
+    shorter than the one before.
 
     ``pulses`` are those of the wheel as it is laid out: over ``turns`` turns, each of ``teeth`` pulses and ``turn``
-    pitches (see :attr:`gateway.fdi.wheel.Wheel.laid_out`). ``even``: its pitches are equal. ``rest``: growth's process
-    noise that one of ripple which is not learned needs. ``proof_us``: longest turn by which a place is proven; on a
-    wheel of few pulses a slower engine's ripple may be as large as what tells the places from each other.
+    pitches (see :attr:`gateway.fdi.wheel.Wheel.laid_out`). ``even``: its pitches are equal; ``seen``: its
+    pulses alone show it (:mod:`gateway.fdi.wheel_seen`). ``rest``: growth's process noise that one of ripple which is
+    not learned needs. ``proof_us``: longest turn by which a place is proven; on a wheel of few pulses a slower engine's
+    ripple may be as large as what tells the places from each other.
     """
 
     pulses: i4
@@ -65,6 +69,7 @@ class Const(Record):
     turns: i4
     turn: f8
     even: u1
+    seen: u1
     rest: f8
     proof_us: f8
     repeats: i4
@@ -81,7 +86,9 @@ class Const(Record):
     short: f8
     gap: f8
     turning_us: f8
+    firing_us: f8
     wheel: LearnedWheel
+    made: made.Const
     anchor: anchor.Const
     logs: Annotated[f8s, MOST_TEETH]
     slack: Annotated[f8s, MOST_TEETH]
@@ -99,7 +106,10 @@ class State(Record):
     ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
     the one at which pulses were last found missed or added;
     ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
-    one, and whether its gap is ``filled`` each turn; ``placed`` how the place is told, once it is (:data:`NOT_TOLD`,
+    one, and whether its gap is ``filled`` each turn; ``known`` whether it was once shown to be the configured one,
+    ``fitted`` turns in a row without a fault,
+    ``looked`` pulses that were looked at before; ``pairs`` intervals that alternate;
+    ``placed`` how the place is told, once it is (:data:`NOT_TOLD`,
     :data:`BY_CAM`, :data:`BY_GAP`).
     """
 
@@ -134,6 +144,10 @@ class State(Record):
     looks: u1
     wrong: u1
     filled: u1
+    known: u1
+    fitted: i4
+    looked: i8
+    pairs: Pairs
     unseen: f8
     decided: i8
     burst_missed: i4
@@ -188,8 +202,12 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.longest_us = c.turn_us
     c.gap = pitches.max()
     c.short = float(np.mean(pitches < SHORT * np.roll(pitches, 1)))
+    c.firing_us = 60e6 / (FIRING_RPM * wheel.turn)
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
+    if wheel.tiles == 1:
+        made.prepare(c.made, wheel)
+    c.seen = wheel.tiles == 1 and wheel.repeats >= LEAST_PULSES and bool(np.all(pitches * 2 % 1 == 0))
     c.logs[:count] = np.log(pitches)
     gap = (pitches > 1.3) | (pitches < 0.7)
     gap |= np.roll(gap, 1)
@@ -197,6 +215,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     wh = c.wheel
     wh.gap[:count] = gap
     wh.pulses, wh.whole = count, laid.turn
+    wh.lone = wheel.lone
     wh.orders = 0 if few else min(MOST_ORDERS, count // 5)
     wh.nominal[:count] = pitches
     middle = 2 * np.pi * (np.asarray(laid.positions) + pitches / 2) / laid.turn
@@ -302,6 +321,8 @@ def stand(s: State, c: Const) -> None:
     anchor.restart(s.anchor)
     waiting.clear(s.waiting)
     skip(s.seen)
+    skip_pairs(s.pairs)
+    s.looked = 0
     s.wrong = 0
     s.filled = 0
     s.y1 = 0.0

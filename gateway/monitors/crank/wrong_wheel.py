@@ -10,45 +10,68 @@ pulse, and the monitor's other tests name the rest.
 
 from __future__ import annotations
 
-from gateway.fdi import wheel_seen
+from gateway.fdi import wheel_pairs, wheel_seen
 from gateway.fdi.wheel import MOST_GAPPED
 from gateway.jit import kernel
 from gateway.monitors.contract import report
-from gateway.monitors.crank import runout, waiting
-from gateway.monitors.crank.faults import ADDED, MISSED, PULSES_LOST, WRONG_WHEEL, Reports
+from gateway.monitors.crank import explained, made, runout, waiting
+from gateway.monitors.crank.faults import ADDED, MISSED, PULSES_LOST, TWO_PLACES, WRONG_WHEEL, Reports
 from gateway.monitors.crank.place import CONFIRMED, SEARCHING, Const, State, search
 
-#: Turns in a row that have to show another wheel, and after which it is told again.
-TURNS, AGAIN = 6, 64
+#: Turns in a row that have to show another wheel, also behind an engine that may have turned back, and after which it
+#: is told again.
+TURNS, TURNED_BACK, AGAIN = 6, 12, 64
 #: Two pitches are the same within this, and two turns [pitch].
-EQUAL, SAME = 0.4, 0.75
+EQUAL, SAME = explained.EQUAL, 0.75
 #: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
 MOST_WAIT = 8 * MOST_GAPPED
-#: Teeth that may be missing of the configured wheel: one may be so by chance where all parts of the turn become equal,
-#: two are not (36-1 without a tooth at 120 and at 240 degrees would be what 12-1 shows at three times the speed).
-MOST_MISSING = 1
+#: Pulses since the start within which the turns of another wheel begin to repeat, five of 60-2, if it is one.
+MOST_LOOKED = 300
+#: Turns in a row that are the same, and show no wheel, behind which they are of none.
+NO_WHEEL = 8
 #: Teeth missing in a row from which on it is loss of signal.
 LOSS = 3
-#: A pitch from which on it is a gap, that a pulse can fill [pitch].
-LEAST_GAP = 1.3
 
 
 @kernel
 def note(s: State, c: Const, y: float, out: Reports) -> None:
     """Note an interval [us] while the wheel is looked at."""
     before = int(s.seen.turns)
+    s.looked += 1
     wheel_seen.note(s.seen, y)
+    wheel_pairs.note(s.pairs, y)
     if c.even == 1 and s.phase == CONFIRMED and s.seen.run >= wheel_seen.EVEN:
         s.looks = 0
     if s.seen.turns != before:
         _judge(s, c, out)
+    elif s.pairs.count >= max(wheel_pairs.LEAST, 2 * c.pulses):
+        _judge_pairs(s, c, out)
+
+
+@kernel
+def unsure(s: State, c: Const) -> bool:
+    """Return whether the pulses may yet be shown to be of another wheel.
+
+    Until then a pulse missed or added may be the other wheel's own: it is held, and told when the wheel is known.
+    """
+    if s.known == 1 or s.looks == 0 or c.seen == 0 or s.seen.turns >= _least(s):
+        return False
+    if s.seen.turns == 0 and s.seen.period > 0 and s.seen.matched >= NO_WHEEL * s.seen.period:
+        return False
+    return bool(s.looked < (2 * MOST_LOOKED if s.seen.period > 0 else MOST_LOOKED))
 
 
 @kernel
 def expected(s: State) -> bool:
     """Tell whether the pulses have gaps that are counted, so that the wheel may soon be seen."""
     counted = s.seen.period > 0 or s.waiting.pulses < MOST_WAIT
-    return bool(s.seen.linked == 1 and counted and s.seen.turns < TURNS)
+    return bool(s.seen.linked == 1 and counted and s.seen.turns < _least(s))
+
+
+@kernel
+def _least(s: State) -> int:
+    """Return how many turns have to show another wheel."""
+    return TURNED_BACK if s.reversal.stood == 1 else TURNS
 
 
 @kernel
@@ -58,66 +81,6 @@ def _whole(s: State) -> float:
     for k in range(s.seen.pulses):
         total += s.seen.pitches[k]
     return total
-
-
-@kernel
-def _is_left(s: State, c: Const, whole: float) -> bool:
-    """Tell whether what is seen, several times a turn, is the configured wheel without a tooth.
-
-    Opposite to the gap of 12-1 a tooth broken off leaves what 6-1 shows at twice the speed.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        whole: pitches of the turn that is seen.
-    """
-    parts = int(c.wheel.whole / whole + 0.5)
-    missing = c.pulses - parts * s.seen.pulses
-    if abs(parts * whole - c.wheel.whole) > EQUAL or missing < 1 or missing > MOST_MISSING:
-        return False
-    for first in range(c.pulses):
-        tooth, left, fits = first, missing, True
-        for k in range(parts * s.seen.pulses):
-            span = s.seen.pitches[k % s.seen.pulses] - c.wheel.nominal[tooth]
-            tooth = tooth + 1 if tooth + 1 < c.pulses else 0
-            while span > EQUAL and left > 0:
-                span -= c.wheel.nominal[tooth]
-                tooth = tooth + 1 if tooth + 1 < c.pulses else 0
-                left -= 1
-            if abs(span) > EQUAL:
-                fits = False
-                break
-        if fits:
-            return True
-    return False
-
-
-@kernel
-def _filled(s: State, c: Const) -> int:
-    """Return the tooth before the gap in which there is a pulse too many in each turn that is seen, -1: there is none.
-
-    A pulse at a third of the gap of 60-2 leaves what 60-1 shows, and fits before and behind: the largest gap counts.
-    """
-    if s.seen.pulses != c.pulses + 1:
-        return -1
-    for back in range(c.pulses):
-        gap = c.pulses - 1 - back
-        if c.wheel.nominal[gap] < LEAST_GAP:
-            continue
-        for first in range(c.pulses + 1):
-            fits, at = True, first
-            for k in range(c.pulses):
-                span = s.seen.pitches[at]
-                at = at + 1 if at + 1 <= c.pulses else 0
-                if k == gap:
-                    span += s.seen.pitches[at]
-                    at = at + 1 if at + 1 <= c.pulses else 0
-                if abs(span - c.wheel.nominal[k]) > EQUAL:
-                    fits = False
-                    break
-            if fits:
-                return gap
-    return -1
 
 
 @kernel
@@ -153,23 +116,57 @@ def _judge(s: State, c: Const, out: Reports) -> None:
     same = abs(whole - c.turn) < SAME
     same = same or abs(whole * c.pulses - c.wheel.whole * c.repeats) < EQUAL * c.pulses
     same = same or s.seen.pulses == c.repeats
-    if same or (c.turns == 1 and _is_left(s, c, whole)):
+    if wheel_seen.fits(s.seen, c.wheel.nominal, c.pulses):
+        s.known = 1
+    other = s.known == 0 and made.shown(c.made, s.seen)
+    if not other and (same or (c.turns == 1 and explained.is_left(s, c, whole))):
         s.wrong = 0
         if s.phase == CONFIRMED:
             s.looks = 0
-        elif s.seen.turns >= TURNS and s.reversal.stood == 0:
-            tooth = _filled(s, c)
-            if c.even == 1:
-                _tell_broken(s, c, out)
-            elif tooth >= 0:
-                s.filled = 1
-                _tell_filled(s, c, tooth, out)
+        elif s.seen.turns >= _least(s):
+            _judge_defects(s, c, out)
         return
-    if s.seen.turns < TURNS or s.reversal.stood == 1 or (c.turns > 1 and _cranked(s, c)):
+    if s.seen.turns < _least(s) or (c.turns > 1 and _cranked(s, c)):
         return
     if s.wrong == 0 or s.seen.turns % AGAIN == 0:
         e = report(out, WRONG_WHEEL, True, s.seen.turns, TURNS).wrong_wheel
         e.teeth, e.pulses, e.gap = whole, s.seen.pulses, s.seen.pitches[s.seen.pulses - 1]
+    _refuse(s, c)
+
+
+@kernel
+def _judge_defects(s: State, c: Const, out: Reports) -> None:
+    """Name what makes the configured wheel look as it is seen, where its place is not proven for that."""
+    if c.even == 1:
+        _tell_broken(s, c, out)
+        return
+    gap = explained.filled(s, c)
+    if gap != explained.NONE:
+        s.filled = 1
+        _tell_filled(s, c, gap, out)
+    elif s.recurring == 0 and c.turns == 1:
+        _tell_beside(s, c, out)
+
+
+@kernel
+def _tell_beside(s: State, c: Const, out: Reports) -> None:
+    """Report teeth that are missing beside a gap, on either side of it."""
+    tooth, other = explained.left_at(s, c)
+    if tooth == explained.NONE:
+        return
+    e = report(out, TWO_PLACES, True, s.seen.turns, TURNS).two_places
+    e.tooth, e.other, e.speed = tooth, other, 60e6 / (s.seen.pitch * c.turn)
+    waiting.clear(s.waiting)
+
+
+@kernel
+def _judge_pairs(s: State, c: Const, out: Reports) -> None:
+    """Take two pitches that alternate for another wheel: between two gaps of the configured one they could not."""
+    if c.even == 1 or c.turns > 1 or c.repeats == 2:
+        return
+    if s.wrong == 0 or s.pairs.count % (2 * AGAIN) == 0:
+        e = report(out, WRONG_WHEEL, True, s.pairs.count // 2, TURNS).wrong_wheel
+        e.teeth, e.pulses, e.gap = 2.0, 2.0, wheel_pairs.longer(s.pairs)
     _refuse(s, c)
 
 

@@ -11,8 +11,10 @@ from rich.progress import Progress
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
+from gateway.fdi.wheel import Wheel
 from gateway_studies.crank import noise
 from gateway_studies.crank import outside as beyond
+from gateway_studies.crank import pairs as wrong
 from gateway_studies.crank.table import (
     KINDS,
     Alarms,
@@ -100,17 +102,51 @@ def _noise_table(rows: list[noise.Outcome]) -> Table:
     return table
 
 
-def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: Path | None) -> int:
+def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
+    """Return the matrix of wheels, and what was told where it was not the mismatch alone; none without rows."""
+    if not rows:
+        return []
+    named, runs = sum(row.named for row in rows), sum(row.runs for row in rows)
+    matrix = Table(
+        title=f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
+        " turns\n=: all runs named; D: named, and a defect of the configured wheel would give the same pulses"
+    )
+    for name in ("", *wrong.WHEELS):
+        matrix.add_column(name)
+    for told in wrong.WHEELS:
+        cells = []
+        for real in wrong.WHEELS:
+            mine = [row for row in rows if (row.told, row.real) == (told, real)]
+            missed = sum(row.runs - row.named for row in mine)
+            same = mine and wrong.common(Wheel.parse(told), Wheel.parse(real))
+            cells.append(str(-missed) if missed else "D" if same else "=" if mine else "")
+        matrix.add_row(told, *cells)
+    details = Table(title="Wheels that a defect makes alike, runs not named alone, and runs with a place proven")
+    for name in ("configured", "real", "rpm", "named", "latest turn", "proven", "told instead", "the same pulses as"):
+        details.add_column(name)
+    for row in rows:
+        same = wrong.common(Wheel.parse(row.told), Wheel.parse(row.real))
+        if same or row.named < row.runs or row.proven:
+            told = ", ".join(f"{name} {count}" for name, count in row.reports.items())
+            cells = [row.told, row.real, f"{row.rpm:.0f}", f"{row.named}/{row.runs}", f"{row.turn:.1f}"]
+            details.add_row(*cells, str(row.proven), told, same or "")
+    return [matrix, details]
+
+
+def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: bool, plot: Path | None) -> int:
     """Evaluate the crankshaft methods; returns the exit code."""
     faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
     others = beyond.jobs(outside, seed) if outside else []
     bursts = noise.jobs(outside, seed) if outside else []
+    mismatched = wrong.jobs(pairs, seed) if pairs else []
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("crank", total=(len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts))
+        total = (len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts) + len(mismatched)
+        task = bar.add_task("crank", total=total)
         scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
         alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
         rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
         disturbed = noise.gauntlet(outside, seed, lambda: bar.advance(task)) if outside else []
+        matrix = wrong.pairs(pairs, seed, lambda: bar.advance(task)) if pairs else []
     files: list[Path] = []
     if plot is not None:
         from gateway_studies.crank.figures import draw  # noqa: PLC0415 - slow to load
@@ -124,6 +160,7 @@ def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: 
                 "healthy": [as_dict(row) for row in alarms],
                 "outside": [asdict(row) for row in rows],
                 "noise": [asdict(row) for row in disturbed],
+                "pairs": [asdict(row) for row in matrix],
                 "files": [str(file) for file in files],
             }
         )
@@ -137,6 +174,8 @@ def crank(*, runs: int, pulses: int, outside: int, seed: int, json: bool, plot: 
         console.print(_outside_table(rows))
     if disturbed:
         console.print(_noise_table(disturbed))
+    for table in _pair_tables(matrix):
+        console.print(table)
     if scores or alarms:
         _explain(console, seed)
     for file in files:

@@ -14,6 +14,7 @@ from gateway.common.resources import shipped
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
 from gateway.fdi.wheel import Wheel
+from gateway.jit import zeros
 from gateway.monitors.contract import FAILED
 from gateway.monitors.crank import MONITOR, place
 from gateway.monitors.crank.faults import FAULTS
@@ -31,19 +32,30 @@ FEW, EVEN = ("1", "2", "3"), ("6", "24", "135", "360")
 
 
 def driven(
-    wheel, form, *, real=None, cam=(), tolerance=25.0, speed=((0, 900), (3, 3500)), seconds=4.0, seed=1, gone=()
+    wheel,
+    form,
+    *,
+    real=None,
+    cam=(),
+    tolerance=25.0,
+    speed=((0, 900), (3, 3500)),
+    seconds=4.0,
+    seed=1,
+    gone=(),
+    ripple=(),
 ):
     """Drive an engine whose first pulse is any; returns failed faults, what was sent, and tooth and speed then."""
     print(f"seed {seed}")
     w, rng = Wheel.parse(real or wheel), np.random.default_rng([seed, 44])
-    ripple = [(0.5, 0.03, 1.0), (1.0, 0.02, 2.0)] if w.pulses < 12 else []
+    if not ripple and w.pulses < 12:
+        ripple = [(0.5, 0.03, 1.0), (1.0, 0.02, 2.0)]
     times = tooth_times(w, speed, seconds, ripple=ripple, jitter=0.003, rng=rng)
     first = int(rng.integers(2, 2 * w.pulses + 2))
     teeth = np.delete(np.arange(len(times)), gone)[first:]
     times = np.delete(times, gone)[first:]
     frames = tooth_frames(times, form)
     if cam:
-        at, levels = cam_edges(cam, speed, seconds)
+        at, levels = turned_cam(cam, speed, seconds, ripple) if w.pulses >= 12 else cam_edges(cam, speed, seconds)
         frames = np.concatenate([frames, cam_frames(times, at[at > times[0]], levels[at > times[0]])])
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
     monitor = MonitorInstance(
@@ -61,6 +73,14 @@ def driven(
     values = [SYNC.decode(payload(frame), decode_choices=False) for frame in sent]
     speeds = np.interp(sent["t_ns"] / 1e9, [t for t, _ in speed], [rpm for _, rpm in speed])
     return [FAULTS[k].name for k in failed], values, teeth[last], speeds
+
+
+def turned_cam(edges, speed, seconds, ripple):
+    """Times [ns] and levels of a cam's edges at whole degrees, of an engine whose speed has a ripple."""
+    rng = np.random.default_rng(0)
+    degrees = tooth_times(Wheel.parse("360"), speed, seconds, ripple=ripple, rng=rng)
+    at = [(angle + 720 * k, level) for k in range(len(degrees) // 720) for angle, level in edges]
+    return np.array([degrees[int(a)] for a, _ in at]), np.array([level for _, level in at])
 
 
 @pytest.mark.parametrize("form", ["classic", "fd"])
@@ -89,6 +109,32 @@ def test_with_a_cam_the_place_is_proven_and_right(wheel, cam, form):
         assert values[k]["ToothIndex"] == min(teeth[k] % w.pulses, 255)
         if values[k]["CycleKnown"]:
             assert values[k]["CrankAngle"] == pytest.approx(teeth[k] % (2 * w.pulses) * 360 / w.pulses, abs=0.02)
+
+
+@pytest.mark.parametrize(("order", "amplitude"), [(1.0, 0.04), (1.5, 0.08), (2.0, 0.1), (3.0, 0.06)])
+@pytest.mark.parametrize("wheel", ["24", "135"])
+def test_ripple_does_not_hide_the_place_that_the_cam_tells(wheel, order, amplitude):
+    """Idle of one to six cylinders: the ripple turns the cam's edges as well, the tooth before them is the same."""
+    w = Wheel.parse(wheel)
+    failed, values, teeth, _ = driven(
+        wheel, "fd", cam=FOUR, tolerance=144.0 / w.pulses, speed=((0, 850),), seed=9, ripple=[(order, amplitude, 1.0)]
+    )
+    assert failed == []
+    proven = [k for k, v in enumerate(values) if v["SyncState"] == PROVEN]
+    assert len(proven) > 0.6 * len(values)
+    assert all(values[k]["ToothIndex"] == min(teeth[k] % w.pulses, 255) for k in proven)
+
+
+@pytest.mark.parametrize("wheel", ["1", "2", "3", "4-1"])
+def test_of_few_pulses_each_pitch_may_be_half_a_wave_of_the_ripple(wheel):
+    """Ripple A of order n changes r by up to 2 A n 2 pi / S a pitch; every other pitch longer is n = S / 2: 2 pi A.
+
+    Orders of a turn cannot be told from each other there: none is learned.
+    """
+    state, const = zeros(1, place.State)[0], zeros(1, place.Const)[0]
+    place.prepare(state, const, Wheel.parse(wheel), 3000.0, 0.04, 30.0)
+    assert const.ripple == pytest.approx(2 * np.pi * place.RIPPLE)
+    assert const.wheel.orders == 0
 
 
 @pytest.mark.parametrize(("wheel", "tolerance", "tooth"), [("24", 5.0, 7), ("24", 25.0, -1), ("2", 25.0, 1)])

@@ -286,6 +286,9 @@ WANTED = {
 #: before the start, another wheel.
 WANTED_AGAIN = {
     "frozen": ("60-2", {"P0335-2F"}),
+    "emi36": ("36-1", {"P0335-2F"}),
+    "emi60": ("60-2", {"P0335-2F"}),
+    "crankonly": ("60-2", set()),
     "six": ("6-1", set()),
     "twin3000nc": ("60-2", set()),
     "broken36": ("36-1", {"P0336-64"}),
