@@ -10,6 +10,7 @@ import numpy as np
 from gateway.common.log import get_logger
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
+from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
 from gateway.monitors.contract import FAILED, PASSED
@@ -62,6 +63,26 @@ def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> 
         "cycle": name,
         "state": "began" if began else "ended",
         "number": number,
+    }
+
+
+def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
+    """Tell that symptoms are held by a proven cause, or that what held them is withdrawn.
+
+    Args:
+        t_ns: when, of the wall clock.
+        state: "held" or "released".
+        faults: their ids.
+        cause: that holds them.
+        lead: id of the fault that stands for it.
+    """
+    return {
+        "event": "symptoms",
+        "t_ns": t_ns,
+        "state": state,
+        "faults": list(faults),
+        "cause": [] if cause is None else list(cause.components),
+        "lead": lead,
     }
 
 
