@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config.load import load_config
 from gateway.faults import service
+from gateway.faults.cases import cases_of, named, percent
+from gateway.faults.explained import CAUSE, HELD, OPEN, WAITING
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
 
@@ -54,21 +58,58 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     told = console.width >= WIDE
     for number in (3, 4):
         table.columns[number].justify = "right"
-    for entry in entries:
-        table.add_row(
-            entry["dtc"],
-            entry["fault"] + (f"\n{entry['description']}" if told and entry["description"] else ""),
-            f"0x{entry['status']:02X}{' confirmed' if entry['confirmed'] else ''}",
-            str(entry["occurrence"]),
-            str(len(entry["freeze_frames"])),
-            f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
-        )
+    for case in cases_of(entries):
+        if case.text:
+            table.add_row("", case.text, style="bold" if case.proven else "")
+        for k, entry in enumerate(case.entries):
+            folded = "  " if k and case.proven else ""
+            table.add_row(
+                folded + entry["dtc"],
+                entry["fault"] + (f"\n{entry['description']}" if told and entry["description"] else ""),
+                f"0x{entry['status']:02X}{_state(entry)}",
+                str(entry["occurrence"]),
+                str(len(entry["freeze_frames"])),
+                f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
+            )
     for number in (0, 5):
         table.columns[number].no_wrap = True
     console.print(table if entries else "no DTCs")
     if service.overflowed(path):
         print("the memory was full: entries of less important faults gave way")
     return 0
+
+
+def _state(entry: Mapping[str, Any]) -> str:
+    return " confirmed" if entry["confirmed"] else f" {entry['hold']}" if entry["hold"] else ""
+
+
+def _show_cause(path: Path, entry: Mapping[str, Any]) -> None:
+    """Print what explains an entry, and the others that it explains."""
+    cause = entry["cause"]
+    if cause is None:
+        return
+    if cause["role"] == OPEN:
+        first, *others = cause["ranked"]
+        print(f"cause       not isolated: {named(first['components'])} {percent(first['probability'])}")
+    else:
+        first, *others = cause["ranked"]
+        print(
+            f"cause       {named(first['components'])} ({percent(first['probability'])}), as of {_time(cause['t_ns'])}"
+        )
+    for one in others:
+        print(f"            or {named(one['components'])} {percent(one['probability'])}")
+    if cause["role"] == OPEN:
+        return
+    part = "names the cause" if cause["role"] == CAUSE else "a symptom"
+    stands = (
+        ", stands for the cause" if cause["lead"] == entry["fault"] else f"; {cause['lead_dtc']} stands for the cause"
+    )
+    held = {HELD: "; held: not confirmed for that", WAITING: "; its confirmation waits"}.get(entry["hold"], "")
+    print(f"its part    {part}{stands}{held}")
+    (case,) = [c for c in cases_of(service.list_entries(path)) if any(e["dtc"] == entry["dtc"] for e in c.entries)]
+    for other in case.entries:
+        if other["dtc"] != entry["dtc"]:
+            print(f"  with      {other['dtc']}  {other['fault']}")
 
 
 def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
@@ -80,6 +121,7 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
         print_json(entry)
         return 0
     print(f"{entry['dtc']}  {entry['fault']}")
+    _show_cause(path, entry)
     if entry["description"] is not None:
         print(f"what        {entry['description']}")
         print(f"severity    {entry['severity']}: {WHEN[entry['severity']]}")
