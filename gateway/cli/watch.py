@@ -171,8 +171,8 @@ def _case(case: Case, fdc: Mapping[str, int]) -> Table:
     from rich.table import Table  # noqa: PLC0415 - slow to load
 
     made = Table(box=None, pad_edge=False, show_header=False)
-    for width in (12, None, 7, 4, 3, 10):
-        made.add_column(width=width, no_wrap=True, overflow="ellipsis", ratio=1 if width is None else None)
+    for width in (12, None, 7, 4, 4, 9):
+        made.add_column(width=width, no_wrap=width is not None, overflow="fold", ratio=None if width else 1)
     made.expand = True
     for k, entry in enumerate(case.entries):
         failing = entry["status"] & Status.TEST_FAILED
@@ -187,7 +187,7 @@ def _case(case: Case, fdc: Mapping[str, int]) -> Table:
 
 
 def _nearest(hub: Hub) -> Table:
-    made = _table("\nNearest to a fault", "test", "", "of what is allowed", "value", "limit")
+    made = _table("\nNearest to a fault (1: the limit)", "test", "", "ratio", "value", "limit")
     for row in nearest(hub)[:NEAREST]:
         near = row["ratio"]
         filled = min(round(near * WIDTH * 2 / 3), WIDTH)

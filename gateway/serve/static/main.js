@@ -129,23 +129,27 @@ function showVerdict() {
   say(byId("verdict-more"), more);
 }
 
+const sure = (each) => `${Number((100 * each.probability).toPrecision(3))} %`;
+
 // What explains the faults that are there: the cause where one is proven, else the faults.
 function explained(failing, when, count) {
   const cases = state.memory.cases.filter((each) => each.failing);
   const proven = cases.filter((each) => each.proven);
   const byFault = new Map(failing.map((entry) => [entry.fault, entry]));
+  const only = cases.length === 1 && proven.length === 1;  // then the title names it
   const told = cases.flatMap((each) => {
     const entries = each.faults.map((fault) => byFault.get(fault)).filter((entry) => entry);
     const named = entries.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
     return each.proven
-      ? [`${each.text} explains ${count(entries.length, "fault")}: ${entries.slice(0, 5).map((entry) => entry.dtc).join(", ")}${
-        entries.length > 5 ? ", ..." : ""}`] : named;
+      ? [`${only ? `${sure(each)} sure. It` : each.text} explains ${count(entries.length, "fault")}: ${
+        entries.slice(0, 5).map((entry) => entry.dtc).join(", ")}${entries.length > 5 ? ", ..." : ""}`] : named;
   });
   const title = cases.length > proven.length || !proven.length
     ? [proven.length ? count(proven.length, "cause") : "",
       count(failing.length - proven.reduce((sum, each) => sum + each.failing, 0), "fault")].filter((part) => part).join(" and ")
-    : proven.length === 1 ? `Cause: ${proven[0].components.join(" and ")}` : count(proven.length, "cause");
-  return [`${title} ${when}`, told.slice(0, 3).join("; ") + (told.length > 3 ? `; ${told.length - 3} more` : "")];
+    : count(proven.length, "cause");
+  const text = only ? `Cause ${when}: ${proven[0].components.join(" and ")}` : `${title} ${when}`;
+  return [text, told.slice(0, 3).join("; ") + (told.length > 3 ? `; ${told.length - 3} more` : "")];
 }
 
 // What is drawn
