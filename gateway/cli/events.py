@@ -189,6 +189,10 @@ class EventPrinter:
         for name, counts in event["buses"].items():
             if counts:
                 print_(f"bus {name}: " + readings(counts), hang=2)
+        for case in event["causes"]:
+            if case["proven"]:
+                explained = f"explains {', '.join(case['faults'])}"
+                print_(f"cause: {case['text']}  {explained}", mark="cause", colour="bold", hang=7)
         print_("DTCs: " + (", ".join(event["dtcs"]) or "none"), hang=6)
 
 

@@ -19,11 +19,13 @@ from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
+from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
+from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
@@ -456,4 +458,5 @@ class Gateway:
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
+            causes=[case.as_dict() for case in cases_of([as_dict(entry) for entry in self.memory.entries()])],
         )

@@ -117,6 +117,7 @@ def summary_event(
     buses: dict[str, dict[str, int]],
     monitors: Any,
     dtcs: list[str],
+    causes: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Tell at the end what was done.
 
@@ -127,6 +128,7 @@ def summary_event(
         buses: name -> what the controller said of errors, how often.
         monitors: what each says of itself.
         dtcs: in the fault memory.
+        causes: of them, what is to be read first first.
     """
     return {
         "event": "summary",
@@ -139,4 +141,5 @@ def summary_event(
         "buses": buses,
         "monitors": monitors,
         "dtcs": dtcs,
+        "causes": causes,
     }

@@ -1,4 +1,4 @@
-"""One wrong actuator: the daemon, a replay of the same frames, and a fleet of that one log say the same of its cause."""
+"""One wrong actuator: the daemon, a replay of the same frames, and a fleet of one log say the same of its cause."""
 
 import json
 import re
