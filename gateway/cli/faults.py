@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config.load import load_config
@@ -15,6 +15,9 @@ from gateway.faults.cases import cases_of, named, percent
 from gateway.faults.explained import CAUSE, HELD, OPEN, WAITING
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: Columns from which a list has the descriptions, too.
 WIDE = 120
@@ -53,30 +56,48 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(entries)
         return 0
-    table = table_of("DTC", "fault", "status", "count", "frames", "first, last")
     console = wide_console()
-    told = console.width >= WIDE
-    for number in (3, 4):
-        table.columns[number].justify = "right"
+    wide = console.width >= WIDE
+    console.print(_entries((), wide=wide, titles=True) if entries else "no DTCs")
     for case in cases_of(entries):
         if case.text:
-            table.add_row("", case.text, style="bold" if case.proven else "")
-        for k, entry in enumerate(case.entries):
-            folded = "  " if k and case.proven else ""
-            table.add_row(
-                folded + entry["dtc"],
-                entry["fault"] + (f"\n{entry['description']}" if told and entry["description"] else ""),
-                f"0x{entry['status']:02X}{_state(entry)}",
-                str(entry["occurrence"]),
-                str(len(entry["freeze_frames"])),
-                f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
-            )
-    for number in (0, 5):
-        table.columns[number].no_wrap = True
-    console.print(table if entries else "no DTCs")
+            print(case.text)
+        console.print(_entries(case.entries, wide=wide, below=bool(case.text), folds=case.proven))
     if service.overflowed(path):
         print("the memory was full: entries of less important faults gave way")
     return 0
+
+
+def _entries(
+    entries: Sequence[Mapping[str, Any]], *, wide: bool, titles: bool = False, below: bool = False, folds: bool = False
+) -> Table:
+    """Return entries as lines of a list.
+
+    Args:
+        entries: of a case.
+        wide: whether there is room for what the faults are.
+        titles: whether the columns have titles.
+        below: whether they are below a line with what explains them.
+        folds: whether all but the first are below that one.
+    """
+    table = table_of("DTC", "fault", "status", "count", "frames", "first, last")
+    table.show_header, table.expand = titles, True
+    for column, width in zip(table.columns, (12, None, 14 if wide else 9, 5, 6, 19), strict=True):
+        column.width, column.ratio = width, None if width else 1
+    for number in (0, 5):
+        table.columns[number].no_wrap = True
+    for number in (3, 4):
+        table.columns[number].justify = "right"
+    for k, entry in enumerate(entries):
+        table.add_row(
+            f"{'  ' * below}{'  ' * bool(k and folds)}{entry['dtc']}",
+            entry["fault"] + (f"\n{entry['description']}" if wide and entry["description"] else ""),
+            f"0x{entry['status']:02X}{_state(entry)}",
+            str(entry["occurrence"]),
+            str(len(entry["freeze_frames"])),
+            f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
+        )
+    return table
 
 
 def _state(entry: Mapping[str, Any]) -> str:

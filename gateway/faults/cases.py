@@ -76,11 +76,18 @@ def cases_of(entries: Sequence[Mapping[str, Any]]) -> list[Case]:
     """
     found: dict[tuple[object, ...], list[Mapping[str, Any]]] = {}
     for entry in entries:
-        cause = entry.get("cause")
-        components = () if cause is None else tuple(cause["components"])
-        alone = () if components else (entry["fault"],)
-        found.setdefault((cause is not None and cause["role"] != OPEN, components, *alone), []).append(entry)
-    return sorted((_case(proven is True, group) for (proven, *_), group in found.items()), key=_order)
+        found.setdefault(_key(entry), []).append(entry)
+    return sorted((_case(key[0] is True, group) for key, group in found.items()), key=_order)
+
+
+def _key(entry: Mapping[str, Any]) -> tuple[object, ...]:
+    """Return what entries of one case have in common: the proven cause, or all that may be the cause."""
+    cause = entry.get("cause")
+    if cause is None or not cause["components"]:
+        return False, entry["fault"]
+    if cause["role"] != OPEN:
+        return True, *cause["components"]
+    return False, *(tuple(one["components"]) for one in cause["ranked"])
 
 
 def _case(proven: bool, group: Sequence[Mapping[str, Any]]) -> Case:

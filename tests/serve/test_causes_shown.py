@@ -85,7 +85,7 @@ def test_metrics_and_mqtt_say_it(shown, tmp_path):
 def test_the_commands_say_it(shown):
     _, path = shown
     listed = CliRunner().invoke(app, ["faults", "list", "--memory", str(path)]).output.splitlines()
-    assert listed[1].strip().startswith(SPEED)
+    assert listed[1].startswith(SPEED)
     assert "0x2F confirmed" in listed[2]
     assert "0x27 held" in listed[4]
     codes = {entry["fault"]: entry["dtc"] for entry in service.list_entries(path)}

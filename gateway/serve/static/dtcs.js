@@ -34,7 +34,7 @@ export class Dtcs {
 
   // A cause with the code that stands for it; the others are folded below. What is not proven folds nothing.
   case(told) {
-    const key = `${told.proven} ${told.components.join() || told.faults.join()}`;
+    const key = `${told.proven} ${told.proven ? told.components.join() : told.faults.join()}`;
     const element = this.cases.get(key) ?? this.newCase(key);
     element.className = `case${told.proven ? " proven" : ""}${told.failing ? " failing" : ""}`;
     say(element.head, told.text);
