@@ -232,6 +232,37 @@ def test_a_reload_that_keeps_symptoms_confirms_what_was_held(car):
     assert one.status() == [0x2F] * 3, "what is confirmed stays confirmed"
 
 
+def test_a_reload_without_one_of_the_faults_goes_on_with_the_others(car):
+    one = car()
+    one.drive(5.0)
+    one.drive(3.0, Speed=40)
+    one.reload(rules=("A", "B"))
+    assert one.gateway.memory.record("rules.C").hold == "", "nobody can explain it any more"
+    assert one.gateway.memory.record("rules.C").status & 0x08
+    one.drive(3.0, Speed=40)
+    assert [status & 0x0D for status in one.status()[:2]] in ([0x0D, 0x05], [0x0D, 0x0D])
+    one.drive(7.0)
+    one.key_off()
+
+
+def test_what_is_cleared_and_fails_at_once_has_its_cause_again(car):
+    """It fails before the causes are looked at: no diagnosis has changed."""
+    one = car()
+    one.drive(5.0)
+    one.drive(3.0, Speed=40)
+    code = next(d.dtc.value for d in one.gateway.catalogue if d.id == "rules.B")
+    told = len(one.told("diagnosis"))
+    assert one.gateway.controls.clear(code)
+    index = [slot.id for slot in one.gateway.engine.faults].index("rules.B")
+    one.gateway.engine.report(index, True, 1.0, 0.0, (), one.gateway._verdicts.take)
+    for _ in range(200):
+        one.gateway.engine.report(index, True, 1.0, 0.0, (), one.gateway._verdicts.take)
+    one.drive(3.0, Speed=40)
+    assert one.status() == [0x2F, 0x27, 0x27]
+    assert one.held()[1] == "held"
+    print("diagnoses", told, len(one.told("diagnosis")))
+
+
 def test_a_new_operation_cycle_asks_anew(car):
     one = car()
     one.drive(5.0)

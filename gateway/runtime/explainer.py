@@ -83,6 +83,7 @@ class Explainer:
         self._groups: dict[str, _Group] = {}
         self._standing: dict[str, _Standing] = {}
         self._since: dict[str, int] = {}  # of what waits, by the engine's time
+        self._news, self._due = True, NEVER  # whether causes are to be kept again, and when in any case
         self.held = self.released = 0
         if hold:
             memory.wait_for_causes(causes.tested)
@@ -91,7 +92,10 @@ class Explainer:
 
     def succeed(self, old: Explainer) -> None:
         """Go on where that of an earlier configuration stops."""
-        self._groups, self._standing, self._since = old._groups, old._standing, old._since
+        # What faults explained that there are no more is looked at with the next diagnosis.
+        known = self._depends.keys()
+        self._groups = {fault: group for fault, group in old._groups.items() if group.failed <= known}
+        self._standing, self._since = old._standing, old._since
         self.held, self.released = old.held, old.released
 
     def begin(self, t_ns: int) -> None:
@@ -110,11 +114,13 @@ class Explainer:
 
     def failed(self, fault: str, t_ns: int) -> None:
         """Note when a fault failed, by the engine's time: what waits is not judged by an earlier diagnosis."""
+        self._news = True
         if self._hold:
             self._since[fault] = t_ns
 
     def take(self, event: dict[str, Any]) -> None:
         """Take a diagnosis, and tell it; :meth:`look` follows."""
+        self._news = True
         self._groups = {}
         for told in event["groups"]:
             group = _group(told)
@@ -127,14 +133,9 @@ class Explainer:
         Args:
             t_ns: now, of the engine's time.
         """
-        due = NEVER
-        leads: dict[frozenset[str], str] = {}
-        for fault, group in self._groups.items():
-            if group.failed not in leads:
-                leads[group.failed] = self._lead(group)
-            due = min(due, self._explain(fault, group, leads[group.failed], t_ns))
-        self._standing = {fault: s for fault, s in self._standing.items() if fault in self._groups}
-        return min(due, self._settle(t_ns)) if self._hold else due
+        if self._news or t_ns >= self._due:
+            self._explain_all(t_ns)
+        return min(self._due, self._settle(t_ns)) if self._hold else self._due
 
     def finish(self, t_ns: int) -> None:
         """Confirm what waits still: the process ends."""
@@ -143,9 +144,19 @@ class Explainer:
     def look_soon(self) -> None:
         """Have an entry looked at that was made without a failure now: there was no room for it before."""
         if self._hold or self._groups:
+            self._news = True
             self._engine.pause_ns = min(self._engine.pause_ns, self._engine.now_ns + PACE_NS)
 
     # Causes
+
+    def _explain_all(self, t_ns: int) -> None:
+        self._news, self._due = False, NEVER
+        leads: dict[frozenset[str], str] = {}
+        for fault, group in self._groups.items():
+            if group.failed not in leads:
+                leads[group.failed] = self._lead(group)
+            self._due = min(self._due, self._explain(fault, group, leads[group.failed], t_ns))
+        self._standing = {fault: s for fault, s in self._standing.items() if fault in self._groups}
 
     def _explain(self, fault: str, group: _Group, lead: str, t_ns: int) -> int:
         """Keep what explains an entry; returns when to look at it again, as it may not stand for ever."""

@@ -107,7 +107,8 @@ class Verdicts:
         self._outbox.note_changes(told)
         for change in told:
             self._record(change)
-            bus = self._engine.faults[self._index[change.definition.id]].bus
+            index = self._index.get(change.definition.id)  # None: it is monitored no more
+            bus = NO_BUS if index is None else self._engine.faults[index].bus
             self._outbox.note(dtc_event(change, self._bus_name(bus)))
         return bool(told)
 
