@@ -37,23 +37,35 @@ class EventPrinter:
         self.failures = 0
         self.definition: Callable[[str], FaultDefinition | None] = lambda fault: None
         self._explained: set[str] = set()
+        self._statuses: dict[str, int] = {}
+        self._before = 0  # status of the DTC that is told
         self._advised: dict[str, str] = {}
         self._lines = Lines()
 
     def __call__(self, event: dict[str, Any]) -> None:
         """Print one event."""
-        if event["event"] == "dtc" and event["status"] & Status.TEST_FAILED:
-            self.failures += 1
+        if event["event"] == "dtc":
+            self._before, self._statuses[event["fault"]] = self._statuses.get(event["fault"], 0), event["status"]
+            self.failures += bool(event["status"] & Status.TEST_FAILED) and not self._only_confirmed(event)
         if self._json:
             print_json({**event, **self._more})
         elif (shown := getattr(self, f"_on_{event['event']}", None)) is not None:  # others are for programs
             shown(event)
+
+    def _only_confirmed(self, event: dict[str, Any]) -> bool:
+        """Tell whether a DTC failed before: its confirmation has waited for what explains it."""
+        risen = event["status"] & ~self._before
+        return bool(self._before & Status.TEST_FAILED and risen & Status.CONFIRMED_DTC)
 
     def _time(self, event: dict[str, Any]) -> str:
         return f"{(event['t_ns'] - self.start_ns) / 1e9:10.4f} s"
 
     def _on_dtc(self, event: dict[str, Any]) -> None:
         failed = bool(event["status"] & Status.TEST_FAILED)
+        if self._only_confirmed(event):
+            mark = f"DTC {event['dtc']} confirmed"
+            self._lines.print(f"{self._time(event)}  {mark}  {event['fault']}", mark=mark, colour="bold red")
+            return
         colour, word = ("bold red", "SET") if failed else ("green", "healed")
         mark = f"DTC {event['dtc']} {word}"
         lost = "" if event["stored"] else "  NOT STORED"
@@ -109,6 +121,11 @@ class EventPrinter:
                 self._part("waits", f"for {', '.join(one['test'] for one in group['waits_for'][:3])}")
             if group["apart_by"] and not group["cause"]:
                 self._part("apart by", ", ".join(group["apart_by"][:3]))
+
+    def _on_symptoms(self, event: dict[str, Any]) -> None:
+        mark = f"symptoms {event['state']}"
+        by = f"  by {' and '.join(event['cause'])}" if event["cause"] else ""
+        self._lines.print(f"{self._time(event)}  {mark}  {', '.join(event['faults'])}{by}", mark=mark, colour="bold")
 
     def _on_clear(self, event: dict[str, Any]) -> None:
         gone = ", ".join(event["faults"]) or "no entry was there"
@@ -172,6 +189,10 @@ class EventPrinter:
         for name, counts in event["buses"].items():
             if counts:
                 print_(f"bus {name}: " + readings(counts), hang=2)
+        for case in event["causes"]:
+            if case["proven"]:
+                explained = f"explains {', '.join(case['faults'])}"
+                print_(f"cause: {case['text']}  {explained}", mark="cause", colour="bold", hang=7)
         print_("DTCs: " + (", ".join(event["dtcs"]) or "none"), hang=6)
 
 

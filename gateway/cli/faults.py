@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config.load import load_config
 from gateway.faults import service
+from gateway.faults.cases import cases_of, named, percent
+from gateway.faults.explained import CAUSE, HELD, OPEN, WAITING
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: Columns from which a list has the descriptions, too.
 WIDE = 120
@@ -49,26 +56,81 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     if json:
         print_json(entries)
         return 0
-    table = table_of("DTC", "fault", "status", "count", "frames", "first, last")
     console = wide_console()
-    told = console.width >= WIDE
+    wide = console.width >= WIDE
+    console.print(_entries((), wide=wide, titles=True) if entries else "no DTCs")
+    for case in cases_of(entries):
+        if case.text:
+            print(case.text)
+        console.print(_entries(case.entries, wide=wide, below=bool(case.text), folds=case.proven))
+    if service.overflowed(path):
+        print("the memory was full: entries of less important faults gave way")
+    return 0
+
+
+def _entries(
+    entries: Sequence[Mapping[str, Any]], *, wide: bool, titles: bool = False, below: bool = False, folds: bool = False
+) -> Table:
+    """Return entries as lines of a list.
+
+    Args:
+        entries: of a case.
+        wide: whether there is room for what the faults are.
+        titles: whether the columns have titles.
+        below: whether they are below a line with what explains them.
+        folds: whether all but the first are below that one.
+    """
+    table = table_of("DTC", "fault", "status", "count", "frames", "first, last")
+    table.show_header, table.expand = titles, True
+    for column, width in zip(table.columns, (12, None, 14 if wide else 9, 5, 6, 19), strict=True):
+        column.width, column.ratio = width, None if width else 1
+    for number in (0, 5):
+        table.columns[number].no_wrap = True
     for number in (3, 4):
         table.columns[number].justify = "right"
-    for entry in entries:
+    for k, entry in enumerate(entries):
         table.add_row(
-            entry["dtc"],
-            entry["fault"] + (f"\n{entry['description']}" if told and entry["description"] else ""),
-            f"0x{entry['status']:02X}{' confirmed' if entry['confirmed'] else ''}",
+            f"{'  ' * below}{'  ' * bool(k and folds)}{entry['dtc']}",
+            entry["fault"] + (f"\n{entry['description']}" if wide and entry["description"] else ""),
+            f"0x{entry['status']:02X}{_state(entry)}",
             str(entry["occurrence"]),
             str(len(entry["freeze_frames"])),
             f"{_second(entry['first_ns'])}\n{_second(entry['last_ns'])}",
         )
-    for number in (0, 5):
-        table.columns[number].no_wrap = True
-    console.print(table if entries else "no DTCs")
-    if service.overflowed(path):
-        print("the memory was full: entries of less important faults gave way")
-    return 0
+    return table
+
+
+def _state(entry: Mapping[str, Any]) -> str:
+    return " confirmed" if entry["confirmed"] else f" {entry['hold']}" if entry["hold"] else ""
+
+
+def _show_cause(path: Path, entry: Mapping[str, Any]) -> None:
+    """Print what explains an entry, and the others that it explains."""
+    cause = entry["cause"]
+    if cause is None:
+        return
+    if cause["role"] == OPEN:
+        first, *others = cause["ranked"]
+        print(f"cause       not isolated: {named(first['components'])} {percent(first['probability'])}")
+    else:
+        first, *others = cause["ranked"]
+        print(
+            f"cause       {named(first['components'])} ({percent(first['probability'])}), as of {_time(cause['t_ns'])}"
+        )
+    for one in others:
+        print(f"            or {named(one['components'])} {percent(one['probability'])}")
+    if cause["role"] == OPEN:
+        return
+    part = "names the cause" if cause["role"] == CAUSE else "a symptom"
+    stands = (
+        ", stands for the cause" if cause["lead"] == entry["fault"] else f"; {cause['lead_dtc']} stands for the cause"
+    )
+    held = {HELD: "; held: not confirmed for that", WAITING: "; its confirmation waits"}.get(entry["hold"], "")
+    print(f"its part    {part}{stands}{held}")
+    (case,) = [c for c in cases_of(service.list_entries(path)) if any(e["dtc"] == entry["dtc"] for e in c.entries)]
+    for other in case.entries:
+        if other["dtc"] != entry["dtc"]:
+            print(f"  with      {other['dtc']}  {other['fault']}")
 
 
 def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
@@ -80,6 +142,7 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
         print_json(entry)
         return 0
     print(f"{entry['dtc']}  {entry['fault']}")
+    _show_cause(path, entry)
     if entry["description"] is not None:
         print(f"what        {entry['description']}")
         print(f"severity    {entry['severity']}: {WHEN[entry['severity']]}")

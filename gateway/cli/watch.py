@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import signal
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 from gateway.cli.present import find_config, print_json, say
 from gateway.cli.serve import socket_of
 from gateway.config.load import load_config
+from gateway.faults.cases import Case, cases_of, named
+from gateway.faults.explained import HELD
 from gateway.faults.status import Status
 
 if TYPE_CHECKING:
@@ -88,6 +91,7 @@ def told(hub: Hub) -> dict[str, Any]:
         "connected": hub.connected,
         "ended": hub.hello.get("ended", ""),
         "monitoring": hub.monitoring,
+        "causes": hub.memory["cases"],
         "dtcs": hub.memory["entries"],
         "nearest": [
             {"fault": faults[row["fault"]]["id"], **{k: row.get(k) for k in ("value", "threshold", "ratio", "fdc")}}
@@ -112,12 +116,12 @@ def drawn(hub: Hub) -> Group:
 def _head(hub: Hub) -> Text:
     from rich.text import Text  # noqa: PLC0415 - slow to load
 
-    failing = [e for e in hub.memory["entries"] if e["status"] & Status.TEST_FAILED]
+    cases = [case for case in cases_of(hub.memory["entries"]) if case.failing]
     line = Text(f"{hub.hello['name'] or 'gateway'}  ", style="bold")
     if not hub.connected:
         line.append(f"not reached: {hub.reason}", style="bold red")
-    elif failing:
-        line.append(f"{len(failing)} now: " + ", ".join(e["dtc"] for e in failing), style="bold red")
+    elif cases:
+        line.append(f"{len(cases)} now: " + "; ".join(_briefly(case) for case in cases), style="bold red")
     else:
         line.append("no faults now", style="green")
     if hub.connected and hub.hello.get("ended"):  # an older gateway does not say it
@@ -139,24 +143,51 @@ def _table(title: str, *columns: str) -> Table:
     return made
 
 
-def _dtcs(hub: Hub) -> Table:
-    made = _table("\nTrouble codes", "DTC", "fault", "state", "counter", "count", "latest")
+def _briefly(case: Case) -> str:
+    """Return a case for the first line: its cause if that is proven, else the DTCs that fail."""
+    if case.proven:
+        return named(case.components)
+    return ", ".join(entry["dtc"] for entry in case.entries if entry["status"] & Status.TEST_FAILED)
+
+
+def _dtcs(hub: Hub) -> Group:
+    from rich.console import Group  # noqa: PLC0415 - slow to load
+    from rich.text import Text  # noqa: PLC0415 - slow to load
+
     fdc = {hub.hello["faults"][k]["id"]: row.get("fdc", 0) for k, row in hub.latest.items()}
-    entries = sorted(hub.memory["entries"], key=lambda e: (-(e["status"] & 1), -(e["last_ns"] or 0)))
-    for entry in entries:
+    cases = cases_of(hub.memory["entries"])
+    parts: list[Text | Table] = [Text("\nCauses and trouble codes", style="bold")]
+    if not cases:
+        parts.append(Text("none"))
+    for case in cases:
+        if case.text:
+            parts.append(Text(case.text, style=("bold red" if case.failing else "yellow") if case.proven else "yellow"))
+        parts.append(_case(case, fdc))
+    return Group(*parts)
+
+
+def _case(case: Case, fdc: Mapping[str, int]) -> Table:
+    """Return the entries of a case; symptoms below the one that stands for it, indented."""
+    from rich.table import Table  # noqa: PLC0415 - slow to load
+
+    made = Table(box=None, pad_edge=False, show_header=False)
+    for width in (12, None, 7, 4, 4, 9):
+        made.add_column(width=width, no_wrap=width is not None, overflow="fold", ratio=None if width else 1)
+    made.expand = True
+    for k, entry in enumerate(case.entries):
         failing = entry["status"] & Status.TEST_FAILED
         state = "[bold red]failing[/]" if failing else "[yellow]stored[/]"
+        indent = "  " * bool(case.text) + "  " * bool(k and case.proven)
         made.add_row(
-            entry["dtc"], entry["fault"], state, f"{fdc.get(entry['fault'], 0):+d}", str(entry["occurrence"]),
-            _time(entry["last_ns"]),
+            f"{indent}{entry['dtc']}", entry["fault"], "held" if entry.get("hold") == HELD else state,
+            f"{fdc.get(entry['fault'], 0):+d}", f"{entry['occurrence']}x", _time(entry["last_ns"]),
+            style="dim" if k and case.proven else "",
         )  # fmt: skip
-    if not entries:
-        made.add_row("none")
     return made
 
 
 def _nearest(hub: Hub) -> Table:
-    made = _table("\nNearest to a fault", "test", "", "of what is allowed", "value", "limit")
+    made = _table("\nNearest to a fault (1: the limit)", "test", "", "ratio", "value", "limit")
     for row in nearest(hub)[:NEAREST]:
         near = row["ratio"]
         filled = min(round(near * WIDTH * 2 / 3), WIDTH)

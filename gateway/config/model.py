@@ -108,6 +108,9 @@ class MemoryConfig(StrictModel):
         description="false: no DTC when it cannot be written, or was damaged; log, events and counters"
         " tell it in any case",
     )
+    symptoms: Literal["keep", "hold"] = Field(
+        "keep", description="hold: a fault that only shows a proven cause is stored, but not confirmed"
+    )
     recording: RecorderParams | None = Field(
         None, description="frames kept around each failure; none: nothing is recorded"
     )

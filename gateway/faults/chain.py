@@ -1,10 +1,10 @@
 """The chain of the fault memory: each change of the file is a link that holds the digest of the link before it.
 
-A link names what was written (a fault with its freeze frames, its recordings, an intervention, an operation cycle, a
-permanent DTC, an identifier, a number), and has the digest of these rows. Its own digest is over all that and over the
-digest of the link before. A clear is a link, too. So a row that is changed, added or taken away by somebody else shows,
-and so does a link that is missing. The chain has no secret: whoever may write the file can make all of it again. Then
-only the digest of the last link differs, which a running gateway knows, and which people can note.
+A link names what was written (a fault with its freeze frames and what explains it, its recordings, an intervention, an
+operation cycle, a permanent DTC, an identifier, a number), and has the digest of these rows. Its own digest is over all
+that and over the digest of the link before. A clear is a link, too. So a row that is changed, added or taken away by
+somebody else shows, and so does a link that is missing. The chain has no secret: whoever may write the file can make
+all of it again. Then only the digest of the last link differs, which a running gateway knows, and people can note.
 
 Links are bounded: the oldest ones go, and what they say of rows that are still there is said again at the end.
 """
@@ -49,6 +49,7 @@ _SUBJECTS = {
     INTERVENTION: "SELECT number FROM intervention ORDER BY number",
 }
 _FRAMES = "SELECT number, t_ns, content FROM freeze_frame WHERE fault = ? ORDER BY number"
+_CAUSES = "SELECT 'cause', hold, content FROM cause WHERE fault = ?"
 _ADD = "INSERT INTO link (number, kind, subject, content, digest) VALUES (?, ?, ?, ?, ?)"
 _LINKS = "SELECT number, kind, subject, content, digest FROM link ORDER BY number"
 #: Digest of rows that are not there.
@@ -116,6 +117,7 @@ def content(db: sqlite3.Connection, kind: str, subject: str) -> bytes:
         return GONE
     if kind == FAULT:
         found += db.execute(_FRAMES, (subject,)).fetchall()
+        found += db.execute(_CAUSES, (subject,)).fetchall()  # none: the digest is that of earlier versions
     return hashlib.sha256(_text_of(found).encode()).digest()
 
 

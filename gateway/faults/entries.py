@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
+from gateway.faults.explained import Cause
 from gateway.faults.records import FreezeFrame, Record
 from gateway.faults.status import NOT_COMPLETED, STATUS, Status
 
@@ -71,6 +72,8 @@ class Entry:
     aged_cycles: int
     peak_fdc: int
     near_misses: int
+    cause: Cause | None
+    hold: str
 
     @property
     def listed(self) -> DtcStatus:

@@ -6,13 +6,14 @@ its operation cycle is over.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import replace
 
 from gateway.faults import freeze_frames
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
+from gateway.faults.explained import WAITING
 from gateway.faults.failures import Failure, Observed, finite, known, latest_signals
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.records import FreezeFrame, Record
@@ -40,6 +41,7 @@ class EventMemory:
 
     Attributes:
         room: whether an entry has gone since those that wait were tried again.
+        explained: ids of the faults whose confirmation waits for what explains them.
     """
 
     def __init__(
@@ -50,6 +52,7 @@ class EventMemory:
         self._prestored: dict[str, FreezeFrame] = {}
         self._refused: dict[str, Failure] = {}
         self.room = False
+        self.explained: Container[str] = ()
 
     def succeed(self, old: EventMemory) -> None:
         """Go on with what waits in another one."""
@@ -64,8 +67,9 @@ class EventMemory:
         self._prestored[fault] = frame
 
     def give_up(self, fault: str) -> None:
-        """Give up what waits of a fault: it has passed."""
-        self._prestored.pop(fault, None)
+        """Give up what waits of a fault: it has passed. The frame of one that can still be confirmed is kept."""
+        if not self._held.records[fault].hold:
+            self._prestored.pop(fault, None)
         self._refused.pop(fault, None)
 
     def test_anew(self, fault: str) -> None:
@@ -77,28 +81,49 @@ class EventMemory:
         old = STATUS[record.status]
         if not record.occurrence:  # what was refused earlier in this cycle has not been counted
             old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
-        status, cycles = transition.on_failed(old, record.cycles, definition.rules)
+        waits = record.id in self.explained and not int(old) & _CONFIRMED
+        status, cycles = transition.on_failed(old, record.cycles, definition.rules, wait=waits)
         if not record.occurrence and not self._make_room(definition):
             record.become(transition.on_displaced(status), Cycles())
             seen = failure.observe()
             self._refused[record.id] = replace(failure, observe=lambda: seen)
             return
         record.become(status, cycles)
+        if waits and not record.hold and cycles.failed >= definition.confirm_cycles:
+            record.hold = WAITING
         risen = int(status) & ~int(old)
         freezes = risen & _FREEZE_FRAME_AT.get(definition.freeze_frame_at, _TEST_FAILED)
+        if record.hold and definition.freeze_frame_at == "confirmed":  # it is of this time, if it comes
+            self.prestore(definition.id, FreezeFrame(0, failure.t_ns, finite(failure.observe().frame)))
         observed = failure.observe() if freezes or risen & _TEST_FAILED else Observed()
         if risen & _TEST_FAILED:
             self._note_failure(record, failure, observed)
         if risen & _CONFIRMED:
-            record.last_confirmed = self._held.next_in_order()
-            if record.first_confirmed is None:
-                record.first_confirmed = record.last_confirmed
+            self._note_confirmed(record)
         if freezes:
             prestored = self._prestored.pop(definition.id, None)
             frame = prestored or FreezeFrame(0, failure.t_ns, finite(observed.frame))
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
         became = self._held.permanent.on_failed(definition, status, failure.t_ns)
         self._held.note_permanent(became)
+
+    def wait_no_longer(self, definition: FaultDefinition, record: Record, t_ns: int) -> None:
+        """Confirm a DTC whose confirmation has waited, or was held."""
+        record.hold = ""
+        self._held.touch(record.id)
+        old = record.status
+        record.status = int(transition.on_awaited(STATUS[old], record.cycles, definition.rules))
+        if not record.status & ~old & _CONFIRMED:
+            return
+        self._note_confirmed(record)
+        if definition.freeze_frame_at == "confirmed" and definition.id in self._prestored:
+            freeze_frames.keep(record.freeze_frames, self._prestored.pop(definition.id), definition.freeze_frames)
+        self._held.note_permanent(self._held.permanent.on_failed(definition, STATUS[record.status], t_ns))
+
+    def _note_confirmed(self, record: Record) -> None:
+        record.last_confirmed = self._held.next_in_order()
+        if record.first_confirmed is None:
+            record.first_confirmed = record.last_confirmed
 
     def _note_failure(self, record: Record, failure: Failure, observed: Observed) -> None:
         sequence = self._held.next_in_order()

@@ -7,7 +7,7 @@ was last written. While the file cannot be written there is a third state, told 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -21,6 +21,7 @@ from gateway.faults.clearing import Clearing, Judge
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.event_memory import EventMemory
+from gateway.faults.explained import HELD, Cause
 from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.interventions import Intervention
 from gateway.faults.ledger import Ledger
@@ -171,6 +172,43 @@ class FaultMemory(Readable):
         self._held.touch(record.id)
         evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
         return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
+
+    # What explains them
+
+    def wait_for_causes(self, faults: Container[str]) -> None:
+        """Have failures of these faults wait for :meth:`hold` or :meth:`confirm` before they are confirmed."""
+        self._entries.explained = faults
+
+    def record(self, fault: str) -> Record:
+        """Return what is known of a fault now, written or not: not for others, and not to be changed."""
+        return self._records[fault]
+
+    def unsettled(self) -> list[Record]:
+        """Return the records whose confirmation waits, or is held, in order of their ids; not to be changed."""
+        return sorted((record for record in self._held.failed() if record.hold), key=lambda record: record.id)
+
+    def explain(self, fault: str, cause: Cause) -> None:
+        """Keep what explains an entry; nothing becomes of its status byte."""
+        self._records[fault].cause = cause
+        self._held.touch(fault)
+
+    def hold(self, fault: str) -> None:
+        """Keep a DTC that waits from being confirmed: a proven cause explains it."""
+        self._records[fault].hold = HELD
+        self._held.touch(fault)
+
+    def confirm(self, fault: str, fdc: int, t_ns: int) -> list[DtcChange]:
+        """Confirm a DTC that has waited or was held; returns what changed (see :meth:`apply`).
+
+        Args:
+            fault: its id.
+            fdc: its detection counter now.
+            t_ns: now, of the wall clock.
+        """
+        definition, record = self._definitions[fault], self._records[fault]
+        old = STATUS[record.status]
+        self._entries.wait_no_longer(definition, record, t_ns)
+        return self._changed(definition, record, old, fdc, t_ns)
 
     @property
     def room(self) -> bool:

@@ -10,7 +10,7 @@ from gateway.faults.event_memory import EventMemory
 from gateway.faults.ledger import Ledger
 from gateway.faults.records import Cycle, Record
 from gateway.faults.settings import POWER
-from gateway.faults.status import STATUS
+from gateway.faults.status import STATUS, Status
 
 
 class OperationCycles:
@@ -62,6 +62,8 @@ class OperationCycles:
             if definition.cycle == name:
                 status, cycles = transition.on_cycle_end(STATUS[record.status], record.cycles, definition.rules)
                 record.become(status, cycles)
+                if not status & Status.PENDING_DTC:
+                    record.hold = ""  # there is nothing left to confirm
                 self._held.touch(record.id)
                 self._held.note_permanent(self._held.permanent.on_cycle_end(definition, status))
         self._held.note_cycle(name, Cycle(self._held.cycles[name].number, False, t_ns))

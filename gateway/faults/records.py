@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.status import Cycles, Status
 
@@ -37,6 +38,8 @@ class Record:
         first_failed, last_failed, first_confirmed, last_confirmed: places in the order of all failures
             since the last clear.
         freeze_frames: by record number.
+        cause: what explains it, None: not known.
+        hold: whether its confirmation waits for that, of :data:`gateway.faults.explained.HOLDS`.
     """
 
     id: str
@@ -57,6 +60,8 @@ class Record:
     first_confirmed: int | None = None
     last_confirmed: int | None = None
     freeze_frames: dict[int, FreezeFrame] = field(default_factory=dict)
+    cause: Cause | None = None
+    hold: str = ""
 
     @property
     def cycles(self) -> Cycles:

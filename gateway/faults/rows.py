@@ -9,11 +9,12 @@ from dataclasses import fields
 from operator import attrgetter
 from typing import Any
 
+from gateway.faults.explained import HOLDS, Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
 
-#: Columns of the table of faults, named as in :class:`Record`; these two hold JSON.
-COLUMNS = tuple(f.name for f in fields(Record) if f.name != "freeze_frames")
+#: Columns of the table of faults, named as in :class:`Record`; the others have tables. These two hold JSON.
+COLUMNS = tuple(f.name for f in fields(Record) if f.name not in ("freeze_frames", "cause", "hold"))
 JSON = ("evidence", "inputs")
 
 _MARKS = ", ".join("?" * len(COLUMNS))
@@ -31,6 +32,12 @@ _SAVE_FRAME = (
     " DO UPDATE SET t_ns = excluded.t_ns, content = excluded.content"
     " WHERE t_ns IS NOT excluded.t_ns OR content IS NOT excluded.content"
 )
+_SAVE_CAUSE = (
+    "INSERT INTO cause VALUES (?, ?, ?)"
+    " ON CONFLICT (fault) DO UPDATE SET hold = excluded.hold, content = excluded.content"
+    " WHERE hold IS NOT excluded.hold OR content IS NOT excluded.content"
+)
+SELECT_CAUSES = "SELECT fault, hold, content FROM cause"
 _SAVE_FACT = "INSERT INTO fact VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET value = excluded.value"
 SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our own names
 #: Columns of the table of interventions, named as in :class:`Intervention`.
@@ -57,7 +64,24 @@ def read_records(db: sqlite3.Connection) -> list[Record]:
         if fault not in records:
             raise ValueError(f"a freeze frame of {fault!r}, which is not there")
         records[fault].freeze_frames[number] = FreezeFrame(number, t_ns, json.loads(content))
+    for row in db.execute(SELECT_CAUSES):
+        fault, hold, cause = read_cause(*row)
+        if fault not in records:
+            raise ValueError(f"a cause of {fault!r}, which is not there")
+        records[fault].cause, records[fault].hold = cause, hold
     return list(records.values())
+
+
+def read_cause(fault: str, hold: str, content: str) -> tuple[str, str, Cause | None]:
+    """Return a row of what explains an entry.
+
+    Raises:
+        ValueError: it makes no sense.
+    """
+    told = json.loads(content)
+    if hold not in HOLDS:
+        raise ValueError(f"no state of an entry: {hold!r}")
+    return fault, hold, None if told is None else Cause.parse(told)
 
 
 def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
@@ -151,5 +175,10 @@ def _write_record(db: sqlite3.Connection, r: Record) -> None:
         _SAVE_FRAME,
         [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in frames.values()],
     )
+    if r.cause is None and not r.hold:
+        db.execute("DELETE FROM cause WHERE fault = ?", (r.id,))
+    else:
+        content = json.dumps(None if r.cause is None else r.cause.as_dict())
+        db.execute(_SAVE_CAUSE, (r.id, r.hold, content))
     if r.occurrence == 0:
         db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))

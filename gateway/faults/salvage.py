@@ -9,7 +9,7 @@ import json
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -130,6 +130,7 @@ def salvage(path: Path) -> Salvage:
 
 def _read(db: sqlite3.Connection) -> Salvage:
     found = Salvage()
+    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_schema")}  # an earlier version has fewer
     records = {r.id: r for r in _rows(db, found, rows.SELECT_RECORDS, "fault", _record)}
     for fault, frame in _rows(
         db, found, "SELECT fault, number, t_ns, content FROM freeze_frame", "freeze_frame", _frame
@@ -138,6 +139,8 @@ def _read(db: sqlite3.Connection) -> Salvage:
             records[fault].freeze_frames[frame.number] = frame
         else:
             found.recovered, found.lost = found.recovered - 1, found.lost + 1
+    if "cause" in tables:
+        _explain(db, found, records)
     found.records = list(records.values())
     cycles = "SELECT name, number, open, t_ns FROM operation_cycle"
     found.cycles = dict(_rows(db, found, cycles, "operation_cycle", _cycle))
@@ -152,6 +155,14 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.facts = dict(_rows(db, found, "SELECT name, value FROM fact", "fact", _fact))
     found.interventions = list(_rows(db, found, rows.SELECT_INTERVENTIONS, "intervention", _intervention))
     return found
+
+
+def _explain(db: sqlite3.Connection, found: Salvage, records: Mapping[str, Record]) -> None:
+    for fault, hold, cause in _rows(db, found, rows.SELECT_CAUSES, "cause", rows.read_cause):
+        if fault in records:
+            records[fault].cause, records[fault].hold = cause, hold
+        else:
+            found.recovered, found.lost = found.recovered - 1, found.lost + 1
 
 
 def _rows(db: sqlite3.Connection, found: Salvage, select: str, table: str, read: Callable[..., T]) -> Iterator[T]:

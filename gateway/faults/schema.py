@@ -108,7 +108,13 @@ CREATE TABLE link (
 );
 """
 
+# What explains an entry, and whether its confirmation waits for that. A table of its own: the rows of faults, which the
+# chain has digests of, stay as they were written.
+_SEVENTH = """
+CREATE TABLE cause (fault TEXT PRIMARY KEY REFERENCES fault (id), hold TEXT NOT NULL, content TEXT NOT NULL);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH)
 #: First version that has a chain.
 CHAINED = 6

@@ -43,6 +43,8 @@ def as_dict(entry: Entry) -> dict[str, Any]:
         "aged_cycles": entry.aged_cycles,
         "peak_fdc": entry.peak_fdc,
         "near_misses": entry.near_misses,
+        "cause": None if entry.cause is None else entry.cause.as_dict(),
+        "hold": entry.hold,
     }
 
 

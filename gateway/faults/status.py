@@ -37,7 +37,7 @@ CLEARED = NOT_COMPLETED
 #: second: the transitions count in plain numbers.
 STATUS = tuple(Status(value) for value in range(256))
 _FAILED_BITS = int(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE | Status.PENDING_DTC | Status.FAILED_SINCE_CLEAR)
-_CONFIRMED, _LIT = int(Status.CONFIRMED_DTC), int(Status.WARNING_INDICATOR)
+_PENDING, _CONFIRMED, _LIT = int(Status.PENDING_DTC), int(Status.CONFIRMED_DTC), int(Status.WARNING_INDICATOR)
 _FAILED_THIS_CYCLE = int(Status.TEST_FAILED_THIS_CYCLE)
 _COMPLETE = 0xFF & ~int(NOT_COMPLETED)
 _PASSED = _COMPLETE & ~int(Status.TEST_FAILED)
@@ -72,20 +72,34 @@ def on_passed(status: Status) -> Status:
     return STATUS[int(status) & _PASSED]
 
 
-def on_failed(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles]:
+def on_failed(status: Status, cycles: Cycles, rules: Rules, *, wait: bool = False) -> tuple[Status, Cycles]:
     """Return the status and the counters after a qualified failure.
 
     ``rules.confirm_cycles`` 1 confirms at the first failure.
+
+    Args:
+        status: before.
+        cycles: before.
+        rules: of the fault.
+        wait: whether a DTC that is not confirmed yet stays so for now (see :func:`on_awaited`).
     """
     value, failed = int(status), cycles.failed
     if not value & _FAILED_THIS_CYCLE:
         failed = min(failed + 1, MOST_CYCLES)
     value = value & _COMPLETE | _FAILED_BITS
-    if failed >= rules.confirm_cycles:
+    if failed >= rules.confirm_cycles and (value & _CONFIRMED or not wait):
         value |= _CONFIRMED
         if rules.indicator:
             value |= _LIT
     return STATUS[value], Cycles(failed=failed)
+
+
+def on_awaited(status: Status, cycles: Cycles, rules: Rules) -> Status:
+    """Return the status when a confirmation waits no longer: confirmed, unless a whole cycle has passed well."""
+    value = int(status)
+    if value & _PENDING and cycles.failed >= rules.confirm_cycles:
+        value |= _CONFIRMED | (_LIT if rules.indicator else 0)
+    return STATUS[value]
 
 
 def on_cycle_start(status: Status) -> Status:

@@ -32,7 +32,9 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.errors import GatewayError, InputError
+from gateway.faults.cases import named
 from gateway.faults.entries import entry_of
+from gateway.faults.explained import Cause
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.fleet.corpus import DIGITS, Recording
@@ -332,7 +334,7 @@ def _rows(
         | {
             "dtc": str(entry.dtc), "fault": entry.fault, "status": int(entry.status),
             "first": wall(watch.first[entry.fault]), "last": wall(entry.last_ns), "occurrence": entry.occurrence,
-            "failed_cycles": entry.failed_cycles, "evidence": line(dict(entry.evidence)),
+            "failed_cycles": entry.failed_cycles, "evidence": line(dict(entry.evidence)), **_cause(entry.cause),
         }
         for entry in sorted(entries, key=lambda entry: (watch.first[entry.fault], entry.fault))
     ]  # fmt: skip
@@ -353,6 +355,16 @@ def _rows(
         }
     ]  # fmt: skip
     return verdict
+
+
+def _cause(cause: Cause | None) -> Row:
+    """Return what explained a DTC last: null where nothing is proven, ``role`` is null where nothing is known."""
+    proven = cause is not None and cause.proven
+    return {
+        "cause": named(cause.components) if cause is not None and proven else None,
+        "probability": cause.probability if cause is not None and proven else None,
+        "role": None if cause is None else cause.role,
+    }
 
 
 def _tests(gateway: Gateway, records: Mapping[str, Record], old: Mapping[str, Record]) -> Iterator[Row]:

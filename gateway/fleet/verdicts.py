@@ -4,7 +4,7 @@
 table       a row
 ==========  ======================================================================================================
 ``logs``    a log: whose, when, how many frames, what state, distance driven, DTCs
-``dtcs``    a DTC of a log: status at the end, first and last failure, occurrences, evidence
+``dtcs``    a DTC of a log: status at the end, first and last failure, occurrences, proven cause, evidence
 ``tests``   a test of a log: results, the nearest to a failure (``ratio``, 1 at the limit), near misses
 ``events``  a change of a DTC's status in a log, in order
 ``errors``  what was wrong with a log: damaged, cut off, empty, foreign, failed, killed its worker, a copy
@@ -41,7 +41,8 @@ TABLES: dict[str, dict[str, str]] = {
     },
     "dtcs": {
         "log": _TEXT, "device": _TEXT, "dtc": _TEXT, "fault": _TEXT, "status": _COUNT, "first": _TIME, "last": _TIME,
-        "occurrence": _COUNT, "failed_cycles": _COUNT, "evidence": _TEXT,
+        "occurrence": _COUNT, "failed_cycles": _COUNT, "cause": _TEXT, "probability": _NUMBER, "role": _TEXT,
+        "evidence": _TEXT,
     },
     "tests": {
         "log": _TEXT, "device": _TEXT, "dtc": _TEXT, "fault": _TEXT, "results": _COUNT, "failed": _COUNT,

@@ -8,6 +8,7 @@ from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.faults.catalogue import Catalogue, as_dict
 from gateway.faults.recorder import Recorder
+from gateway.runtime.explainer import Explainer
 from gateway.runtime.reports import Reports
 from gateway.runtime.upkeep import Upkeep
 from gateway.servers.bus_servers import BusServers
@@ -37,7 +38,12 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 
 def counters(
-    engine: Engine, servers: BusServers, upkeep: Upkeep, recorder: Recorder | None, reports: Reports
+    engine: Engine,
+    servers: BusServers,
+    upkeep: Upkeep,
+    recorder: Recorder | None,
+    reports: Reports,
+    explainer: Explainer,
 ) -> dict[str, int]:
     """Return what was counted, by name: of frames, requests, the fault memory, and other processes' reports."""
     found = engine.counters()
@@ -45,6 +51,8 @@ def counters(
         found[name] = found.get(name, 0) + count
     found["memory_not_stored"] = upkeep.not_stored
     found["memory_write_failures"] = upkeep.failures
+    if explainer.held:
+        found |= {"symptoms_held": explainer.held, "symptoms_released": explainer.released}
     if recorder is not None:
         found["recordings_refused"] = recorder.refused
     return found | reports.counters()

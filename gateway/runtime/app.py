@@ -19,16 +19,19 @@ from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
+from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
+from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
 from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
+from gateway.runtime.explainer import Explainer
 from gateway.runtime.interventions import Interventions
 from gateway.runtime.outbox import Listener, Outbox
 from gateway.runtime.proofs import Proofs
@@ -134,7 +137,15 @@ class Gateway:
         names = [bus.name for bus in self.config.bus]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
-        self._causes = Causes(self.engine, self._parts.depends, self._parts.checks, self._outbox.note)
+        self._causes = Causes(self.engine, self._parts.depends, self._parts.checks)
+        self._explainer = Explainer(
+            self.engine,
+            self.memory,
+            self._parts.depends,
+            self._causes,
+            hold=self.config.memory.symptoms == "hold",
+            note=self._outbox.note,
+        )
         self._verdicts = Verdicts(
             self.config,
             self._parts,
@@ -145,7 +156,9 @@ class Gateway:
             self._off,
             self._doubts,
             self._causes,
+            self._explainer.failed,
         )
+        self._explainer.note_changes = self._verdicts.note_changes
         judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
@@ -201,6 +214,7 @@ class Gateway:
         self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
         self._causes.succeed(old._causes)
+        self._explainer.succeed(old._explainer)
         self._meter.succeed(old._meter)
         indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
@@ -215,6 +229,7 @@ class Gateway:
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
         self._keep_off()
+        self._explainer.begin(self.engine.now_ns)
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
         names = {name: k for k, name in enumerate(self._parts.cycles)}
@@ -231,6 +246,7 @@ class Gateway:
         self._proofs.recall()
         self.controls.start_cycle(t_ns)
         self._keep_off()
+        self._explainer.begin(t_ns)
 
     def _keep_off(self) -> None:
         """Leave monitors off whose step did not return in an earlier process."""
@@ -245,6 +261,7 @@ class Gateway:
         self._proofs.look()
         if self._causes.pending:
             self._causes.look(t_ns)
+        self._explainer.finish(t_ns)
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
@@ -392,6 +409,7 @@ class Gateway:
             self.memory.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
             self._verdicts.note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
+            self._explainer.look_soon()
         frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self._outbox.release(now, self._verdicts.take, asked=asked)
         frames += self.servers.on_time(now)
@@ -436,8 +454,9 @@ class Gateway:
         return summary_event(
             seconds,
             self._verdicts.count,
-            counters(self.engine, self.servers, self._upkeep, self._recorder, self.reports),
+            counters(self.engine, self.servers, self._upkeep, self._recorder, self.reports, self._explainer),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
+            causes=[case.as_dict() for case in cases_of([as_dict(entry) for entry in self.memory.entries()])],
         )

@@ -52,7 +52,12 @@ class Causes:
         engine: has the verdicts.
         depends: fault id -> what its test sees.
         checks: of messages, with their timeouts.
+
+    Attributes:
         tell: takes the event.
+        tested: ids of the faults that are looked at.
+        waiting: ids of those that fail, where a slower test can still speak.
+        after_look: called at the end of each look with its time; returns when it is to be looked again.
     """
 
     def __init__(
@@ -60,10 +65,12 @@ class Causes:
         engine: Engine,
         depends: Mapping[str, tuple[Seen, ...]],
         checks: Sequence[CheckInstance],
-        tell: Callable[[dict[str, Any]], None],
     ) -> None:
-        self._engine, self._tell = engine, tell
+        self._engine = engine
+        self.tell: Callable[[dict[str, Any]], None] = lambda event: None
         used = {slot.id for slot in engine.faults if depends[slot.id][0].component.kind not in _ALONE}
+        self.tested, self.waiting = frozenset(used), frozenset[str]()
+        self.after_look: Callable[[int], int] = lambda t_ns: NEVER
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
         delays = _delays(engine, checks)
@@ -103,7 +110,8 @@ class Causes:
         self._engine.pause_ns = NEVER
         event = self._conclude(t_ns)
         if event is not None:
-            self._tell(event)
+            self.tell(event)
+        self._engine.pause_ns = min(self._engine.pause_ns, self.after_look(t_ns))
 
     def look_soon(self) -> None:
         """Look at the causes a moment later, if there are any."""
@@ -125,6 +133,8 @@ class Causes:
         self._renew(t_ns)
         groups = self._diagnoser.diagnose()
         self._failing = len(groups)
+        names = self._diagnoser.system.tests
+        self.waiting = frozenset(names[t].name for group in groups if group.waiting for t in group.failed)
         self._plan_next(groups, t_ns)
         news = [self._gist(group) for group in groups]
         if news == self._told:

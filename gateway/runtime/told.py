@@ -10,6 +10,7 @@ import numpy as np
 from gateway.common.log import get_logger
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
+from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
 from gateway.monitors.contract import FAILED, PASSED
@@ -65,6 +66,26 @@ def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> 
     }
 
 
+def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
+    """Tell that symptoms are held by a proven cause, or that what held them is withdrawn.
+
+    Args:
+        t_ns: when, of the wall clock.
+        state: "held" or "released".
+        faults: their ids.
+        cause: that holds them.
+        lead: id of the fault that stands for it.
+    """
+    return {
+        "event": "symptoms",
+        "t_ns": t_ns,
+        "state": state,
+        "faults": list(faults),
+        "cause": [] if cause is None else list(cause.components),
+        "lead": lead,
+    }
+
+
 def clear_event(t_ns: int, faults: Sequence[str]) -> dict[str, Any]:
     """Tell which entries were cleared."""
     return {"event": "clear", "t_ns": t_ns, "faults": list(faults)}
@@ -96,6 +117,7 @@ def summary_event(
     buses: dict[str, dict[str, int]],
     monitors: Any,
     dtcs: list[str],
+    causes: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Tell at the end what was done.
 
@@ -106,6 +128,7 @@ def summary_event(
         buses: name -> what the controller said of errors, how often.
         monitors: what each says of itself.
         dtcs: in the fault memory.
+        causes: of them, what is to be read first first.
     """
     return {
         "event": "summary",
@@ -118,4 +141,5 @@ def summary_event(
         "buses": buses,
         "monitors": monitors,
         "dtcs": dtcs,
+        "causes": causes,
     }

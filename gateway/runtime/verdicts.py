@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -47,6 +47,7 @@ class Verdicts:
         off: monitors that are switched off.
         doubts: rules that no frame passes.
         causes: what explains the faults.
+        on_failure: takes id and time, of the engine, of each fault that fails.
 
     Attributes:
         count: events until now.
@@ -63,11 +64,12 @@ class Verdicts:
         off: SwitchedOff,
         doubts: Doubts,
         causes: Causes,
+        on_failure: Callable[[str, int], None],
     ) -> None:
         self._config, self._parts, self._engine, self._catalogue = config, parts, parts.engine, parts.catalogue
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
-        self._causes = causes
+        self._causes, self._on_failure = causes, on_failure
         self._index = {definition.id: k for k, definition in enumerate(parts.catalogue)}
         self.count = 0
 
@@ -87,6 +89,8 @@ class Verdicts:
                 continue
             if kind == QUALIFIED_FAILED:
                 self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
+                fault = self._catalogue[int(event["fault"])].id
+                self._on_failure(fault, int(event["t_ns"]) - self._engine.offset_ns)
             changes = self._memory.apply(event, self._observe)
             told = self.note_changes(changes)
             if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
@@ -103,7 +107,8 @@ class Verdicts:
         self._outbox.note_changes(told)
         for change in told:
             self._record(change)
-            bus = self._engine.faults[self._index[change.definition.id]].bus
+            index = self._index.get(change.definition.id)  # None: it is monitored no more
+            bus = NO_BUS if index is None else self._engine.faults[index].bus
             self._outbox.note(dtc_event(change, self._bus_name(bus)))
         return bool(told)
 

@@ -34,7 +34,20 @@ STATES = {"memory", "link", "monitoring"}
 #: Least time between two looks into the fault memory's file, and longest [s].
 READ_S, LOOK_S = 0.1, 2.0
 #: Kinds of events that the page lists.
-LISTED = {"dtc", "clear", "cycle", "intervention", "bus", "clock", "memory", "config", "injected", "reporter"}
+LISTED = {
+    "dtc",
+    "diagnosis",
+    "symptoms",
+    "clear",
+    "cycle",
+    "intervention",
+    "bus",
+    "clock",
+    "memory",
+    "config",
+    "injected",
+    "reporter",
+}
 
 #: What is on and off where nobody has switched anything.
 ALL_ON: dict[str, Any] = {"on": True, "dtcs": True, "receive": True, "send": True, "by": []}

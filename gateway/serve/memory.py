@@ -8,6 +8,7 @@ from typing import Any
 
 from gateway.errors import GatewayError
 from gateway.faults import service
+from gateway.faults.cases import cases_of
 from gateway.faults.dtc import Dtc
 from gateway.faults.lock import is_unsaved
 from gateway.faults.records import Recording
@@ -57,7 +58,7 @@ class MemoryFile:
             store.close()
 
     def read(self, faults: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Return entries, the status byte of each fault, operation cycles and readiness.
+        """Return entries, the cases that they are, the status byte of each fault, operation cycles and readiness.
 
         Args:
             faults: the catalogue, as the status socket's hello has it.
@@ -79,6 +80,7 @@ class MemoryFile:
         return {
             "error": "",
             "entries": entries,
+            "cases": [case.as_dict() for case in cases_of(entries)],
             "status": status,
             "cycles": cycles,
             "stored": stored,
@@ -97,7 +99,9 @@ class MemoryFile:
         return found[number - 1] if 1 <= number <= len(found) else None
 
 
-_NOTHING: dict[str, Any] = {"entries": [], "status": {}, "cycles": {}, "stored": True, "readiness": []}
+_NOTHING: dict[str, Any] = {
+    "entries": [], "cases": [], "status": {}, "cycles": {}, "stored": True, "readiness": [],
+}  # fmt: skip
 
 
 def readiness(faults: Sequence[Mapping[str, Any]], status: Mapping[str, int]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
+from gateway.faults.explained import HELD
 from gateway.serve.memory import BITS
 
 if TYPE_CHECKING:
@@ -83,10 +84,25 @@ class Metrics(Collector):
             if fault["id"] in known:
                 entries.add_metric([fault["id"], fault["dtc"]], float(known[fault["id"]]["occurrence"]))
         hub.worst = {}
-        yield from (bits, ratio, entries)
+        yield from (bits, ratio, entries, *self._causes())
         yield GaugeMetricFamily(
             "gateway_memory_stored", "Whether the file has all that is known.", value=float(hub.memory["stored"])
         )
+
+    def _causes(self) -> Iterator[Metric]:
+        labels = ["cause", "proven"]
+        probability = GaugeMetricFamily(
+            "gateway_cause_probability", "Of the likeliest cause of faults that are there now.", labels=labels
+        )
+        count = GaugeMetricFamily("gateway_cause_faults", "Faults that are there now, by their cause.", labels=labels)
+        for case in self._hub.memory["cases"]:
+            if case["failing"]:
+                values = [" and ".join(case["components"]), str(case["proven"]).lower()]
+                probability.add_metric(values, case["probability"])
+                count.add_metric(values, float(case["failing"]))
+        held = sum(entry["hold"] == HELD for entry in self._hub.memory["entries"])
+        yield from (probability, count)
+        yield GaugeMetricFamily("gateway_symptoms_held", "Entries that a proven cause keeps unconfirmed.", value=held)
 
     def _reporters(self) -> Iterator[Metric]:
         reports = CounterMetricFamily(

@@ -4,6 +4,7 @@
 |---|---|---|
 | ``BASE/status`` | yes | ``online`` or ``offline``, which the broker says when this process dies (last will) |
 | ``BASE/monitoring`` | yes | ``on``, or ``off`` while somebody has switched it off |
+| ``BASE/causes`` | yes | what explains the faults that are there now: a list, what to look at first first |
 | ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
 | ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
 
@@ -36,7 +37,10 @@ from gateway.serve.link import Refused
 LOOK_S = 0.1
 ONLINE, OFFLINE = "online", "offline"
 #: Of an entry, what is told.
-_TOLD = ("dtc", "fault", "status", "occurrence", "first_ns", "last_ns", "evidence", "description", "severity", "remedy")
+_TOLD = (
+    "dtc", "fault", "status", "occurrence", "first_ns", "last_ns", "cause", "hold", "evidence", "description",
+    "severity", "remedy",
+)  # fmt: skip
 
 log = get_logger(__name__)
 
@@ -127,6 +131,7 @@ class Publisher:
         """Return what the broker is to have: topic -> payload."""
         made = {f"{self.base}/status": ONLINE if self._hub.connected else OFFLINE}
         made[f"{self.base}/monitoring"] = "on" if self._hub.monitoring["on"] else "off"
+        made[f"{self.base}/causes"] = line([case for case in self._hub.memory["cases"] if case["failing"]])
         for entry in self._hub.memory["entries"]:
             told = {name: entry.get(name) for name in _TOLD}
             status = Status(entry["status"])

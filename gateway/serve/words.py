@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.engine.buckets import nearness
+from gateway.faults.cases import named, percent
+from gateway.faults.explained import CAUSE, HELD, OPEN
 from gateway.faults.remedy import WHEN
 from gateway.faults.status import Status
 
@@ -29,7 +31,7 @@ def told_in_words(entry: Mapping[str, Any]) -> list[str]:
     sure = (
         "confirmed" if status & Status.CONFIRMED_DTC else "pending" if status & Status.PENDING_DTC else "not confirmed"
     )
-    said = [f"{now}; it came {times} and is {sure}."]
+    said = [f"{now}; it came {times} and is {sure}.", *_explained(entry)]
     evidence = dict(entry["evidence"])
     value, limit = evidence.pop("value", None), evidence.pop("threshold", None)
     if value is not None and limit is not None:
@@ -40,6 +42,23 @@ def told_in_words(entry: Mapping[str, Any]) -> list[str]:
     if entry.get("remedy"):
         said.append(f"What to do: {entry['remedy']}; {WHEN[entry['severity']]}.")
     return said
+
+
+def _explained(entry: Mapping[str, Any]) -> list[str]:
+    """Return what explains an entry, and what that means for it."""
+    cause = entry.get("cause")
+    if cause is None:
+        return []
+    found = f"{named(cause['components'])} ({percent(cause['probability'])})"
+    if cause["role"] == OPEN:
+        ranked = ", ".join(f"{named(one['components'])} {percent(one['probability'])}" for one in cause["ranked"])
+        return [f"Its cause is not isolated: {ranked}."]
+    if cause["role"] == CAUSE:
+        return [f"It names the cause: {found}."]
+    if cause["lead"] == entry["fault"]:
+        return [f"It is a symptom, and stands for its cause: {found}."]
+    lead = f"It is a symptom of {found}, for which {cause['lead_dtc']} stands."
+    return [lead, "It is held: it is not confirmed while that is so."] if entry["hold"] == HELD else [lead]
 
 
 def _times(value: float, limit: float) -> str:

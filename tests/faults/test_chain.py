@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway.errors import InputError
 from gateway.faults import chain, service
+from gateway.faults.explained import Cause, Ranked
 from gateway.faults.interventions import MOST, Intervention
 from gateway.faults.records import Changes, Cycle, Permanent, Recording
+from gateway.faults.salvage import salvage
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 from gateway.faults.store import Store
 
@@ -138,6 +140,48 @@ def test_interventions_that_had_to_go_are_no_loss(tmp_path):
     assert verdict.broken == []
     assert verdict.counted["intervention"] == MOST
     store.close()
+
+
+def test_a_file_from_before_causes_keeps_its_chain_and_all_it_has(tmp_path):
+    """The digests are those of the old version: what somebody changed before the migration shows after it."""
+    path = tmp_path / "f.sqlite"
+    filled(path)
+    before = service.list_entries(path)
+    assert before
+    for wrong in (False, True):
+        db = sqlite3.connect(path, isolation_level=None)
+        db.executescript("DROP TABLE cause; PRAGMA user_version = 6;")
+        if wrong:
+            db.execute("UPDATE fault SET occurrence = occurrence + 1 WHERE occurrence > 0")
+        db.close()
+        with pytest.raises(InputError, match="earlier gateway"):
+            service.verify(path)
+        store, memory = kept(path)
+        assert [mishap.kind for mishap in store.mishaps()] == (["damaged"] if wrong else [])
+        assert all(entry.cause is None and entry.hold == "" for entry in memory.entries())
+        store.close()
+        assert service.verify(path)["whole"]
+    assert [entry["fault"] for entry in service.list_entries(path)] == [entry["fault"] for entry in before]
+
+
+def test_a_cause_that_somebody_changes_shows(tmp_path):
+    path = tmp_path / "f.sqlite"
+    store, memory = kept(path)
+    memory.apply(event(1, True, 99), nothing)
+    fault = memory.catalogue[1].id
+    memory.explain(fault, Cause("cause", (Ranked(("signal a.B.c",), 0.97),), fault, "U0100-00", 99))
+    memory.commit()
+    store.close()
+    assert service.verify(path)["whole"]
+    (entry,) = [entry for entry in service.list_entries(path) if entry["fault"] == fault]
+    assert entry["cause"]["ranked"] == [{"components": ["signal a.B.c"], "probability": 0.97}]
+    db = sqlite3.connect(path)
+    with db:
+        db.execute("UPDATE cause SET content = replace(content, 'signal', 'ecu')")
+    db.close()
+    (broken,) = service.verify(path)["broken"]
+    assert (broken["kind"], broken["subject"]) == ("fault", fault)
+    assert salvage(path).records[0].cause is not None
 
 
 def test_what_is_undone_leaves_no_link(tmp_path):

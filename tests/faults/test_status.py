@@ -11,6 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from gateway.faults import status as transition
 from gateway.faults.memory import FaultMemory
 from gateway.faults.status import CLEARED, Status
 from gateway.faults.store import Store
@@ -347,3 +348,18 @@ def test_a_failure_outside_its_operation_cycle_is_no_trip():
     memory.start_cycle(3, "drive")
     memory.apply(event(0, True), nothing)
     assert int(memory.status("m.f0")) == 0x2F, "the second trip"
+
+
+def test_a_confirmation_that_waits_takes_nothing_back():
+    """Bits 3 and 7 wait only where the DTC is not confirmed yet; all others are set as ever."""
+    lit = transition.Rules(indicator=True)
+    new, cycles = transition.on_failed(transition.CLEARED, transition.Cycles(), lit, wait=True)
+    assert (int(new), cycles.failed) == (0x27, 1)
+    assert int(transition.on_awaited(new, cycles, lit)) == 0xAF
+    healed = transition.STATUS[0x28]
+    again, _ = transition.on_failed(healed, transition.Cycles(), lit, wait=True)
+    assert int(again) == 0xAF, "it was confirmed before: its lamp is lit anew"
+    passed = transition.STATUS[0x20]
+    assert transition.on_awaited(passed, transition.Cycles(), lit) == passed, "a whole cycle has passed well"
+    twice = transition.Rules(confirm_cycles=2)
+    assert int(transition.on_awaited(transition.STATUS[0x27], transition.Cycles(failed=1), twice)) == 0x27

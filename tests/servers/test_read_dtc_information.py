@@ -3,11 +3,13 @@
 import struct
 
 import pytest
+import udsoncan
 from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rig import Rig, dtc_text, write_config
 from uds_tester import ANYBODY, EXTRA, Asked, hexed
+from udsoncan.services import ReadDTCInformation
 
 from gateway.faults.dtc import Dtc
 
@@ -151,6 +153,41 @@ def test_extended_data_is_what_the_memory_knows(uds):
     assert answer[at + 9 : at + 18] == b"\x11" + struct.pack(">q", last)
     (length,) = struct.unpack(">d", bytes.fromhex(ask(f"1906{hexed(0)}20"))[-8:])
     assert length == 1.0, "the evidence: so many bytes came"
+
+
+def causes_of(record):
+    """Decode record 30 by docs/diagnostics.md: role, confirmation, lead, and what is left over; causes with names."""
+    role, hold, lead, count = record[0], record[1], record[2:5].hex(), record[5]
+    rest, causes = record[6:], []
+    for _ in range(count):
+        probability, components = struct.unpack(">HB", rest[:3])
+        rest, names = rest[3:], []
+        for _ in range(components):
+            names.append(rest[1 : 1 + rest[0]].decode())
+            rest = rest[1 + rest[0] :]
+        causes.append((names, probability / 1e4))
+    return role, hold, lead, causes, rest
+
+
+def test_what_explains_a_fault_is_an_extended_data_record(uds):
+    """Read by udsoncan; the memory says the same."""
+    rig, ask = uds()
+    rig.fail(0)
+    assert ask(f"1906{hexed(0)}30") == f"5906{hexed(0)}2f", "not known yet"
+    rig.wait(200)
+    answer = bytes.fromhex(ask(f"1906{hexed(0)}30"))
+    kind = ReadDTCInformation.Subfunction.reportDTCExtendedDataRecordByDTCNumber
+    response = udsoncan.Response.from_payload(answer)
+    read = ReadDTCInformation.interpret_response(response, kind, extended_data_size=len(answer) - 7)
+    (record,) = read.service_data.dtcs[0].extended_data
+    assert record.record_number == 0x30
+    role, hold, lead, causes, rest = causes_of(record.raw_data)
+    cause = rig.gateway.memory.entry(rig.fault(0)).cause
+    assert (role, hold, rest) == (["open", "cause", "symptom"].index(cause.role), 0, b"")
+    assert lead == (hexed(0) if cause.proven else "000000")
+    assert causes == [(list(one.components), pytest.approx(one.probability, abs=1e-4)) for one in cause.ranked]
+    assert causes[0][0]
+    assert ask("191a30") == f"591aff30{hexed(0)}2f"
 
 
 def test_the_availability_mask_hides_bits_everywhere(uds):

@@ -7,14 +7,17 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
 import urllib.request
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
+import shared_signal
 from browser import asked_for, browser, complaints
 from kernel_can import wait_for
 from processes import GATEWAY, bus, gateway, process
@@ -22,6 +25,9 @@ from selenium.webdriver.common.by import By
 from testers import isotp_stack
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
+
+from gateway.bus.base import send_all
+from gateway.bus.uri import open_bus
 
 pytestmark = pytest.mark.system
 
@@ -252,6 +258,61 @@ def test_a_page_that_comes_late_shows_what_was_before(site):
     peak = entry["evidence"]["value"]
     assert 1 <= sum(abs(high - peak) < 1e-6 for high in drawn["high"]) <= site.plays, "each peak is in one column"
     assert all(later > earlier for earlier, later in itertools.pairwise(drawn["x"]))
+
+
+@contextmanager
+def sending(uri, frames):
+    """Send frames, each at its time, until the end."""
+    ended = threading.Event()
+    sent = np.concatenate(frames)
+
+    def send():
+        begun, at = time.monotonic(), 0
+        with open_bus(uri) as wire:
+            while at < len(sent) and not ended.wait(0.01):
+                end = int(np.searchsorted(sent["t_ns"], (time.monotonic() - begun) * 1e9))
+                send_all(wire, sent[at:end])
+                at = end
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        sender.join()
+
+
+def test_a_cause_comes_first_and_its_symptoms_are_folded_below_it(site, tmp_path):
+    """Speed is 40 km/h too high: three rules fail, one verdict."""
+    with ExitStack() as stack:
+        uri = stack.enter_context(bus(tmp_path))
+        path = shared_signal.write(tmp_path, memory='symptoms = "hold"', checks=())
+        path.write_text(path.read_text().replace("loopback:127.0.0.1:0", uri))
+        stack.enter_context(process("run", path, "--status", tmp_path / "status", cwd=tmp_path, ready="monitoring"))
+        page = stack.enter_context(
+            process("serve", "--status", tmp_path / "status", "--port", "0", cwd=tmp_path, ready="page:")
+        )
+        driver = site.driver
+        driver.get(page.said.split()[1])
+        stack.enter_context(sending(uri, [shared_signal.frames(0, 3), shared_signal.frames(3, 600, Speed=40)]))
+        wait_for(lambda: driver.find_element(By.ID, "verdict-text").text == "Cause now: signal can0.Speed.V")
+        assert "It explains 3 faults" in driver.find_element(By.ID, "verdict-more").text
+        (case,) = driver.find_elements(By.CSS_SELECTOR, "#dtcs > .case.proven.failing")
+        assert case.find_element(By.CSS_SELECTOR, ".cause").text.startswith("signal can0.Speed.V (99")
+        cards = case.find_elements(By.CSS_SELECTOR, ".dtc")
+        assert [card.is_displayed() for card in cards] == [True, False, False]
+        assert "held" not in cards[0].text
+        case.find_element(By.TAG_NAME, "summary").click()
+        assert all("failing, held" in card.text for card in cards[1:])
+        first = [card.find_element(By.CLASS_NAME, "fault-name").text for card in cards]
+        order = "return [...document.querySelectorAll('.fault')].slice(0, 3).map((e) => e.dataset.fault)"
+        wait_for(lambda: driver.execute_script(order) == first)
+        wait_for(lambda: "cause: signal can0.Speed.V" in driver.find_element(By.ID, "log").text)
+        assert case.find_element(By.TAG_NAME, "details").get_attribute("open"), "it stays open while it goes on"
+        assert complaints(driver) == []
+    site.driver.get(site.url)
+    wait_for(lambda: text_of(site, "#link") == "monitoring")
 
 
 def test_nothing_is_asked_of_another_host_and_the_looks_are_right(site):

@@ -60,6 +60,7 @@ class Collector:
         self._fine: dict[int, Buckets] = {}  # number of a fine column -> buckets
         self._index = {definition.id: k for k, definition in enumerate(gateway.catalogue)}
         self._open: list[Window] = []
+        self._failing: set[str] = set()
         gateway.listen(self._on_event)
 
     def start(self, t_ns: int) -> None:
@@ -139,8 +140,16 @@ class Collector:
             if first <= place <= last and buckets[fault]["numbers"] > 0 and buckets[fault]["count"] > 0:
                 window.columns[place] = buckets[fault].copy()
 
+    def _fails(self, event: dict[str, Any]) -> bool:
+        """Tell whether an event is of a fault that has come, and not of one that is only confirmed later."""
+        if event["event"] != "dtc":
+            return False
+        failing = event["fault"] in self._failing
+        (self._failing.add if event["status"] & 1 else self._failing.discard)(event["fault"])
+        return bool(event["status"] & 1) and not failing
+
     def _on_event(self, event: dict[str, Any]) -> None:
-        if event["event"] == "dtc" and event["status"] & 1 and len(self.windows) < MOST_WINDOWS:
+        if self._fails(event) and len(self.windows) < MOST_WINDOWS:
             window = Window(event["fault"], event["t_ns"], {})
             self.windows.append(window)
             self._open.append(window)

@@ -15,6 +15,7 @@ import numpy as np
 
 from gateway import __version__
 from gateway.common.jsonlines import line
+from gateway.faults.cases import Case, cases_of, named
 from gateway.faults.entries import Entry
 from gateway.faults.remedy import severity_names
 from gateway.faults.service import as_dict
@@ -81,6 +82,7 @@ class _Page:
         self._gateway, self._found, self._told = gateway, found, told
         self._figures: list[Figure] = []
         self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.first_ns or 0, str(entry.dtc)))
+        self._cases = cases_of([as_dict(entry) for entry in self._entries])
         self._events = [_lasting(event) for event in (*found.events, *told.events)]
 
     def text(self) -> str:
@@ -129,9 +131,15 @@ class _Page:
         else:
             good = not entries
             codes = ", ".join(str(entry.dtc) for entry in entries)
+            causes = [named(case.components) for case in self._cases if case.proven]
             text = "No trouble codes" if good else f"Trouble codes: {codes}"
+            text = f"Cause: {'; '.join(causes)}" if causes else text
         said = {True: "" if good else "as expected: ", False: "NOT as expected: "}
         lines = "".join(f"<li>{said[ok]}{escape(what)}</li>" for ok, what in findings)
+        for case in self._cases:
+            if case.text:
+                codes = ", ".join(entry["dtc"] for entry in case.entries)
+                lines += f"<li>{'cause: ' if case.proven else ''}{escape(case.text)}; explains {codes}</li>"
         facts = [
             *self._told.source,
             ("length", f"{self._seconds(self._found.last_ns):.3f} s"),
@@ -162,10 +170,21 @@ class _Page:
     def _codes(self) -> str:
         if not self._entries:
             return _card("Trouble codes", '<p class="none">No trouble codes.</p>')
-        return _card("Trouble codes", "".join(self._code(entry) for entry in self._entries))
+        return _card("Causes and trouble codes", "".join(self._case(case) for case in self._cases))
 
-    def _code(self, entry: Entry) -> str:
-        shown = as_dict(entry)
+    def _case(self, case: Case) -> str:
+        """Return a case: its cause, the entry that stands for it, and the others folded below."""
+        entries = {entry.fault: entry for entry in self._entries}
+        codes = [self._code(entries[shown["fault"]], shown) for shown in case.entries]
+        if not case.proven or len(codes) == 1:
+            body = "".join(codes)
+        else:
+            folded = f"<summary>{len(codes) - 1} more that it explains</summary>{''.join(codes[1:])}"
+            body = f"{codes[0]}<details>{folded}</details>"
+        head = f'<h3 class="cause">{escape(case.text)}</h3>' if case.text else ""
+        return f'<section class="case{" proven" if case.proven else ""}">{head}{body}</section>'
+
+    def _code(self, entry: Entry, shown: Mapping[str, Any]) -> str:
         definition = self._gateway.memory.definition(entry.fault)
         severity, _ = severity_names(definition.severity)
         words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity})

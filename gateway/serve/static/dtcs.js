@@ -1,4 +1,5 @@
-// Trouble codes: status bits, detection counter, evidence in words, freeze frames, recordings, clear.
+// Causes, and the trouble codes that each explains; of a code: status bits, detection counter, evidence in words, freeze
+// frames, recordings, clear.
 
 import { get } from "/static/api.js";
 import { arrange, byId, clock, make, number, parts, say } from "/static/dom.js";
@@ -13,6 +14,8 @@ export class Dtcs {
     this.clear = clear;
     this.open = new Set();
     this.rows = new Map();
+    this.cases = new Map();
+    this.unfolded = new Set();
   }
 
   show(memory, bits) {
@@ -22,12 +25,35 @@ export class Dtcs {
     say(error, memory.error || (memory.stored ? "" : "The fault memory cannot be written; more is known than is shown."));
     byId("clear").disabled = !memory.entries.length;
     const focused = document.activeElement?.closest?.("[data-dtc]");
-    const order = [...memory.entries].sort((a, b) => (b.status & 1) - (a.status & 1) || b.last_ns - a.last_ns);
-    this.rows = new Map(order.map((entry) => [entry.fault, this.kept(entry) ?? this.row(entry)]));
-    const elements = order.length ? [...this.rows.values()] : [make("p", { class: "none" }, "No trouble codes.")];
-    arrange(this.place, elements);
-    while (this.place.children.length > elements.length) this.place.lastElementChild.remove();
+    this.rows = new Map(memory.entries.map((entry) => [entry.fault, this.kept(entry) ?? this.row(entry)]));
+    const elements = memory.cases.map((told) => this.case(told));
+    this.cases = new Map(elements.map((element) => [element.key, element]));
+    place(this.place, elements.length ? elements : [make("p", { class: "none" }, "No trouble codes.")]);
     if (focused && !focused.isConnected) this.rows.get(focused.fault)?.querySelector("button").focus();
+  }
+
+  // A cause with the code that stands for it; the others are folded below. What is not proven folds nothing.
+  case(told) {
+    const key = `${told.proven} ${told.proven ? told.components.join() : told.faults.join()}`;
+    const element = this.cases.get(key) ?? this.newCase(key);
+    element.className = `case${told.proven ? " proven" : ""}${told.failing ? " failing" : ""}`;
+    say(element.head, told.text);
+    element.head.hidden = !told.text;
+    const rows = told.faults.map((fault) => this.rows.get(fault));
+    const folds = told.proven && rows.length > 1;
+    place(element.list, folds ? rows.slice(0, 1) : rows);
+    place(element.folded, folds ? rows.slice(1) : []);
+    element.more.hidden = !folds;
+    say(element.summary, `${rows.length - 1} more that it explains`);
+    return element;
+  }
+
+  newCase(key) {
+    const [head, list, folded] = [make("h3", { class: "cause" }), make("div"), make("div")];
+    const summary = make("summary", { class: "muted" });
+    const more = make("details", { open: this.unfolded.has(key) }, summary, folded);
+    more.addEventListener("toggle", () => (more.open ? this.unfolded.add(key) : this.unfolded.delete(key)));
+    return Object.assign(make("section", {}, head, list, more), { key, head, list, folded, summary, more });
   }
 
   // The row that is there, where nothing of it has changed: what somebody is about to press stays under the finger.
@@ -40,7 +66,7 @@ export class Dtcs {
     const failing = Boolean(entry.status & 1);
     const id = `more-${entry.dtc}`;
     const more = make("div", { class: "more", id, hidden: !this.open.has(entry.dtc) });
-    const state = make("span", { class: `pill ${failing ? "bad" : "warning"}` }, failing ? "failing" : "stored");
+    const state = make("span", { class: `pill ${failing ? "bad" : "warning"}` }, `${failing ? "failing" : "stored"}${entry.hold === "held" ? ", held" : ""}`);
     const button = make("button", { type: "button", "aria-expanded": String(this.open.has(entry.dtc)), "aria-controls": id },
       make("span", { class: "code" }, entry.dtc), make("span", { class: "fault-name" }, ...parts(entry.fault)), state,
       make("span", { class: "what" },
@@ -91,8 +117,14 @@ export class Dtcs {
   }
 
   counters(residuals) {
-    for (const element of this.place.children) element.counter?.(residuals.counter(element.fault) ?? 0);
+    for (const element of this.rows.values()) element.counter(residuals.counter(element.fault) ?? 0);
   }
+}
+
+// Has a parent have these elements, and no others.
+function place(parent, elements) {
+  arrange(parent, elements);
+  while (parent.children.length > elements.length) parent.lastElementChild.remove();
 }
 
 function table(title, values) {

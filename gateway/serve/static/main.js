@@ -8,7 +8,7 @@ import { showBuses, showCycle, showInjected, showLog, showMessages, textOf } fro
 
 const DRAW_MS = 200;
 const state = {
-  connected: false, reason: "", memory: { entries: [], cycles: {}, readiness: [], stored: true, error: "" }, bits: [],
+  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, readiness: [], stored: true, error: "" }, bits: [],
   on: true, events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
 };
 const residuals = new Residuals();
@@ -80,6 +80,7 @@ function showEvents() {
 function showMemory() {
   dtcs.show(state.memory, state.bits);
   dtcs.counters(residuals);
+  residuals.rank(state.memory.cases);
   showCycle(state.memory);
   showVerdict();
 }
@@ -118,8 +119,7 @@ function showVerdict() {
   if (!state.connected) {
     [kind, text, more] = ["", "The gateway is not reached", state.reason];
   } else if (failing.length) {
-    const named = failing.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
-    [kind, text, more] = ["bad", `${count(failing.length, "fault")} ${when}`, named.slice(0, 3).join("; ")];
+    [kind, text, more] = ["bad", ...explained(failing, when, count)];
   } else if (stored) {
     [kind, text, more] = ["warning", `No faults ${when}`, `${count(stored, "trouble code")} stored of faults that were there.`];
   }
@@ -127,6 +127,29 @@ function showVerdict() {
   place.className = `verdict ${kind}`;
   say(byId("verdict-text"), text);
   say(byId("verdict-more"), more);
+}
+
+const sure = (each) => `${Number((100 * each.probability).toPrecision(3))} %`;
+
+// What explains the faults that are there: the cause where one is proven, else the faults.
+function explained(failing, when, count) {
+  const cases = state.memory.cases.filter((each) => each.failing);
+  const proven = cases.filter((each) => each.proven);
+  const byFault = new Map(failing.map((entry) => [entry.fault, entry]));
+  const only = cases.length === 1 && proven.length === 1;  // then the title names it
+  const told = cases.flatMap((each) => {
+    const entries = each.faults.map((fault) => byFault.get(fault)).filter((entry) => entry);
+    const named = entries.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
+    return each.proven
+      ? [`${only ? `${sure(each)} sure. It` : each.text} explains ${count(entries.length, "fault")}: ${
+        entries.slice(0, 5).map((entry) => entry.dtc).join(", ")}${entries.length > 5 ? ", ..." : ""}`] : named;
+  });
+  const title = cases.length > proven.length || !proven.length
+    ? [proven.length ? count(proven.length, "cause") : "",
+      count(failing.length - proven.reduce((sum, each) => sum + each.failing, 0), "fault")].filter((part) => part).join(" and ")
+    : count(proven.length, "cause");
+  const text = only ? `Cause ${when}: ${proven[0].components.join(" and ")}` : `${title} ${when}`;
+  return [text, told.slice(0, 3).join("; ") + (told.length > 3 ? `; ${told.length - 3} more` : "")];
 }
 
 // What is drawn

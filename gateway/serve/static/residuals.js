@@ -1,4 +1,5 @@
-// Residuals by monitor, nearest to a fault first; the nearest are plotted, others when they are opened.
+// Residuals by monitor: those of a cause first, what stands for it before its symptoms, then the nearest to a fault. The
+// first are plotted, others when they are opened.
 
 import { get } from "/static/api.js";
 import { arrange, byId, make, number, say } from "/static/dom.js";
@@ -16,6 +17,7 @@ export class Residuals {
     this.busy = false;
     this.told = false;  // the past
     this.sorted = -Infinity;  // at once
+    this.ranks = new Map();  // fault -> place by its cause
     for (const kind of ["pointerenter", "focusin"]) this.place.addEventListener(kind, () => (this.busy = true));
     for (const kind of ["pointerleave", "focusout"]) this.place.addEventListener(kind, () => (this.busy = false));
     this.place.addEventListener("keydown", (event) => this.move(event));
@@ -102,6 +104,14 @@ export class Residuals {
     }
   }
 
+  // Takes the cases that fail, in the order in which they are to be read.
+  rank(cases) {
+    const faults = cases.filter((each) => each.failing).flatMap((each) => each.faults);
+    if (faults.join() === [...this.ranks.keys()].join()) return;
+    this.ranks = new Map(faults.map((fault, place) => [fault, place]));
+    this.sorted = -Infinity;  // at once
+  }
+
   // Before a page's first tick, and after the server has begun anew.
   forget() {
     this.told = false;
@@ -186,21 +196,29 @@ export class Residuals {
   sort() {
     this.sorted = performance.now();
     const key = (row) => row.nearest ?? -1;
+    const rank = (row) => this.ranks.get(row.fault.id) ?? Infinity;
+    const before = (a, b) => {
+      const [first, second] = [rank(a), rank(b)];
+      return (first === second ? 0 : first - second) || key(b) - key(a) || a.index - b.index;
+    };
     for (const group of this.groups.values()) {
-      group.rows.sort((a, b) => key(b) - key(a) || a.index - b.index);
+      group.rows.sort(before);
       const quiet = group.rows.filter((row) => row.nearest === null && !row.chosen);
       const told = group.rows.filter((row) => !quiet.includes(row));
       arrange(group.list, told.map((row) => row.element));
       arrange(group.quiet, quiet.map((row) => row.element));
       group.others.hidden = !quiet.length;
       say(group.summary, told.length ? `${quiet.length} more not tested in this window` : `${quiet.length} tests, none in this window`);
-      group.nearest = key(group.rows[0]);
+      group.nearest = Math.max(...group.rows.map(key));
       say(group.near, group.nearest >= 1 ? "failed in this window" : "");
     }
-    const groups = [...this.groups.values()].sort((a, b) => b.nearest - a.nearest);
+    const groups = [...this.groups.values()].sort((a, b) => {
+      const [first, second] = [rank(a.rows[0]), rank(b.rows[0])];
+      return (first === second ? 0 : first - second) || b.nearest - a.nearest;
+    });
     arrange(this.place, groups.map((group) => group.element));
     const wanted = new Set([...this.faults].filter((row) => row.nearest > 0)
-      .sort((a, b) => key(b) - key(a) || a.index - b.index).slice(0, PLOTS));
+      .sort(before).slice(0, PLOTS));
     for (const row of this.faults) {
       if (row.chosen === null) this.show(row, wanted.has(row));
     }

@@ -68,6 +68,8 @@ export function showCycle(memory) {
 export function textOf(event) {
   switch (event.event) {
     case "dtc": return `${event.dtc} ${event.status & 1 ? "failed" : "healed"}: ${event.fault}`;
+    case "diagnosis": return told(event.groups);
+    case "symptoms": return `symptoms ${event.state}: ${event.faults.join(", ")}`;
     case "clear": return `cleared: ${event.faults.join(", ") || "no entry was there"}`;
     case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;
@@ -79,6 +81,12 @@ export function textOf(event) {
     case "injected": return `injected: ${event.text}`;
     default: return event.event;
   }
+}
+
+function told(groups) {
+  if (!groups.length) return "nothing is left to explain";
+  return groups.map((group) => `${group.cause ? `cause: ${group.cause.join(" and ")}` : "not isolated"}, of ${group.failed.slice(0, 3).join(", ")}${
+    group.failed.length > 3 ? ` and ${group.failed.length - 3} more` : ""}`).join("; ");
 }
 
 export function showLog(events) {

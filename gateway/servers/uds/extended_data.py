@@ -11,6 +11,7 @@
 | 11 | 8 | latest failure, likewise |
 | 20 | 16 + 8 n | evidence of the latest failure: value, threshold, and the n values that the monitor names, float64 |
 | 21 | 8 n | inputs of the monitor at the latest failure, float64 |
+| 30 | 6 + n causes | what explains it; see :func:`_cause` |
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
+from gateway.faults.dtc import Dtc
 from gateway.faults.entries import Entry
+from gateway.faults.explained import HOLDS, ROLES
 
 
 def _clipped(value: int) -> bytes:
@@ -33,6 +36,29 @@ def _time(t_ns: int | None) -> bytes:
 
 def _numbers(values: Iterable[float | None]) -> bytes:
     return b"".join(struct.pack(">d", math.nan if value is None else value) for value in values)
+
+
+def _cause(entry: Entry) -> bytes:
+    """Return what explains an entry; nothing while it is not known.
+
+    Byte 0: role (0 open, 1 cause, 2 symptom); byte 1: its confirmation (0 as usual, 1 waits, 2 held); bytes 2 to 4: DTC
+    of the entry that stands for the cause, 0: none; byte 5: number of causes, the likeliest first. Of each cause: its
+    probability in 1/10000, 2 bytes; number of its components (0: a false alarm), 1 byte; of each component the number
+    of bytes, 1 byte, and its name in UTF-8, "signal can0.SPEED.SPEED".
+    """
+    cause = entry.cause
+    if cause is None and not entry.hold:
+        return b""
+    ranked = () if cause is None else cause.ranked
+    role = 0 if cause is None else ROLES.index(cause.role)
+    lead = bytes(Dtc.parse(cause.lead_dtc)) if cause is not None and cause.lead_dtc else bytes(3)
+    made = bytes([role, HOLDS.index(entry.hold)]) + lead + bytes([len(ranked)])
+    for components, probability in ranked:
+        made += struct.pack(">HB", round(probability * 1e4), min(len(components), 255))
+        for name in components[:255]:
+            text = name.encode()[:255].decode(errors="ignore").encode()
+            made += bytes([len(text)]) + text
+    return made
 
 
 class ExtendedData(NamedTuple):
@@ -54,4 +80,5 @@ EXTENDED_DATA: Mapping[int, ExtendedData] = {
     0x11: ExtendedData("last_ns", 8, lambda entry: _time(entry.last_ns)),
     0x20: ExtendedData("evidence", None, lambda entry: _numbers(entry.evidence.values())),
     0x21: ExtendedData("inputs", None, lambda entry: _numbers(entry.inputs.values())),
+    0x30: ExtendedData("cause", None, _cause),
 }

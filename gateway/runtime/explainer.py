@@ -1,0 +1,278 @@
+"""What the fault memory makes of a diagnosis: each entry gets its cause, and symptoms may be held.
+
+An entry's part in its group of faults: it names the cause (of all that its test sees, it sees a component of the proven
+cause best), it is a symptom, or nothing is proven. One entry leads: it stands for the cause, so that there is one DTC
+for it that a tester finds confirmed, whether or not a fault names the component.
+
+With ``symptoms = "hold"`` the confirmation of a fault waits until the diagnosis has spoken: :data:`LONGEST_NS` at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gateway.common.times import NEVER
+from gateway.engine.core import Engine
+from gateway.engine.depends.parts import Seen
+from gateway.faults.entries import DtcChange
+from gateway.faults.explained import CAUSE, HELD, MOST_RANKED, OPEN, SYMPTOM, WAITING, Cause, Ranked
+from gateway.faults.memory import FaultMemory
+from gateway.faults.records import Record
+from gateway.faults.status import Status
+from gateway.runtime.causes import PACE_NS, Causes
+from gateway.runtime.told import symptoms_event
+
+#: A confirmation waits so long for the diagnosis, at most [ns].
+LONGEST_NS = 30_000_000_000
+#: A proven cause stands so long while some of its faults have healed, and no other has come: the rest of them, which
+#: heal more slowly, say less of it than all did [ns].
+HEALING_NS = 30_000_000_000
+#: Causes that are less probable are not kept.
+_LEAST = 0.01
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Faults that failed together, as of the latest diagnosis: their ids, the proven cause, and all ranked."""
+
+    failed: frozenset[str]
+    proven: Mapping[str, Any] | None
+    ranked: tuple[Ranked, ...]
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """A proven cause: the group that it was proven for, and until when it stands while that heals [ns]."""
+
+    failed: frozenset[str]
+    until_ns: int
+
+
+class Explainer:
+    """Takes diagnoses into the fault memory.
+
+    Args:
+        engine: its clock, and detection counters.
+        memory: has the entries.
+        depends: fault id -> what its test sees, the best first.
+        causes: makes the diagnoses.
+        hold: whether symptoms are held.
+        note: takes events to be told.
+
+    Attributes:
+        note_changes: takes changes of status bytes.
+        held, released: how many symptoms were held, and how many of these were confirmed later.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        memory: FaultMemory,
+        depends: Mapping[str, tuple[Seen, ...]],
+        causes: Causes,
+        *,
+        hold: bool,
+        note: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._engine, self._memory, self._depends, self._causes = engine, memory, depends, causes
+        self._note = note
+        self.note_changes: Callable[[Sequence[DtcChange]], object] = lambda changes: None
+        self._index = {slot.id: k for k, slot in enumerate(engine.faults)}
+        self._groups: dict[str, _Group] = {}
+        self._standing: dict[str, _Standing] = {}
+        self._since: dict[str, int] = {}  # of what waits, by the engine's time
+        self._news, self._due = True, NEVER  # whether causes are to be kept again, and when in any case
+        self.held = self.released = 0
+        if hold:
+            memory.wait_for_causes(causes.tested)
+        self._hold = hold
+        causes.tell, causes.after_look = self.take, self.look
+
+    def succeed(self, old: Explainer) -> None:
+        """Go on where that of an earlier configuration stops."""
+        # What faults explained that there are no more is looked at with the next diagnosis.
+        known = self._depends.keys()
+        self._groups = {fault: group for fault, group in old._groups.items() if group.failed <= known}
+        self._standing, self._since = old._standing, old._since
+        self.held, self.released = old.held, old.released
+
+    def begin(self, t_ns: int) -> None:
+        """Confirm what no diagnosis can speak of: it waited when its process ended, or was held by other rules.
+
+        Args:
+            t_ns: now, of the engine's time.
+        """
+        known = self._causes.tested if self._hold else frozenset[str]()
+        overdue = [
+            record.id
+            for record in self._memory.unsettled()
+            if record.id not in known or (record.hold == WAITING and record.id not in self._since)
+        ]
+        self._confirm(overdue, t_ns)
+
+    def failed(self, fault: str, t_ns: int) -> None:
+        """Note when a fault failed, by the engine's time: what waits is not judged by an earlier diagnosis."""
+        self._news = True
+        if self._hold:
+            self._since[fault] = t_ns
+
+    def take(self, event: dict[str, Any]) -> None:
+        """Take a diagnosis, and tell it; :meth:`look` follows."""
+        self._news = True
+        self._groups = {}
+        for told in event["groups"]:
+            group = _group(told)
+            self._groups |= dict.fromkeys(group.failed, group)
+        self._note(event)
+
+    def look(self, t_ns: int) -> int:
+        """Bring the memory up to date; returns when to look again.
+
+        Args:
+            t_ns: now, of the engine's time.
+        """
+        if self._news or t_ns >= self._due:
+            self._explain_all(t_ns)
+        return min(self._due, self._settle(t_ns)) if self._hold else self._due
+
+    def finish(self, t_ns: int) -> None:
+        """Confirm what waits still: the process ends."""
+        self._confirm([record.id for record in self._memory.unsettled() if record.hold == WAITING], t_ns)
+
+    def look_soon(self) -> None:
+        """Have an entry looked at that was made without a failure now: there was no room for it before."""
+        if self._hold or self._groups:
+            self._news = True
+            self._engine.pause_ns = min(self._engine.pause_ns, self._engine.now_ns + PACE_NS)
+
+    # Causes
+
+    def _explain_all(self, t_ns: int) -> None:
+        self._news, self._due = False, NEVER
+        leads: dict[frozenset[str], str] = {}
+        for fault, group in self._groups.items():
+            if group.failed not in leads:
+                leads[group.failed] = self._lead(group)
+            self._due = min(self._due, self._explain(fault, group, leads[group.failed], t_ns))
+        self._standing = {fault: s for fault, s in self._standing.items() if fault in self._groups}
+
+    def _explain(self, fault: str, group: _Group, lead: str, t_ns: int) -> int:
+        """Keep what explains an entry; returns when to look at it again, as it may not stand for ever."""
+        record = self._memory.record(fault)
+        if not record.occurrence:
+            return NEVER
+        cause = self._cause(fault, group, lead, self._engine.wall_ns(t_ns))
+        standing = self._standing.get(fault)
+        if cause.proven:
+            self._standing[fault] = _Standing(group.failed, t_ns + HEALING_NS)
+        elif standing is not None and record.cause is not None and group.failed < standing.failed:
+            if t_ns < standing.until_ns:
+                return standing.until_ns
+            del self._standing[fault]
+        elif standing is not None:
+            del self._standing[fault]
+        if not cause.same(record.cause):
+            self._memory.explain(fault, cause)
+        return NEVER
+
+    def _cause(self, fault: str, group: _Group, lead: str, t_ns: int) -> Cause:
+        if group.proven is None or fault not in group.proven["explains"]:
+            return Cause(OPEN, group.ranked, "", "", t_ns)
+        components = tuple(group.proven["components"])
+        role = CAUSE if self._names(fault, components) else SYMPTOM
+        ranked = sorted(group.ranked, key=lambda one: one.components != components)
+        return Cause(role, tuple(ranked), lead, str(self._memory.definition(lead).dtc), t_ns)
+
+    def _names(self, fault: str, components: Iterable[str]) -> bool:
+        return self._depends[fault][0].component.name in components
+
+    def _lead(self, group: _Group) -> str:
+        """Return the fault that stands for a proven cause; "": there is none.
+
+        One that names it, else the one that led before, else the one that sees it best and failed first.
+        """
+        if group.proven is None:
+            return ""
+        components = set(group.proven["components"])
+        explained = [fault for fault in group.proven["explains"] if self._memory.record(fault).occurrence]
+
+        def key(fault: str) -> tuple[bool, bool, float, int, str]:
+            record = self._memory.record(fault)
+            led = record.cause is not None and record.cause.lead == fault and components == set(record.cause.components)
+            power = max((one.power for one in self._depends[fault] if one.component.name in components), default=0.0)
+            return (not self._names(fault, components), not led, -power, record.last_ns or 0, fault)
+
+        return min(explained, key=key, default="")
+
+    # Holding
+
+    def _settle(self, t_ns: int) -> int:
+        """Hold or confirm what waits, and release what is held no more; returns when to look again."""
+        due = NEVER
+        symptoms: list[Record] = []
+        freed: list[str] = []
+        for record in self._memory.unsettled():
+            since = self._since.setdefault(record.id, t_ns - 1)
+            if record.id in self._groups and self._is_symptom(record):
+                symptoms.append(record)
+            elif record.hold == HELD and record.id not in self._groups:
+                continue  # it does not fail now, or is not tested: nothing speaks against the cause
+            elif since >= t_ns:
+                due = min(due, since + PACE_NS)
+            elif record.id in self._causes.waiting and t_ns < since + LONGEST_NS:
+                due = min(due, since + LONGEST_NS)
+            else:
+                freed.append(record.id)
+        self._confirm(freed, t_ns)
+        # Where the lead is not confirmed (it takes more cycles, or was cleared), nobody would see the cause.
+        led = {record.id for record in symptoms if self._is_confirmed(record)}
+        self._confirm([record.id for record in symptoms if record.id not in led], t_ns)
+        self._tell_held([record for record in symptoms if record.id in led and record.hold == WAITING], t_ns)
+        return due
+
+    def _is_confirmed(self, symptom: Record) -> bool:
+        """Tell whether the entry is confirmed that stands for a symptom's cause."""
+        cause = symptom.cause
+        return cause is not None and bool(self._memory.record(cause.lead).status & Status.CONFIRMED_DTC)
+
+    def _is_symptom(self, record: Record) -> bool:
+        """Tell whether an entry is held: a symptom, unless a lamp would stay dark that its lead does not ask for."""
+        cause = record.cause
+        if cause is None or cause.role != SYMPTOM or cause.lead == record.id:
+            return False
+        mine, lead = self._memory.definition(record.id), self._memory.definition(cause.lead)
+        return not mine.indicator or (lead.indicator and lead.lamp == mine.lamp)
+
+    def _tell_held(self, held: Sequence[Record], t_ns: int) -> None:
+        by_lead: dict[str, list[Record]] = {}
+        for record in held:
+            self._memory.hold(record.id)
+            by_lead.setdefault(record.cause.lead if record.cause else "", []).append(record)
+        self.held += len(held)
+        wall_ns = self._engine.wall_ns(t_ns)
+        for lead, records in by_lead.items():
+            self._note(symptoms_event(wall_ns, "held", [record.id for record in records], records[0].cause, lead))
+
+    def _confirm(self, faults: Sequence[str], t_ns: int) -> None:
+        wall_ns = self._engine.wall_ns(t_ns)
+        released = [fault for fault in faults if self._memory.record(fault).hold == HELD]
+        self.released += len(released)
+        if released:
+            self._note(symptoms_event(wall_ns, "released", released, None, ""))
+        for fault in faults:
+            self._since.pop(fault, None)
+            index = self._index.get(fault)
+            fdc = 0 if index is None else self._engine.fault_detection_counter(index)
+            self.note_changes(self._memory.confirm(fault, fdc, wall_ns))
+
+
+def _group(told: Mapping[str, Any]) -> _Group:
+    """Return a group of the event ``diagnosis``."""
+    ranked = [Ranked(tuple(one["components"]), one["probability"]) for one in told["causes"]]
+    kept = [one for k, one in enumerate(ranked) if one.probability >= _LEAST or not k]
+    proven = None
+    if told["cause"] is not None:
+        proven = next(one for one in told["causes"] if one["components"] == told["cause"])
+    return _Group(frozenset(told["failed"]), proven, tuple(kept[:MOST_RANKED]))
