@@ -75,14 +75,28 @@ def test_one_message_of_an_ecu_that_is_heard_is_not_its_ecu():
 
 
 def test_while_a_slower_test_can_speak_nothing_is_certain():
-    config, frames = frames_of("signals_faults", 8.5)
-    first, second = diagnoses(played(config, frames))[:2]
+    """A checksum is wrong: is it the message, or does its sender die?"""
+    config, frames = frames_of("restbus", 15.5)
+    first, second = diagnoses([e for e in played(config, frames) if e["t_ns"] > 14e9])[:2]
     (before,), (after,) = first["groups"], second["groups"]
     assert before["cause"] is None
-    assert [one["test"] for one in before["waits_for"]] == ["chassis.WheelSpeeds.timeout"]
-    assert after["cause"] == ["signal chassis.WheelSpeeds.FL"]
+    assert [one["test"] for one in before["waits_for"]] == ["chassis.Vehicle.timeout"]
+    assert after["cause"] == ["message chassis.Vehicle"]
     assert after["waits_for"] == []
     assert second["t_ns"] - first["t_ns"] >= before["waits_for"][0]["for_s"] * 1e9 > 0.0
+
+
+def test_two_faults_that_no_test_of_one_explains_are_named_together():
+    """A plant's monitor knows single faults only: by its tests, brake's resistance and force's sensor are wrong."""
+    scenario = load_scenario(shipped("scenarios/brake_faults.toml"))
+    config = load_config(scenario.config)
+    faults = [fault for fault in scenario.fault if fault.name in ("f_R", "f_F")]
+    both = tuple(fault.model_copy(update={"from_s": 20.0, "to_s": None}) for fault in faults)
+    short = scenario.model_copy(update={"duration_s": 50.0, "fault": both, "expect": ()})
+    last = diagnoses(played(config, player_of(short, config).frames))[-1]
+    (group,) = last["groups"]
+    assert group["failed"] == ["brake.unisolated"]  # tests that it is made of have no DTCs, and are not told
+    assert set(group["causes"][0]["components"]) == {"plant brake.f_R", "signal brake.Sensors.Force"}
 
 
 def test_a_cause_that_is_gone_is_told_as_gone():
@@ -151,6 +165,7 @@ def car(tmp_path_factory):
     [
         ("offset SPEED.SPEED=40 @20..25", "signal can0.SPEED.SPEED"),
         ("drop SPEED @20..25", "message can0.SPEED"),
+        ("offset WHEEL_SPEEDS.WHEEL_SPEED_FR=40 @20..30", "signal can0.WHEEL_SPEEDS.WHEEL_SPEED_FR"),
         ("", None),
     ],
 )

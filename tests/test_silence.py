@@ -2,12 +2,13 @@
 
 import random
 
+import networks
+import numpy as np
 import pytest
 from amount import amount
+from networks import causes, run
 
-from gateway.bus.frames import empty, put
-from gateway.config.load import load_config
-from gateway.runtime.app import Gateway
+from gateway.bus.conditions import LOSS, condition_frame
 
 #: Buses -> ECUs -> their messages, as (identifier, cycle [ms]).
 NETWORK = {
@@ -16,76 +17,19 @@ NETWORK = {
 }
 #: Timeouts in cycles.
 TIMEOUT = 2.5
-MESSAGES = [
-    (bus, ecu, can_id, cycle)
-    for bus, ecus in NETWORK.items()
-    for ecu, messages in ecus.items()
-    for can_id, cycle in messages
-]
+
+
+def of(buses):
+    """Return the part of the network that is on some buses."""
+    return {bus: NETWORK[bus] for bus in buses}
 
 
 def config_of(folder, buses, power=""):
-    text = [power]
-    for bus in buses:
-        lines = ['VERSION ""', "NS_ :", "BS_:", f"BU_: {' '.join(NETWORK[bus])}"]
-        checks = []
-        for ecu, messages in NETWORK[bus].items():
-            for can_id, cycle in messages:
-                lines += [f"BO_ {can_id} M{can_id:X}: 8 {ecu}", f' SG_ Value : 0|8@1+ (1,0) [0|255] "" {ecu}']
-                checks.append(f'[[bus.check]]\nmessage = "M{can_id:X}"\ntimeout_ms = {TIMEOUT * cycle}\n')
-        (folder / f"{bus}.dbc").write_text("\n".join(lines) + "\n")
-        text += [f'[[bus]]\nname = "{bus}"\nuri = "virtual:{bus}"\ndatabase = ["{bus}.dbc"]\ncodes = "own"\n', *checks]
-    path = folder / "network.toml"
-    path.write_text("\n".join(text))
-    return load_config(path)
+    return networks.config_of(folder, of(buses), TIMEOUT, power)
 
 
-def traffic(buses, rng, end_s, is_there, value=lambda can_id, t_s: 1):
-    """Return frames of all messages that are there: bus, ECU, identifier, time [s] -> bool."""
-    rows = []
-    for bus, ecu, can_id, cycle in MESSAGES:
-        if bus not in buses:
-            continue
-        t_ms = rng.uniform(0.0, cycle)
-        while t_ms < end_s * 1e3:
-            at = t_ms + rng.uniform(-0.1, 0.1) * cycle  # jitter
-            if at > 0.0 and is_there(bus, ecu, can_id, at * 1e-3):
-                rows.append((round(at * 1e6), buses.index(bus), can_id, value(can_id, at * 1e-3)))
-            t_ms += cycle
-    rows.sort()
-    frames = empty(len(rows))
-    for k, (t_ns, bus, can_id, number) in enumerate(rows):
-        put(frames, k, t_ns, can_id, bytes([number] * 8))
-        frames["bus"][k] = bus
-    return frames
-
-
-def run(config, frames, end_s, step_s=None):
-    """Return the DTCs that were set, the last causes, and all diagnoses; time passes in steps as it does live."""
-    gateway = Gateway(config)
-    events = []
-    gateway.listen(events.append)
-    gateway.start(0)
-    if step_s is None:
-        gateway.feed(frames)
-        gateway.advance(round(end_s * 1e9))
-    else:
-        at = 0
-        for k in range(1, round(end_s / step_s) + 1):
-            until = round(k * step_s * 1e9)
-            n = int(frames["t_ns"].searchsorted(until))
-            gateway.feed(frames[at:n])
-            gateway.advance(until)
-            at = n
-    gateway.stop(round(end_s * 1e9))
-    gateway.close()
-    codes = {e["fault"] for e in events if e["event"] == "dtc" and e["status"] & 1}
-    told = [e for e in events if e["event"] == "diagnosis"]
-    return codes, told, events
-
-
-def causes(told):
-    return {tuple(g["cause"]) for e in told for g in e["groups"] if g["cause"]}
+def traffic(buses, *rest):
+    return networks.traffic(of(buses), *rest)
 
 
 SEEDS = range(amount(40, 4))
@@ -209,3 +153,36 @@ voltage = { signal = "drive.M102.Value", min = 90 }
     assert run(config, frames, 40)[:2] == (set(), [])
     without = config_of(tmp_path, ["drive", "body"])
     assert run(without, frames, 40)[0]
+
+
+# A reload, and frames that were lost here -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(amount(40, 3)))
+def test_a_reload_during_a_silence_changes_nothing(tmp_path, seed):
+    """While a bus is silent, before that is told or behind it: the same codes and the same cause."""
+    rng = random.Random(600 + seed)
+    config = config_of(tmp_path, ["drive", "body"])
+    cut, back = rng.uniform(3, 8), rng.uniform(14, 20)
+    frames = traffic(["drive", "body"], rng, 40, lambda b, e, i, t: b != "drive" or t < cut or t > back)
+    whole = run(config, frames, 40, step_s=0.05)
+    times = [round(cut + rng.uniform(0.0, 0.5), 3), round(cut + rng.uniform(0.6, 5.0), 3)]
+    again = run(config, frames, 40, step_s=0.05, changes=[(t, config) for t in times])
+    assert whole[0] == again[0] == {"drive.bus_silent"}
+    assert causes(whole[1]) == causes(again[1]) == {("bus drive",)}
+    assert again[1][-1]["groups"] == []
+
+
+@pytest.mark.parametrize("seed", range(amount(40, 3)))
+def test_a_loss_while_a_timeout_waits_accuses_nobody(tmp_path, seed):
+    """All buses pause; in the pause frames were lost here, too: nothing says that a sender was away."""
+    rng = random.Random(700 + seed)
+    config = config_of(tmp_path, ["drive", "body"])
+    begin = rng.uniform(3, 8)
+    end = begin + rng.uniform(0.05, 3.0)
+    frames = traffic(["drive", "body"], rng, 20, lambda b, e, i, t: not begin <= t < end)
+    at_ns = round((begin + rng.uniform(0.1, 0.9) * (end - begin)) * 1e9)
+    frames = np.concatenate([frames, *(condition_frame(at_ns, bus, LOSS, 5) for bus in range(2))])
+    codes, told, _ = run(config, frames[np.argsort(frames["t_ns"], kind="stable")], 20)
+    assert {code.rpartition(".")[2] for code in codes} <= {"bus_overflow"}  # that is the gateway's own
+    assert told == []

@@ -12,6 +12,7 @@ from gateway.bus.uri import channel_of, parse_uri
 from gateway.common.tomlfile import StrictModel
 from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
+from gateway.engine.depends.params import DiagnosisParams
 from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.reported import ReportParams
@@ -176,6 +177,9 @@ class Config(StrictModel):
         description='operation cycles that signals begin and end; "power" is always there',
     )
     power: PowerConfig = Field(PowerConfig(), description="when the vehicle is awake, and its supply good")
+    diagnosis: DiagnosisParams = Field(
+        DiagnosisParams(), description="what causes are weighed by: priors, supplies and grounds that parts share"
+    )
     clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()

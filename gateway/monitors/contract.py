@@ -514,9 +514,69 @@ class Blames:
     of: Callable[[Any], Mapping[str, Sequence[Blame]]]
 
 
+@dataclass(frozen=True)
+class Behind:
+    """Tests that a monitor's faults are made of: where no part explains what they say, several together may.
+
+    Attributes:
+        of: parameters -> name of each test -> the parts that its failure blames, as :class:`Blame` has them.
+        levels: state record -> of each test, in this order: 1 and above: it has failed, and how far its residual is
+            beyond its limit; below 1: it has passed; NaN: not tested.
+    """
+
+    of: Callable[[Any], Mapping[str, Sequence[Blame]]]
+    levels: Callable[[np.void], Iterable[float]]
+
+
+class Gain(NamedTuple):
+    """How a residual depends on a part.
+
+    Attributes:
+        part: as :class:`Blame` has it.
+        gain: residual for an error of the part of size 1, each in its unit; not 0.
+        kind: as :class:`Blame` has it.
+    """
+
+    part: str
+    gain: float
+    kind: str = ""
+
+
+class Reading(NamedTuple):
+    """What one test result says of the sizes of errors.
+
+    Attributes:
+        residual: signed, 0 but for noise while nothing is wrong.
+        noise: its standard deviation then, above 0.
+        gains: at this operating point; of a part that is not named nothing is known.
+        gain_error: by what share they are wrong, 0 to 1.
+        beyond: how far the residual is beyond what the test allows, as a factor; NaN: not known. The further, the less
+            it is the model behind the test that does not hold.
+    """
+
+    residual: float
+    noise: float
+    gains: tuple[Gain, ...]
+    gain_error: float = 0.05
+    beyond: float = math.nan
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Signed residuals behind a monitor's faults: one size of a part's error has to explain all that fail.
+
+    Attributes:
+        of: parameters -> name of a fault -> evidence, value and limit of a result -> what it says of sizes; None:
+            nothing.
+    """
+
+    of: Callable[[Any], Mapping[str, Callable[[Sequence[float], float, float], Reading | None]]]
+
+
 #: Something that a monitor can do beside monitoring; at most one of each class.
 Capability = (
-    Blames
+    Behind
+    | Blames
     | Calibration
     | CusumCalibration
     | Notes
@@ -524,12 +584,14 @@ Capability = (
     | Quantities
     | Readout
     | Refinement
+    | Residuals
     | Sampled
     | SensorCalibration
     | Warnings
 )
 C = TypeVar(
     "C",
+    Behind,
     Blames,
     Calibration,
     CusumCalibration,
@@ -538,6 +600,7 @@ C = TypeVar(
     Quantities,
     Readout,
     Refinement,
+    Residuals,
     Sampled,
     SensorCalibration,
     Warnings,

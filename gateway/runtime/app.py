@@ -17,6 +17,7 @@ from gateway.common.log import get_logger
 from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
+from gateway.engine.depends.derive import Dependences
 from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
@@ -137,11 +138,13 @@ class Gateway:
         names = [bus.name for bus in self.config.bus]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
-        self._causes = Causes(self.engine, self._parts.depends, self._parts.checks)
+        parts = self._parts
+        known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
+        self._causes = Causes(self.engine, known, parts.checks)
         self._explainer = Explainer(
             self.engine,
             self.memory,
-            self._parts.depends,
+            parts.depends,
             self._causes,
             hold=self.config.memory.symptoms == "hold",
             note=self._outbox.note,

@@ -13,8 +13,10 @@ from gateway.engine.build import build_engine
 from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.engine.depends.behind import Tests
 from gateway.engine.depends.derive import dependences
 from gateway.engine.depends.parts import Seen
+from gateway.engine.depends.residuals import Read
 from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
@@ -65,6 +67,8 @@ class Parts:
         notes: what was taken where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
         depends: fault id -> what its test sees, the component that it sees best first.
+        residuals: fault id -> what reads its signed residual, of those that have one.
+        behind: tests that faults are made of.
     """
 
     databases: tuple[Database, ...]
@@ -80,6 +84,8 @@ class Parts:
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
     depends: Mapping[str, tuple[Seen, ...]]
+    residuals: Mapping[str, Read]
+    behind: tuple[Tests, ...]
 
 
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
@@ -128,7 +134,14 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.checks,
         resolved.notes,
         resolved.codes,
-        dependences(engine.faults, resolved.databases, resolved.monitors, resolved.checks, resolved.buses),
+        *dependences(
+            engine.faults,
+            resolved.databases,
+            resolved.monitors,
+            resolved.checks,
+            resolved.buses,
+            resolved.config.diagnosis,
+        ),
     )
 
 

@@ -6,25 +6,29 @@ are as the engine has them at that time of the frames, so that a log gives what 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from gateway.common.times import NEVER
+from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
 from gateway.fdi.diagnosis.answer import Group
 from gateway.fdi.diagnosis.apart import telling
 from gateway.fdi.diagnosis.diagnoser import Diagnoser
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
 from gateway.fdi.diagnosis.system import Link, Test
 
-#: Probability that a verdict is wrong though all is well: it is debounced, and thresholds are set for hours.
-FALSE_ALARM = 1e-6
+#: Probability that a verdict is wrong though all is well: it is debounced, and thresholds are set for hours. A check of
+#: messages compares what no noise changes.
+FALSE_ALARM, EXACT = 1e-6, 1e-8
 #: Diagnoses from this probability on are news when their order changes.
 _NEWS = 0.05
 #: Time after which a test has seen a fault, where nothing says it [s].
@@ -50,7 +54,7 @@ class Causes:
 
     Args:
         engine: has the verdicts.
-        depends: fault id -> what its test sees.
+        depends: what each fault's test depends on.
         checks: of messages, with their timeouts.
 
     Attributes:
@@ -63,24 +67,34 @@ class Causes:
     def __init__(
         self,
         engine: Engine,
-        depends: Mapping[str, tuple[Seen, ...]],
+        depends: Dependences,
         checks: Sequence[CheckInstance],
     ) -> None:
-        self._engine = engine
+        self._engine, self._read, self._behind = engine, depends.read, depends.behind
         self.tell: Callable[[dict[str, Any]], None] = lambda event: None
-        used = {slot.id for slot in engine.faults if depends[slot.id][0].component.kind not in _ALONE}
+        seen = depends.seen
+        used = {slot.id for slot in engine.faults if seen[slot.id][0].component.kind not in _ALONE}
         self.tested, self.waiting = frozenset(used), frozenset[str]()
         self.after_look: Callable[[int], int] = lambda t_ns: NEVER
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
         delays = _delays(engine, checks)
-        components = {seen.component.name: seen.component for slot in slots for seen in depends[slot.id]}
+        exact = {check.name for check in checks}
+        inner = {name: each for tests in self._behind for name, each in tests.seen.items()}
+        whole = [*(seen[slot.id] for slot in slots), *inner.values()]
+        components = {one.component.name: one.component for each in whole for one in each}
         self._diagnoser = Diagnoser(
             list(components.values()),
-            [_test(slot, depends[slot.id], delays.get(slot.id)) for slot in slots],
+            [
+                *(_test(slot, seen[slot.id], delays.get(slot.id), exact) for slot in slots),
+                *(Test(name, _links(each), FALSE_ALARM, DELAY_S) for name, each in inner.items()),
+            ],
         )
+        self._of = {name: tests for tests in self._behind for name in tests.seen}
         self._place = {k: place for place, k in enumerate(self._tests)}
         self._index = np.array(self._tests, np.int64)
+        silent = np.asarray(engine.tables.health["fault"])[:, SILENT].tolist()
+        self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
         engine.on_pause = self.look
@@ -133,8 +147,7 @@ class Causes:
         self._renew(t_ns)
         groups = self._diagnoser.diagnose()
         self._failing = len(groups)
-        names = self._diagnoser.system.tests
-        self.waiting = frozenset(names[t].name for group in groups if group.waiting for t in group.failed)
+        self.waiting = frozenset(f for group in groups if group.waiting for f in self._faults(group.failed))
         self._plan_next(groups, t_ns)
         news = [self._gist(group) for group in groups]
         if news == self._told:
@@ -147,15 +160,32 @@ class Causes:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
         engine, diagnoser = self._engine, self._diagnoser
         engine.tell_runs()
-        known = diagnoser.state.verdict
+        known = diagnoser.state.verdict[: len(self._tests)]
         now = engine.tables.debounces["verdict"][self._index]
         for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
             diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
+        self._look_behind(t_ns)
         for place in self._beside():
             fault = self._tests[place]
-            last = min(self._engine_time(int(engine.tables.buckets[fault]["last_ns"])), t_ns)
+            last = min(self._last_ns(fault), t_ns)
+            name = diagnoser.system.tests[place].name
             if known[place] == PASSED and engine.fault_detection_counter(fault) <= 0:
-                diagnoser.update(diagnoser.system.tests[place].name, PASSED, last)
+                diagnoser.update(name, PASSED, last)
+            if name in self._read:
+                self._renew_size(name, fault, int(known[place]))
+
+    def _renew_size(self, name: str, fault: int, verdict: int) -> None:
+        """Read the residual of a test; one whose results are others than its verdict says nothing new of sizes."""
+        d = self._engine.tables.debounces[fault]
+        if verdict != NOT_TESTED and int(d["last"]) == verdict:
+            read = self._read[name](d["evidence"].tolist(), float(d["value"]), float(d["limit"]))
+            self._diagnoser.size(name, read)
+
+    def _last_ns(self, fault: int) -> int:
+        """Return when a fault's test said something last; a bus is not silent while it is heard [ns]."""
+        if fault in self._silent:
+            return int(self._engine.tables.health[self._silent[fault]]["heard_ns"])
+        return self._engine_time(int(self._engine.tables.buckets[fault]["last_ns"]))
 
     def _note_offset(self) -> int:
         """Note what the wall clock is ahead of the engine's time, since when; returns it [ns]."""
@@ -179,7 +209,18 @@ class Causes:
         system, failed = self._diagnoser.system, np.flatnonzero(self._diagnoser.state.verdict == FAILED)
         blamed = np.isin(system.link_component, system.link_component[np.isin(system.link_test, failed)])
         found: list[int] = np.unique(system.link_test[blamed]).tolist()
-        return found
+        return [place for place in found if place < len(self._tests)]
+
+    def _look_behind(self, t_ns: int) -> None:
+        """Bring up to date the tests that the faults are made of which have failed."""
+        diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
+        for tests in self._behind:
+            failed = any(diagnoser.state.verdict[place[fault]] == FAILED for fault in tests.faults)
+            levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
+            for name, level in zip(tests.seen, levels, strict=True):
+                verdict = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
+                diagnoser.update(name, verdict, t_ns)
+                diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if verdict == FAILED else None)
 
     def _plan_next(self, groups: Sequence[Group], t_ns: int) -> None:
         untils = [wait.until_ns for group in groups for wait in group.waiting]
@@ -198,7 +239,7 @@ class Causes:
     def _gist(self, group: Group) -> tuple[object, ...]:
         """Return what of a group is worth an event when it changes: what fails, by what, in which order."""
         system = self._diagnoser.system
-        failed = tuple(system.tests[t].name for t in group.failed)
+        failed = tuple(self._faults(group.failed))
         ranked = [one for one in group.diagnoses if one.probability >= _NEWS]
         return (
             failed,
@@ -208,29 +249,43 @@ class Causes:
 
     def _group(self, group: Group, t_ns: int) -> dict[str, Any]:
         system = self._diagnoser.system
-        tests, components = [t.name for t in system.tests], [c.name for c in system.components]
+        components = [c.name for c in system.components]
         cause = group.cause
         apart = telling(system, self._diagnoser.state, group)[:_TOLD]
         return {
-            "failed": [tests[t] for t in group.failed],
+            "failed": self._faults(group.failed),
             "cause": None if cause is None else [components[c] for c in cause.components],
             "causes": [
                 {
                     "components": [components[c] for c in one.components],
                     "probability": round(one.probability, 4),
-                    "explains": [tests[t] for t in one.explains],
+                    "explains": self._faults(one.explains),
                     "against": [
-                        {"test": tests[a.test] if a.test >= 0 else None, "why": a.why, "factor": round(a.factor, 6)}
+                        {"test": fault, "why": a.why, "factor": round(a.factor, 6)}
                         for a in one.against
+                        for fault in (self._faults([a.test]) if a.test >= 0 else [None])
                     ],
                 }
                 for one in group.diagnoses[:_TOLD]
             ],
             "waits_for": [
-                {"test": tests[w.test], "for_s": max(round((w.until_ns - t_ns) * 1e-9, 3), 0.0)} for w in group.waiting
+                {"test": fault, "for_s": max(round((w.until_ns - t_ns) * 1e-9, 3), 0.0)}
+                for w in group.waiting
+                for fault in self._faults([w.test])
+                if w.test < len(self._tests)
             ],
-            "apart_by": [tests[one.test] for one in apart],
+            "apart_by": self._faults([one.test for one in apart]),
         }
+
+    def _faults(self, places: Iterable[int]) -> list[str]:
+        """Return the faults of tests, by their ids; of one that faults are made of, those that have failed."""
+        system, verdict = self._diagnoser.system, self._diagnoser.state.verdict
+        found: dict[str, None] = {}
+        for t in places:
+            name = system.tests[t].name
+            own = self._of[name].faults if name in self._of else (name,)
+            found |= dict.fromkeys(o for o in own if o == name or verdict[system.test_place[o]] == FAILED)
+        return list(found)
 
 
 def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]:
@@ -244,9 +299,12 @@ def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]
     return delays | {slot.id: 0.0 for slot in engine.faults if slot.id.endswith(".bus_silent")}
 
 
-def _test(slot: FaultSlot, depends: Sequence[Seen], delay_s: float | None) -> Test:
+def _links(depends: Sequence[Seen]) -> tuple[Link, ...]:
+    return tuple(Link(one.component.name, one.power) for one in depends)
+
+
+def _test(slot: FaultSlot, depends: Sequence[Seen], delay_s: float | None, exact: Collection[str]) -> Test:
     debounce = slot.fault.debounce
     if delay_s is None:
         delay_s = DELAY_S if debounce.failed_ms is None else max(2.0 * debounce.failed_ms * 1e-3, 1.0)
-    links = tuple(Link(one.component.name, one.power) for one in depends)
-    return Test(slot.id, links, FALSE_ALARM, delay_s)
+    return Test(slot.id, _links(depends), EXACT if slot.id.rpartition(".")[0] in exact else FALSE_ALARM, delay_s)

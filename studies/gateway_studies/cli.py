@@ -153,3 +153,18 @@ def linear(
     from gateway_studies.linear.command import linear as work
 
     raise typer.Exit(work(cases=cases, hours=hours, seed=seed, json=json, plot=plot))
+
+
+@evaluate.command("cause")
+def cause(
+    seeds: Annotated[int, typer.Option(min=0, help="Number of runs of each fault; 0: none.")] = 3,
+    pairs: Annotated[int, typer.Option(min=0, help="Number of runs with two faults; 0: none.")] = 200,
+    healthy: Annotated[int, typer.Option(min=0, help="Number of healthy runs of each scenario; 0: none.")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
+    work: Annotated[Path, typer.Option(help="Folder for the two cars that are learned.")] = Path("cause"),
+    json: Json = False,
+) -> None:
+    """Evaluate causes: one or two faults of plants and learned cars, and which component is named."""
+    from gateway_studies.cause.command import cause as run
+
+    raise typer.Exit(run(seeds=seeds, pair_runs=pairs, healthy_runs=healthy, seed=seed, work=work, json=json))

@@ -6,12 +6,14 @@ from pathlib import Path
 import pytest
 
 from gateway.config.load import load_config
+from gateway.engine.depends.behind import behind
 from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.parts import Network, strongest
+from gateway.engine.depends.residuals import residuals
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError
+from gateway.errors import InputError, InputErrors, each_of
 from gateway.fdi.diagnosis.system import PRIORS
-from gateway.monitors.contract import Blame, Blames
+from gateway.monitors.contract import Behind, Blame, Blames, Gain, Reading, Residuals
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
@@ -61,7 +63,7 @@ def test_a_message_that_is_missing_blames_the_way_that_it_takes():
     _, _, found = depends(ROOT / "configs/signals.toml")
     told = names(found["chassis.Vehicle.timeout"])
     assert set(told) == {"message chassis.Vehicle", "ecu chassis.Body", "bus chassis"}
-    assert told["message chassis.Vehicle"] > told["ecu chassis.Body"] > told["bus chassis"] > 0.0
+    assert told["ecu chassis.Body"] > told["message chassis.Vehicle"] > told["bus chassis"] > 0.0  # if that is at fault
     silent = names(found["chassis.bus_silent"])
     assert set(silent) == {"bus chassis"}
     assert "bus chassis" not in names(found["relations.front"])  # what arrives and is wrong was wrong before
@@ -99,6 +101,62 @@ def test_a_sender_that_stands_for_nobody_is_no_ecu():
     network = Network(["can0"], {0: load_database([ROOT / "examples/car/toyota_rav4.dbc"])})
     assert network.senders(0, "SPEED") == []
     assert network.senders(0, "no such message") == []
+
+
+# By configuration -----------------------------------------------------------------------------------------------------
+
+
+def configured_by(more, tmp_path):
+    text = (ROOT / "configs/signals.toml").read_text().replace("../dbc", str(ROOT / "dbc"))
+    path = tmp_path / "signals.toml"
+    path.write_text(text + more)
+    return depends(path)[2]
+
+
+def test_a_supply_is_seen_by_what_sees_what_it_feeds(tmp_path):
+    supply = """
+[[diagnosis.supply]]
+name = "sensors_5V"
+feeds = ["WheelSpeeds.FL", "WheelSpeeds.FR"]
+
+[[diagnosis.supply]]
+name = "G101"
+kind = "ground"
+feeds = ["Brakes", "Body"]
+"""
+    before, found = depends(ROOT / "configs/signals.toml")[2], configured_by(supply, tmp_path)
+    of = "supply sensors_5V"
+    assert {fault for fault, seen in found.items() if of in names(seen)} == {
+        fault for fault, seen in before.items() if "signal chassis.WheelSpeeds.FL" in names(seen) or "FR" in fault
+    }
+    told = names(found["chassis.Vehicle.timeout"])
+    assert told["ground G101"] == pytest.approx(0.9 * told["ecu chassis.Body"])
+    assert "ground G101" in names(found["chassis.WheelSpeeds.timeout"])
+
+
+def test_priors_are_those_of_the_configuration(tmp_path):
+    found = configured_by('\n[diagnosis]\npriors = { signal = 0.01, "ecu chassis.Body" = 0.2 }\n', tmp_path)
+    priors = {one.component.name: one.component.prior for seen in found.values() for one in seen}
+    assert priors["signal chassis.Vehicle.Speed"] == 0.01
+    assert priors["ecu chassis.Body"] == 0.2
+    assert priors["ecu chassis.Brakes"] is None
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "said"),
+    [
+        ('[[diagnosis.supply]]\nname = "a"\nfeeds = ["Brake"]', "diagnosis.supply[0].feeds[0]", "did you mean Brakes"),
+        ("[diagnosis]\npriors = { signl = 0.1 }", "diagnosis.priors.signl", "did you mean signal"),
+        ("[diagnosis]\npriors = { signal = 0.7 }", "diagnosis", "at most 0.5"),
+        ('[[diagnosis.supply]]\nname = "a"\nfeeds = ["Body", "Body"]', "diagnosis.supply[0]", "names Body twice"),
+    ],
+)
+def test_a_slip_of_a_configuration_is_named_with_its_key(tmp_path, text, key, said):
+    with pytest.raises((InputError, InputErrors)) as error:
+        configured_by(f"\n{text}\n", tmp_path)
+    (one,) = each_of(error.value)
+    assert one.key == key
+    assert said in str(one)
 
 
 # A monitor of a stranger ---------------------------------------------------------------------------------------------
@@ -156,7 +214,26 @@ def test_a_slip_of_its_author_is_named_with_the_file(stranger, network, given, t
     assert error.value.file.endswith("battery_voltage.py")
 
 
+def test_it_may_tell_its_residuals_and_the_tests_behind_its_faults(stranger, network):
+    fault = stranger.faults(stranger.params())[0].name
+    gains = (Gain("BATT.Voltage", 2.0), Gain("alternator", -1.0, "actuator"))
+    knows = (
+        Residuals(lambda p: {fault: lambda evidence, value, limit: Reading(value - limit, 0.1, gains)}),
+        Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda state: [3.0]),
+    )
+    made = MonitorInstance("battery", replace(stranger, capabilities=knows), stranger.params())
+    sized = residuals([made], network)[f"battery.{fault}"]([0.0] * 8, 11.0, 9.0)
+    assert sized.residual == 2.0
+    assert sized.gains == {"signal a.BATT.Voltage": 2.0, "actuator battery.alternator": -1.0}
+    (tests,) = behind([made], network)
+    assert list(tests.seen) == ["battery//T1"]
+    assert tests.faults == tuple(f"battery.{one.name}" for one in stranger.faults(stranger.params()))
+    wrong = replace(stranger, capabilities=(Residuals(lambda _: {"loww": None}),))
+    with pytest.raises(InputError, match="no such fault; did you mean low"):
+        residuals([MonitorInstance("battery", wrong, stranger.params())], network)
+
+
 def test_a_component_is_there_once_as_it_is_seen_best(network):
     ref = SignalRef(0, "BATT", "Voltage")
     seen = strongest([*network.behind(ref, 0.2), *network.behind(ref, 0.5)])
-    assert [round(one.power, 6) for one in seen] == [0.5, 0.15, 0.05]
+    assert [round(one.power, 6) for one in seen] == [0.5, 0.01, 0.01]

@@ -103,7 +103,8 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
     """Take the first frame after nobody was heard for longer than usual.
 
     After a silence of the whole bus each message has its time to wake. A shorter one that is longer than the shortest
-    timeout may have been the time of a frame of any message half of whose time is over: it starts again. One that is
+    timeout may have been the time of a frame of any message two fifths of whose time is over (a cycle less its jitter,
+    where the time is two cycles): it starts again. One that is
     shorter still is added to the time of each to which it matters. A message that misses :data:`MOST_PARKS` of them is
     not there: on a bus where little is sent, nearly all time is such a silence.
 
@@ -127,7 +128,7 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
             continue
         parked_ns, c.parked_ns = c.parked_ns, 0
         due_ns = parked_ns if parked_ns > 0 else c.deadline_ns
-        missed = long and due_ns - t_ns <= c.timeout_ns // 2
+        missed = long and due_ns - t_ns <= c.timeout_ns * 3 // 5
         if whole:
             c.seen, c.silent_ns, c.parks, c.asleep = 0, 0, 0, 0
             c.deadline_ns = t_ns + c.wake_ns

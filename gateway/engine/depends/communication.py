@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.depends.parts import Network, Seen, component
 
-#: Check -> probability that it fails if the message, its sender, its bus is at fault. What is silent is seen in any
-#: case, but an ECU may die in part: those of its messages stop that its dead half sends. While a bus is cut off nothing
-#: is tested but its silence. A message that is wrong is so in one of several ways.
+#: Check -> probability that it fails if the message, its sender, its bus is at fault. A message is missing or wrong, in
+#: one of several ways: what one check sees the others do not, so that their passes clear little. An ECU that fails
+#: mostly dies, and all of its messages stop; or a part of them, which its dead half sends. While a bus is cut off
+#: nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check.
 _POWERS = {
-    "timeout": (0.9, 0.6, 0.3),
-    "counter": (0.3, 0.1, 0.3),
-    "crc": (0.3, 0.1, 0.3),
+    "timeout": (0.6, 0.95, 0.3),
+    "counter": (0.3, 0.1, 0.02),
+    "crc": (0.3, 0.1, 0.02),
     "length": (0.3, 0.1, 0.01),
     "value": (0.3, 0.1, 0.01),
 }

@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.depends.behind import Tests, behind
 from gateway.engine.depends.communication import of_bus, of_check
+from gateway.engine.depends.configured import configured
 from gateway.engine.depends.monitors import of_monitor
+from gateway.engine.depends.params import DiagnosisParams
 from gateway.engine.depends.parts import Network, Seen, component, strongest
+from gateway.engine.depends.residuals import Read, residuals
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.signals.database import Database
+
+
+class Dependences(NamedTuple):
+    """What tests depend on.
+
+    Attributes:
+        seen: fault id -> what its test sees, the component that it sees best first.
+        read: fault id -> what reads its residual, of those that have one.
+        behind: tests that faults are made of.
+    """
+
+    seen: dict[str, tuple[Seen, ...]]
+    read: dict[str, Read]
+    behind: tuple[Tests, ...]
 
 
 def dependences(
@@ -19,8 +39,9 @@ def dependences(
     monitors: Sequence[MonitorInstance],
     checks: Sequence[CheckInstance],
     buses: Sequence[BusInstance],
-) -> dict[str, tuple[Seen, ...]]:
-    """Return what each fault's test sees, the component that it sees best first, by the fault's id.
+    params: DiagnosisParams,
+) -> Dependences:
+    """Return what each fault's test depends on.
 
     Args:
         faults: of the engine.
@@ -28,9 +49,10 @@ def dependences(
         monitors: as the engine has them.
         checks: of messages.
         buses: in the order of their indices.
+        params: what the configuration says of it.
 
     Raises:
-        InputError: what a monitor's author says of it is wrong.
+        InputError, InputErrors: what a monitor's author or the configuration says of it is wrong.
     """
     network = Network([bus.name for bus in buses], dict(enumerate(databases)))
     found: dict[str, tuple[Seen, ...]] = {}
@@ -48,4 +70,11 @@ def dependences(
             found[slot.id] = strongest(of_bus(number[owner], name, network))
         else:  # of the gateway itself, or reported by another process
             found[slot.id] = (Seen(component("reported", owner, name), 0.9, "nothing more is known of it"),)
-    return {slot.id: found[slot.id] for slot in faults}
+    tests = behind(monitors, network)
+    every = {slot.id: found[slot.id] for slot in faults}
+    whole = configured(every | {name: seen for one in tests for name, seen in one.seen.items()}, params, network)
+    return Dependences(
+        {fault: whole[fault] for fault in every},
+        residuals(monitors, network),
+        tuple(replace(one, seen={name: whole[name] for name in one.seen}) for one in tests),
+    )

@@ -10,8 +10,9 @@ from gateway.engine.depends.parts import CONNECTED, OWN, Network, Seen, componen
 from gateway.engine.instances import MonitorInstance
 from gateway.engine.wiring import wire
 from gateway.errors import InputError, nearest
+from gateway.fdi.diagnosis.system import Component
 from gateway.monitors.conformance import checked_faults, connections
-from gateway.monitors.contract import Blame, Blames
+from gateway.monitors.contract import Behind, Blame, Blames
 from gateway.signals.tables import SignalRef
 
 
@@ -22,7 +23,7 @@ def of_monitor(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ..
         InputError: its author's word on it is wrong: a fault that it does not have, a share that is none.
     """
     faults = [fault.name for fault in checked_faults(m.monitor, m.params)]
-    inputs = _inputs(m, network)
+    inputs = inputs_of(m, network)
     known = _known(m, faults, inputs)
     count = Counter(one.part for blamed in known.values() for one in blamed if one.share == 1.0)
     found = {}
@@ -36,7 +37,7 @@ def of_monitor(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ..
     return found
 
 
-def _inputs(m: MonitorInstance, network: Network) -> dict[str, SignalRef]:
+def inputs_of(m: MonitorInstance, network: Network) -> dict[str, SignalRef]:
     """Return the signals of a monitor by the names that it has for them."""
     numbers = {name: k for k, name in enumerate(network.names)}
     wired = wire(m, network.databases, numbers).inputs
@@ -53,12 +54,21 @@ def _known(m: MonitorInstance, faults: Sequence[str], inputs: Mapping[str, Signa
     if capability is None:
         return {}
     given: object = capability.of(m.params)
-    key = f'monitor type "{m.monitor.type}".Blames.of'
+    _check(m, "Blames", given, inputs, faults)
+    assert isinstance(given, Mapping)
+    return given
+
+
+def _check(
+    m: MonitorInstance, what: str, given: object, inputs: Mapping[str, SignalRef], faults: Sequence[str] | None = None
+) -> None:
+    """Raise InputError unless an author's word on whom faults, or tests, blame can be right."""
+    key = f'monitor type "{m.monitor.type}".{what}.of'
     if not isinstance(given, Mapping):
         text = f"names of faults and what they blame, not {type(given).__name__}"
         raise InputError(text, file=m.monitor.file, key=key)
     for name, blamed in given.items():
-        if name not in faults:
+        if faults is not None and name not in faults:
             text = f"the monitor has no such fault{nearest(str(name), faults)}"
             raise InputError(text, file=m.monitor.file, key=key, value=name)
         if not isinstance(blamed, tuple | list) or not all(map(_is_blame, blamed)):
@@ -68,18 +78,42 @@ def _known(m: MonitorInstance, faults: Sequence[str], inputs: Mapping[str, Signa
             if not one.kind and one.part not in inputs:
                 text = f"no such signal is connected; a part of another kind says which{nearest(one.part, inputs)}"
                 raise InputError(text, file=m.monitor.file, key=f"{key}.{name}", value=one.part)
-    return given
+
+
+def part_of(m: MonitorInstance, part: str, kind: str, inputs: Mapping[str, SignalRef], network: Network) -> Component:
+    """Return the component that a monitor calls a part of some kind; "": a connected signal."""
+    ref = inputs.get(part)
+    if not kind:
+        return network.signal(inputs[part])
+    if ref is not None:
+        return component(kind, network.names[ref.bus], ref.message, ref.signal)
+    return component(kind, m.name, part)
+
+
+def of_tests(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ...]]:
+    """Return what the tests depend on that a monitor's faults are made of, by the tests' names.
+
+    Raises:
+        InputError: its author's word on it is wrong.
+    """
+    capability = m.monitor.capability(Behind)
+    if capability is None:
+        return {}
+    inputs = inputs_of(m, network)
+    given = capability.of(m.params)
+    _check(m, "Behind", given, inputs)
+    return {
+        name: strongest(chain.from_iterable(_blamed(m, one, inputs, network, 1) for one in blamed))
+        for name, blamed in given.items()
+    }
 
 
 def _blamed(
     m: MonitorInstance, one: Blame, inputs: Mapping[str, SignalRef], network: Network, count: int
 ) -> Iterator[Seen]:
     power = OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
-    ref = inputs.get(one.part)
-    if one.kind and ref is not None:
-        yield Seen(component(one.kind, network.names[ref.bus], ref.message, ref.signal), power, "as the monitor says")
-    elif one.kind:
-        yield Seen(component(one.kind, m.name, one.part), power, "as the monitor says")
+    if one.kind:
+        yield Seen(part_of(m, one.part, one.kind, inputs, network), power, "as the monitor says")
     else:
         yield from network.behind(inputs[one.part], power)
 

@@ -17,7 +17,7 @@ OWN = 0.9
 CONNECTED = 0.3
 #: Of a fault of the message that carries the value, and of its sender: few of their faults make values wrong that
 #: arrive, and pass all checks.
-OF_MESSAGE, OF_SENDER = 0.3, 0.1
+OF_MESSAGE, OF_SENDER = 0.02, 0.02
 #: Senders of databases that do not know the sender.
 _NOBODY = ("XXX", "Vector__XXX")
 

@@ -51,20 +51,20 @@ class Cluster:
         self._row = {t: k for k, t in enumerate(failed)}
         row = np.repeat(np.arange(len(failed)), [len(system.of_test[t]) for t in failed])
         self.power: Floats = np.zeros((len(failed), len(self.suspects)))
-        self.power[row, column] = system.power[links]
+        self.power[row, column] = system.power[links] * state.weaker[links]
         places = np.array(failed, np.int64)
         self._since: Ints = state.since[places]
         self._from: Ints = state.passed_from[places]
         self._due: Ints = system.delay_ns[places]
         self._alarm: Floats = system.false_alarm[places]
-        sized = np.isfinite(system.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
+        sized = np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
         self._known: dict[int, dict[int, float]] = {}
         self._count_passes()
 
     def _residual_of(self, tests: Ints) -> Floats:
         """Return the residuals of tests whose noise is known, NaN for others."""
-        return np.where(np.isfinite(self._system.noise[tests]), self._state.residual[tests], np.nan)
+        return np.where(np.isfinite(self._state.noise[tests]), self._state.residual[tests], np.nan)
 
     def _count_passes(self) -> None:
         """Weigh suspects by their priors, and by the tests that would have seen them."""
@@ -78,12 +78,13 @@ class Cluster:
         latest = np.where(self.power > 0.0, self._since[:, None], np.iinfo(np.int64).min).max(axis=0, initial=0)
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
-        by_size = self._sized[column] & np.isfinite(system.gain[links]) & np.isfinite(self._residual_of(test))
+        by_size = self._sized[column] & np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(test))
         clear = np.where(counts & ~by_size, np.log1p(-system.power[links]), 0.0)
         self.weights: Floats = system.odds[self.suspects] + np.bincount(
             column, weights=clear, minlength=len(self.suspects)
         )
-        self._passes = (column, test, clear, counts, due, links)
+        sharp = by_size | (system.power[links] >= 1.0 - TOLD)  # its pass would say much
+        self._passes = (column, test, clear, counts, due, sharp)
 
     @property
     def conflicts(self) -> list[int]:
@@ -139,8 +140,8 @@ class Cluster:
         cleared = set(test[mine][counts[mine]].tolist())
         links = system.of_component[self.suspects[k]]
         tests = system.link_test[links]
-        told = np.isfinite(system.gain[links]) & np.isfinite(self._residual_of(tests))
-        pairs = zip(tests[told].tolist(), system.gain[links[told]].tolist(), strict=True)
+        told = np.isfinite(self._state.gain[links]) & np.isfinite(self._residual_of(tests))
+        pairs = zip(tests[told].tolist(), self._state.gain[links[told]].tolist(), strict=True)
         return {t: gain for t, gain in pairs if t in self._row or t in cleared}
 
     def fit(self, suspects: tuple[int, ...]) -> sizes.Fit | None:
@@ -164,10 +165,10 @@ class Cluster:
         tests = sorted(gains)
         if not tests:
             return None
+        state = self._state
         return sizes.fit(
-            self._state.residual[tests], np.array([gains[t] for t in tests]), system.noise[tests],
-            system.gain_error[tests],
-        )  # fmt: skip
+            state.residual[tests], np.array([gains[t] for t in tests]), state.noise[tests], state.gain_error[tests]
+        )
 
     # What people are told of it --------------------------------------------------------------------------------------
 
@@ -200,9 +201,8 @@ class Cluster:
 
     def waiting(self, suspects: set[int]) -> tuple[Wait, ...]:
         """Return the tests that passed, but not late enough, and that could clear one of some suspects."""
-        column, test, _, counts, due, links = self._passes
-        strong = self._system.power[links] >= 1.0 - TOLD
-        open_ = ~counts & strong & np.isin(column, list(suspects))
+        column, test, _, counts, due, sharp = self._passes
+        open_ = ~counts & sharp & np.isin(column, list(suspects))
         until: dict[int, int] = {}
         for t, at in zip(test[open_].tolist(), due[open_].tolist(), strict=True):
             until[t] = max(until.get(t, 0), at)

@@ -14,7 +14,7 @@ import numpy as np
 from gateway.fdi.diagnosis.answer import Group
 from gateway.fdi.diagnosis.cluster import Cluster
 from gateway.fdi.diagnosis.search import Bounds, solve
-from gateway.fdi.diagnosis.state import FAILED, State
+from gateway.fdi.diagnosis.state import FAILED, Sized, State
 from gateway.fdi.diagnosis.system import Component, System, Test
 
 
@@ -37,7 +37,7 @@ class Diagnoser:
 
     def __init__(self, components: Sequence[Component], tests: Sequence[Test], bounds: Bounds | None = None) -> None:
         self.system = System(components, tests)
-        self.state = State(len(tests))
+        self.state = State(self.system)
         self.solved = 0
         self._bounds = bounds or Bounds()
         self._groups: dict[tuple[int, ...], Group] = {}
@@ -62,6 +62,16 @@ class Diagnoser:
         if changed:
             self._touched.add(place)
         return changed
+
+    def size(self, test: str, sized: Sized | None) -> None:
+        """Take what a test says of sizes at its operating point, None: nothing.
+
+        Raises:
+            KeyError: there is no such test.
+        """
+        place = self.system.test_place[test]
+        if self.state.size(place, sized):
+            self._touched.add(place)
 
     def succeed(self, old: Diagnoser) -> None:
         """Take over what an earlier one knows of the tests that both have, by their names."""

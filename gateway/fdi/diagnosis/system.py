@@ -15,15 +15,15 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 #: Prior probability of a component that says none, by its kind. Whatever is built seldom fails: what counts is how they
-#: compare. Sensors and actuators have wires, connectors and moving parts; whole ECUs and buses fail less often, and one
-#: message of an ECU that sends others is seldom lost alone.
+#: compare. Sensors and actuators have wires, connectors and moving parts; whole ECUs and buses fail less often, so do
+#: single messages of an ECU.
 PRIORS = {
     "sensor": 1e-3,
     "actuator": 1e-3,
     "plant": 1e-3,
     "signal": 1e-3,
     "supply": 3e-4,
-    "message": 1e-4,
+    "message": 3e-4,
     "ecu": 3e-4,
     "bus": 1e-4,
     "model": 1e-4,

@@ -150,6 +150,10 @@ def faults(p: Params) -> tuple[Fault, ...]:
     return tuple(found)
 
 
+#: How likely all channels move as by their supply, because one is wrong while another has been.
+_BOTH = 0.02
+
+
 def blames(p: Params) -> dict[str, list[Blame]]:
     """Return what each fault blames: a channel its sensor, what concerns all of them each sensor, or their supply."""
     every = [Blame(channel.signal, share=0.5 if len(p.channels) == 2 else VAGUE) for channel in p.channels]
@@ -160,4 +164,5 @@ def blames(p: Params) -> dict[str, list[Blame]]:
         for name, *_ in (*_CHANNEL, *([_DRIFTS] if len(p.channels) == MOST_CHANNELS else []))
     }
     found |= dict.fromkeys(("correlation", "drift", "invalid"), every)
-    return found | dict.fromkeys(("jump", "supply") if p.tells_supply else ("jump",), supply)
+    both = [*supply, *(Blame(channel.signal, share=_BOTH) for channel in p.channels)]
+    return found | dict.fromkeys(("jump", "supply") if p.tells_supply else ("jump",), both)

@@ -7,16 +7,30 @@ negative number).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 from gateway.errors import Gathered, InputError
 from gateway.jit import Record, f8, f8s, i8, kernel
-from gateway.monitors.contract import EVIDENCE, Connection, Debounce, Fault, Monitor, Out, Parts, Signal, report
+from gateway.monitors.contract import (
+    EVIDENCE,
+    Blames,
+    Connection,
+    Debounce,
+    Fault,
+    Monitor,
+    Out,
+    Parts,
+    Reading,
+    Residuals,
+    Signal,
+    report,
+)
 from gateway.monitors.contract import Inputs as Event
 from gateway.monitors.rule.machine import Code, Machine, load, run
 from gateway.monitors.rule.params import Params, PartParams, Rule
 from gateway.monitors.rule.program import MOST_SIGNALS, Program
+from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
 
 
@@ -92,6 +106,11 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     )
 
 
+def _residuals(p: PartParams) -> dict[str, Callable[[Sequence[float], float, float], Reading | None]]:
+    read = residual_of(p)
+    return {} if read is None else {p.rule.name: read}
+
+
 def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartParams:
     """Return one relation with its programs.
 
@@ -146,5 +165,5 @@ MONITOR = Monitor(
     connect=_connect,  # type: ignore[arg-type] # of its parts
     prepare=_prepare,  # type: ignore[arg-type]
     faults=_faults,  # type: ignore[arg-type]
-    capabilities=(Parts(_parts),),
+    capabilities=(Blames(blames), Parts(_parts), Residuals(_residuals)),
 )

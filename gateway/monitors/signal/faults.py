@@ -23,6 +23,11 @@ KINDS = (
 )
 assert MOST_SIGNALS * len(KINDS) <= MAX_RESULTS, "a part reports all that it finds"
 
+#: Share of the errors of a signal that its own limits see: the others leave it plausible.
+_SEEN = 0.5
+#: How likely a signal does not move where it must, because the other one is wrong that says so.
+_BESIDE = 0.01
+
 #: Its time has passed when a test fails, and one frame that has the signal is all that it needs.
 _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 
@@ -90,7 +95,8 @@ def blames(p: PartParams) -> dict[str, list[Blame]]:
         own = watched.limits.signal
         asked = watched.limits.stuck
         other = None if asked is None else asked.during or asked.moving
-        for kind in kinds_of(watched):
-            beside = [Blame(other, share=0.2)] if kind == STUCK and other not in (None, own) else []
-            found[f"{watched.name}.{KINDS[kind][0]}"] = [Blame(own), *beside]
+        kinds = kinds_of(watched)
+        for kind in kinds:
+            beside = [Blame(other, share=_BESIDE)] if kind == STUCK and other not in (None, own) else []
+            found[f"{watched.name}.{KINDS[kind][0]}"] = [Blame(own, share=_SEEN / len(kinds)), *beside]
     return found

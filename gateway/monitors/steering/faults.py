@@ -88,15 +88,30 @@ _WHEEL, _PINION = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
 _CURRENTS = (Blame("AFS_MotCur.I_U"), Blame("AFS_MotCur.I_V"))
 _VOLTAGES = (Blame("AFS_MotVol.U_sd_mean"), Blame("AFS_MotVol.U_sq_mean"), Blame("inverter", "actuator"))
 
+
+#: How likely one angle is taken for another one, because something else is wrong, too.
+_SECOND = 0.01
+
+
+def _vague(*angles: Blame) -> tuple[Blame, ...]:
+    """Return angles that the fault of another one blames a little: the table has one at a time, there may be two."""
+    return tuple(one._replace(share=_SECOND) for one in angles)
+
+
 #: What each fault blames: the component that the signature table names, or those that it cannot tell apart.
 BLAMES = {
-    **{fault.name: (_MOTOR,) for fault in FAULTS[: IMPLAUSIBLE + 1]},
-    "wheel_angle": (_WHEEL,),
-    "pinion_angle": (_PINION,),
+    **{fault.name: (_MOTOR, *_vague(_WHEEL, _PINION)) for fault in FAULTS[: IMPLAUSIBLE + 1]},
+    "wheel_angle": (_WHEEL, *_vague(_MOTOR, _PINION)),
+    "pinion_angle": (_PINION, *_vague(_MOTOR, _WHEEL)),
     "angles": tuple(one._replace(share=0.3) for one in (_MOTOR, _WHEEL, _PINION)),
     "current": _CURRENTS,
     "voltage": _VOLTAGES,
     "electric": tuple(one._replace(share=0.3) for one in (*_CURRENTS, *_VOLTAGES)),
     "pairing": (Blame("AFS_MotCur.MC_cur"), Blame("AFS_MotVol.MC_vol")),
-    "ratio": (Blame("steering", "actuator"), Blame("ESC_Speed.v_X", share=0.5)),
+    # An angle that is wrong is steered by.
+    "ratio": (
+        Blame("steering", "actuator"),
+        *(one._replace(share=0.3) for one in (_MOTOR, _WHEEL, _PINION)),
+        Blame("ESC_Speed.v_X", share=0.5),
+    ),
 }

@@ -113,7 +113,7 @@ def _faults(_: Params) -> tuple[Fault, ...]:
 
 
 def _blames(p: Params) -> Mapping[str, Sequence[Blame]]:
-    speed = {} if p.ratio is not None else {"ratio": BLAMES["ratio"][:1]}  # without a ratio no speed is connected
+    speed = {} if p.ratio is not None else {"ratio": BLAMES["ratio"][:-1]}  # without a ratio no speed is connected
     return BLAMES | speed
 
 

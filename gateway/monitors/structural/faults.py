@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from gateway.fdi.masks import unpack
 from gateway.fdi.structure.model import Model
 from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 from gateway.monitors.structural.decision import AS_BITS, TWO_DIGITS
@@ -146,6 +149,31 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     }
     every = [one._replace(share=VAGUE) for one in dict.fromkeys(parts.values())]
     return found | {UNISOLATED: [*every, Blame("model", "model")]}
+
+
+#: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
+_FIRES = 0.8
+
+
+def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
+    """Return whom the failure of each test blames: the faults that it sees, and the model."""
+    sensors = _sensors(model)
+    parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
+    return {
+        test.name: [
+            *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
+            Blame("model", "model"),
+        ]
+        for test in plan.tests
+    }
+
+
+def levels(plan: Plan, state: Any) -> list[float]:
+    """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired."""
+    own = state["own"]
+    fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
+    norms = np.asarray(own["norm"])[: len(plan.tests)]
+    return [max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(norms, fired, strict=True)]
 
 
 def _sensors(model: Model) -> dict[str, str]:

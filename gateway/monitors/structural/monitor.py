@@ -19,6 +19,7 @@ from gateway.fdi.structure.model import Model
 from gateway.fdi.structure.model import Quantity as Known
 from gateway.fdi.structure.units import differ
 from gateway.monitors.contract import (
+    Behind,
     Blames,
     Connection,
     CusumCalibration,
@@ -50,7 +51,7 @@ from gateway.monitors.structural import (
     summary,
     uncertain,
 )
-from gateway.monitors.structural.faults import blames, faults_of, names_of, shown
+from gateway.monitors.structural.faults import behind, blames, faults_of, levels, names_of, shown
 from gateway.monitors.structural.params import Params, PartParams
 from gateway.monitors.structural.plan import Plan, Test
 
@@ -95,6 +96,7 @@ class _Made:
             prepare=self._prepare,  # type: ignore[arg-type]
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
+                Behind(lambda _: behind(self.model, plan), lambda s: levels(plan, s)),
                 Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=tuple((name, name) for name in names),

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from amount import amount
+from amount import amount, examples
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from random_systems import a_system, ran, some_updates
 
 from gateway.fdi.diagnosis.search import Bounds
@@ -201,3 +203,18 @@ def test_a_search_of_usual_bounds_has_what_all_subsets_have():
             for one, other in zip(whole.diagnoses, part.diagnoses, strict=False):
                 assert other.probability == pytest.approx(one.probability, rel=0.05, abs=1e-6), case
             assert part.rest + sum(d.probability for d in part.diagnoses) == pytest.approx(1.0)
+
+
+@settings(max_examples=examples(60), deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.integers(0, 2**32 - 1))
+def test_all_subsets_of_any_seed(seed):
+    """As above, with cases that hypothesis looks for."""
+    rng = np.random.default_rng(seed)
+    components, tests = a_system(rng)
+    updates = some_updates(rng, components, tests)
+    groups = ran(components, tests, updates, ALL).diagnose()
+    if groups:
+        wanted = Oracle(components, tests, updates).diagnoses()
+        found = combined(groups, [c.name for c in components])
+        assert set(found) == set(wanted)
+        assert all(found[chosen] == pytest.approx(p, rel=1e-6, abs=1e-12) for chosen, p in wanted.items())

@@ -9,7 +9,7 @@ from random_systems import a_system, ran, some_updates
 
 from gateway.fdi.diagnosis.diagnoser import Diagnoser
 from gateway.fdi.diagnosis.search import Bounds
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
 from gateway.fdi.diagnosis.system import Component, Link, Test
 
 SEED = 4713
@@ -250,3 +250,36 @@ def test_what_is_wrong_is_named(components, tests, text):
 def test_a_prior_is_a_probability():
     with pytest.raises(ValueError, match=r"component a: prior = 0.6: above 0, at most 0.5"):
         Diagnoser([Component("a", prior=0.6)], [])
+
+
+def test_gains_may_move_with_the_operating_point():
+    """Power is voltage times current: which of the two is wrong is told by a sensor of the current."""
+    tests = [
+        Test("power", (Link("u", 0.9), Link("i", 0.9)), 1e-5),
+        Test("second", (Link("i", 0.9), Link("j", 0.9)), 1e-5),
+    ]
+    for other, wanted in ((0.0, "u"), (2.0, "i")):
+        diagnoser = a_diagnoser(*tests)
+        diagnoser.update("power", FAILED, 0)
+        diagnoser.update("second", FAILED if other else PASSED, seconds(1))
+        diagnoser.size("power", Sized(24.0, 1.0, {"u": 2.0, "i": 12.0}))
+        diagnoser.size("second", Sized(other, 0.1, {"i": 1.0, "j": -1.0}))
+        told = probabilities(diagnoser)
+        assert max(told, key=told.get) == wanted
+        assert told[wanted] > 0.9
+        diagnoser.size("second", None)
+        assert probabilities(diagnoser) != told
+
+
+def test_a_model_is_seldom_far_off():
+    """Just beyond its limit a relation may be wrong itself; at ten times the limit it is hardly that."""
+    diagnoser = Diagnoser(
+        [Component("s", prior=1e-3), Component("m", "model", prior=1e-3)],
+        [Test("t", (Link("s", 0.3), Link("m", 0.9)), 1e-6)],
+    )
+    diagnoser.update("t", FAILED, 0)
+    near = probabilities(diagnoser)
+    assert near["m"] > near["s"]
+    diagnoser.size("t", Sized(math.nan, math.nan, {}, 0.0, 10.0))
+    far = probabilities(diagnoser)
+    assert far["m"] / far["s"] == pytest.approx(near["m"] / near["s"] / 100.0, rel=1e-3)
