@@ -115,4 +115,56 @@ def drives(job_list: list[tuple[str, int]], progress: Progress = lambda: None) -
         job_list: of :func:`jobs`.
         progress: called at the end of each drive.
     """
-    return run(_work, job_list, progress)
+    return run(_work, job_list, progress) if job_list else []
+
+
+@dataclass(frozen=True)
+class Named:
+    """How a fault was named, over all its drives.
+
+    Attributes:
+        fault: its name, or HEALTHY.
+        runs: drives.
+        right: those in which the first name was right.
+        visible: those in which it can be seen.
+        visible_right: those of them in which the first name was right.
+        own: those of them in which the first name was one of the channel itself.
+        median, longest: of the delays of right names, where it can be seen [s].
+        wrong: drives in which a healthy channel was named, or something before the fault began.
+        hours: length of all.
+    """
+
+    fault: str
+    runs: int
+    right: int
+    visible: int
+    visible_right: int
+    own: int
+    median: float
+    longest: float
+    wrong: int
+    hours: float
+
+
+def names(outcomes: list[Outcome]) -> list[Named]:
+    """Return a row for each fault."""
+    found = []
+    for fault in dict.fromkeys(each.fault for each in outcomes):
+        rows = [each for each in outcomes if each.fault == fault]
+        seen = [each for each in rows if each.visible]
+        delays = [each.delay for each in seen if each.right]
+        found.append(
+            Named(
+                fault,
+                len(rows),
+                sum(each.right for each in rows),
+                len(seen),
+                len(delays),
+                sum(each.right and each.first.startswith("channel_1") for each in seen),
+                float(np.median(delays)) if delays else np.nan,
+                max(delays, default=np.nan),
+                sum(each.wrong for each in rows),
+                sum(each.hours for each in rows),
+            )
+        )
+    return found
