@@ -300,6 +300,7 @@ def test_wrong_configurations_name_file_key_and_value(tmp_path, old, new, said):
         ('preset = "brake"', 'preset = "clutch"', "monitor[0].preset = 'clutch'"),
         ('preset = "brake"', 'preset = "brake_3"', "monitor[0]: a redundant_pair has 2 channels"),
         ('preset = "brake"', 'voter = "none"', "monitor[0].voter = 'none'"),
+        ('preset = "brake"', 'voter = "kalman"', "in the studies now: gateway evaluate pedal"),
         ('preset = "brake"', "tolerance = 0", "monitor[0].tolerance = 0"),
     ],
 )

@@ -5,8 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from pedal import cases, sensors
-from pedal.foot import driving, points
+from gateway_studies.pedal.outside import faults as cases
+from gateway_studies.pedal.outside import sensors
+from gateway_studies.pedal.outside.foot import driving, points
 from typer.testing import CliRunner
 
 from gateway.bus.logs import open_writer

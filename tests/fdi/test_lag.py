@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from amount import amount, examples
+from gateway_studies.pedal.outside import sensors
+from gateway_studies.pedal.outside.foot import driving
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pedal import sensors
-from pedal.foot import driving
 
 from gateway.fdi.voting.acquaintance import lag
 from gateway.fdi.voting.movement import bent, filtered

@@ -3,8 +3,8 @@
 import random
 
 import pytest
+from gateway_studies.wire.replayed import through
 from learning import asked, drive, quiet
-from wire.replayed import through
 
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of

@@ -3,7 +3,7 @@
 import cantools
 import numpy as np
 import pytest
-from wire.encode import frames_of
+from gateway_studies.wire.encode import frames_of
 
 from gateway.bus.frames import payload
 from gateway.common.resources import shipped

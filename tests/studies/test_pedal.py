@@ -10,6 +10,8 @@ import pytest
 from amount import FULL, amount
 from gateway_studies.pedal.cases import IDEAL, NOISY, SPAN, TEN_BIT, UNCLIPPED, Case, make, oracle
 from gateway_studies.pedal.follow import VOTERS, Followed, follow
+from gateway_studies.pedal.outside import faults as outside
+from gateway_studies.pedal.outside import sensors
 from gateway_studies.pedal.table import (
     FAULTS,
     FIRST_SEED,
@@ -264,6 +266,34 @@ def test_the_judge_can_fail():
 def test_the_oracle_is_the_mean_of_the_healthy():
     run = make(CLEAN, IDEAL, 3)
     np.testing.assert_allclose(oracle(run), run.truth, atol=1e-9)
+
+
+def test_faults_on_bad_roads_are_named_and_no_healthy_channel_is():
+    """One drive a fault; `gateway evaluate pedal --seeds 0 --roads 40 --hours 10` is the long form."""
+    print("seed 5100000")
+    asked = CliRunner().invoke(
+        app, ["evaluate", "pedal", "--seeds", "0", "--roads", "1", "--hours", "0.1", "--seed", "5100000", "--json"]
+    )
+    assert asked.exit_code == 0, asked.output
+    rows = {row["fault"]: row for row in json.loads(asked.stdout)["roads"]}
+    assert set(rows) == {*outside.FAULTS, "healthy"}
+    assert sum(row["wrong"] for row in rows.values()) == 0
+    seen = [row for row in rows.values() if row["visible"]]
+    assert sum(row["visible_right"] for row in seen) >= len(seen) - 2
+    assert rows["supply -10 %"]["right"] == 1
+
+
+def test_what_can_be_seen_of_a_fault():
+    """A drift that stays within what is usual cannot, nor can two that are bridged where both read the same."""
+    plant = sensors.brake()
+    effect = np.zeros((5000, 2))
+    effect[2000:, 0] = 4e-5 * np.arange(3000)
+    assert outside.visible(plant, effect, 2.0) == pytest.approx(2.0 + 0.096 / 0.04 + 0.2, abs=0.1)
+    assert outside.visible(plant, 0.6 * effect, 2.0) is None
+    jump = np.zeros((5000, 2))
+    jump[2000:] = [0.2, -0.2]
+    assert outside.visible(plant, jump, 2.0) == 2.0
+    assert outside.visible(plant, 0.3 * jump, 2.0) is None
 
 
 def test_the_command_prints_tables_json_and_pictures(tmp_path):

@@ -1,7 +1,7 @@
 """Redundant position sensors: faults of two or three channels, and one value out of them.
 
 Source: Kim, Lee, Lee, "Development of Kalman Hybrid Redundancy for Sensor Fault-Tolerant of Safety Critical System"
-(2008). Its scheme can be chosen as the voter; it latches for good on ten microvolts of noise, so the default is
+(2008). Its scheme latches for good on ten microvolts of noise: it is a study, and the voter is
 :mod:`gateway.fdi.voting.tracking`. The value leaves each sample with its quality, in the batch of its input. Samples
 are numbered by frame counters; channels in several messages make one when each has come once more, and one that stays
 away is not waited for (:class:`gateway.monitors.contract.Sampled`).
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple, supply
+from gateway.fdi.voting import simple, supply
 from gateway.fdi.voting.acquaintance import lag, noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
 from gateway.fdi.voting.tracking import shape
@@ -46,9 +46,6 @@ _SHOWN = (
 )
 #: Without a sample for so many periods the value is invalid.
 SILENCE = 20
-#: The paper's voters: width of the detector (it gives none), the repaired one, its least FT in standard deviations
-#: of the noise, and the smoothing constant of the predictive one.
-BETA, REPAIRED_BETA, FLOOR, ALPHA = 0.3, 0.5, 4.0, 0.3
 #: A drift is slower [travels/s].
 CREEP = 0.6
 
@@ -105,19 +102,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )
     simple.prepare(c.simple, n)
-    repaired = p.voter == "kalman_repaired"
-    for part in (c.kalman.hybrid, c.predictive.hybrid):
-        hybrid.prepare(
-            part,
-            n,
-            beta=REPAIRED_BETA if repaired else BETA,
-            lower=not repaired,
-            floor=FLOOR * told if repaired else 0.0,
-            low=0.0 if repaired else -np.inf,
-            high=100.0 if repaired else np.inf,
-        )
-    kalman_hybrid.prepare(c.kalman)
-    predictive_hybrid.prepare(c.predictive, alpha=ALPHA)
 
 
 @kernel
@@ -156,12 +140,6 @@ def _vote(s: State, c: Const, dt: float) -> None:
     elif c.voter == 2:
         simple.median(s.simple, c.simple, s.position)
         s.value, s.used = s.simple.value, s.simple.used
-    elif c.voter == 3:
-        predictive_hybrid.vote(s.predictive, c.predictive, s.position)
-        s.value, s.used = s.predictive.value, s.predictive.used
-    elif c.voter > 3:
-        kalman_hybrid.vote(s.kalman, c.kalman, s.position)
-        s.value, s.used = s.kalman.value, s.kalman.used
 
 
 @kernel

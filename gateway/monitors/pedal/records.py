@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway.fdi.voting import kalman_hybrid, predictive_hybrid, simple, supply
+from gateway.fdi.voting import simple, supply
 from gateway.fdi.voting.acquaintance import lag
 from gateway.fdi.voting.acquaintance import noise as own_noise
 from gateway.fdi.voting.simple import MOST_CHANNELS
@@ -46,8 +46,6 @@ class Const(Record):
     supply: supply.Const
     tracking: shape.Const
     simple: simple.Const
-    kalman: kalman_hybrid.Const
-    predictive: predictive_hybrid.Const
 
 
 class State(Record):
@@ -81,8 +79,6 @@ class State(Record):
     supply: supply.State
     tracking: shape.State
     simple: simple.State
-    kalman: kalman_hybrid.State
-    predictive: predictive_hybrid.State
     diagnosis: Diagnosis
 
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting import simple
 from gateway.fdi.voting.tracking import shape
 from gateway.fdi.voting.tracking import vote as tracking
 from gateway.jit import Record, kernel, zeros
+from gateway_studies.pedal import hybrid, kalman_hybrid, predictive_hybrid
 from gateway_studies.pedal.cases import SPAN, Environment, Run
 
 #: The detector's width; the paper gives none. KHR* is the repaired reading of it.

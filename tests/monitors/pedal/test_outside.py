@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from amount import FULL, amount
-from pedal import cases, sensors
+from gateway_studies.pedal.outside import faults as cases
+from gateway_studies.pedal.outside import sensors
 
 from gateway.jit import COMPILED
 
@@ -121,8 +122,8 @@ def test_every_fault_is_found_and_named(name, lag):
 @pytest.mark.parametrize("volts", [4.0, 4.5, 4.75, 5.4])
 def test_a_wrong_supply_is_told_and_put_right(volts):
     """Both channels are wrong, and the value is right all the same: within 1 % of the travel."""
-    from pedal.foot import points
-    from wire.replayed import config_of, through
+    from gateway_studies.pedal.outside.foot import points
+    from gateway_studies.wire.replayed import config_of, through
 
     travel = points(8.0, (0, 0.1), (3, 0.1), (4, 0.6), (5, 0.6), (6, 0.3), (8, 0.3))
     supply = np.where((np.arange(8000) >= 2000) & (np.arange(8000) < 7000), volts, 5.0)

@@ -238,7 +238,7 @@ def test_both_pedals_have_their_own_message_and_dtcs():
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("voter", ["tracking", "average", "median", "predictive", "kalman", "kalman_repaired"])
+@pytest.mark.parametrize("voter", ["tracking", "average", "median"])
 def test_every_voter_can_be_chosen(voter):
     frames = drive(stroke="exponential", at_s=(0.05,))
     engine = engine_of(voter=voter)
@@ -248,10 +248,7 @@ def test_every_voter_can_be_chosen(voter):
         engine.process(frame.reshape(1), seen)
         off.append(abs(float(state["value"]) - float(state["tracking"]["value"])))
     assert seen.failed() == []
-    if voter in ("kalman", "predictive"):
-        assert SMALL or max(off) > 3, "held up by its own noise, as the paper's scheme is"
-    else:
-        assert max(off[20:]) < 1.0
+    assert max(off[20:]) < 1.0
     assert (max(off) == 0) == (voter == "tracking")
 
 

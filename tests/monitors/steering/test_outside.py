@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from amount import FULL, amount
+from gateway_studies.wire.replayed import config_of, through
 from steering import bus
 from steering.drive import Machine, drive, told
-from wire.replayed import config_of, through
 
 from gateway.errors import GatewayError
 from gateway.jit import COMPILED

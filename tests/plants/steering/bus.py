@@ -2,7 +2,7 @@
 
 import cantools
 import numpy as np
-from wire.encode import frames_of, merged
+from gateway_studies.wire.encode import frames_of, merged
 
 from gateway.common.resources import shipped
 

@@ -7,8 +7,8 @@ double exponential smoothing, ``level + trend`` one sample ahead. The smoothing 
 
 from __future__ import annotations
 
-from gateway.fdi.voting import hybrid
 from gateway.jit import Record, f8, f8s, i8, kernel
+from gateway_studies.pedal import hybrid
 
 
 class Const(Record):

@@ -1,9 +1,21 @@
 """What happens to frames on their way: some are lost, some wait, some overtake others."""
 
+from __future__ import annotations
+
 import numpy as np
 
+from gateway.bus.frames import Frames
 
-def road(frames, rng, *, loss=0.0, stamps_ms=0.0, reorder=0.0, overtakes=False):
+
+def road(
+    frames: Frames,
+    rng: np.random.Generator,
+    *,
+    loss: float = 0.0,
+    stamps_ms: float = 0.0,
+    reorder: float = 0.0,
+    overtakes: bool = False,
+) -> Frames:
     """Return the frames as they arrive.
 
     Args:

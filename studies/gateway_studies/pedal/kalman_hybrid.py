@@ -11,8 +11,8 @@ difference. The change it is here, because that is what the detector needs.
 
 from __future__ import annotations
 
-from gateway.fdi.voting import hybrid
 from gateway.jit import Record, f8, f8s, i8, kernel
+from gateway_studies.pedal import hybrid
 
 
 class Const(Record):

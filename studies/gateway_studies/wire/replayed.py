@@ -1,7 +1,13 @@
 """Frames through a configured gateway, by the functions that ``gateway replay`` is made of."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gateway.bus.frames import Frames
 from gateway.common.tomlfile import read_toml
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
@@ -12,31 +18,31 @@ from gateway.runtime.replay import replay
 class Said:
     """What a gateway said: (seconds, fault, failed) of each DTC that was set or passed; its monitors' readouts."""
 
-    dtcs: list = field(default_factory=list)
-    monitors: dict = field(default_factory=dict)
+    dtcs: list[tuple[float, str, bool]] = field(default_factory=list)
+    monitors: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def set(self):
+    def set(self) -> list[str]:
         """Faults that were set, in their order, each once."""
         return list(dict.fromkeys(name for _, name, failed in self.dtcs if failed))
 
-    def at(self, name):
+    def at(self, name: str) -> float | None:
         """When a fault was set first [s]; None: never."""
         return next((t for t, fault, failed in self.dtcs if failed and fault == name), None)
 
 
-def config_of(monitor, database, **more):
+def config_of(monitor: dict[str, Any], database: Path | str, **more: Any) -> Config:
     """A configuration of one bus and one monitor, from the tables that a file would have."""
     bus = {"name": "can0", "uri": "loopback:127.0.0.1:29999", "database": [str(database)]}
     return Config.model_validate({"name": "t", "bus": [bus], "monitor": [{"name": "m", **monitor}], **more})
 
 
-def read_config(path):
+def read_config(path: Path) -> Config:
     """A configuration's file."""
     return Config.model_validate(read_toml(path))
 
 
-def through(config, batches):
+def through(config: Config, batches: Iterable[Frames]) -> Said:
     """Replay frames, in memory.
 
     Args:
@@ -46,7 +52,7 @@ def through(config, batches):
     said = Said()
     gateway = Gateway(config, None)
 
-    def listen(event):
+    def listen(event: dict[str, Any]) -> None:
         if event["event"] == "dtc":
             said.dtcs.append((event["t_ns"] * 1e-9, event["fault"].partition(".")[2], bool(event["status"] & 1)))
 

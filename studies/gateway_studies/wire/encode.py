@@ -1,11 +1,18 @@
 """Columns of values to CAN frames, many at once; the same bytes as cantools makes one by one (`test_encode.py`)."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
+from cantools.database import Message
+from numpy.typing import NDArray
 
-from gateway.bus.frames import empty
+from gateway.bus.frames import Frames, empty
 
 
-def _crc_table():
+def _crc_table() -> NDArray[np.uint8]:
     """CRC-8 SAE J1850: polynomial 1D, bit by bit."""
     table = np.arange(256, dtype=np.uint8)
     for _ in range(8):
@@ -17,15 +24,15 @@ def _crc_table():
 _TABLE = _crc_table()
 
 
-def crc(columns):
+def crc(columns: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """CRC of rows, given as columns of bytes in their order."""
     value = np.full(len(columns[0]), 0xFF, np.uint8)
     for column in columns:
         value = _TABLE[value ^ column]
-    return value ^ 0xFF
+    return np.asarray(value ^ 0xFF, np.uint8)
 
 
-def payloads(message, columns, crc_name):
+def payloads(message: Message, columns: Mapping[str, NDArray[Any]], crc_name: str) -> NDArray[np.uint8]:
     """Bytes of a message, shape (n, 8): values clipped to their signals' ranges and rounded; with its CRC.
 
     Args:
@@ -51,7 +58,9 @@ def payloads(message, columns, crc_name):
     return data
 
 
-def frames_of(message, columns, t_ns, crc_name="", bus=0):
+def frames_of(
+    message: Message, columns: Mapping[str, NDArray[Any]], t_ns: NDArray[np.int64], crc_name: str = "", bus: int = 0
+) -> Frames:
     """Frames of a message at times [ns]; arguments as of :func:`payloads`."""
     frames = empty(len(t_ns))
     frames["t_ns"], frames["can_id"], frames["bus"], frames["length"] = t_ns, message.frame_id, bus, 8
@@ -59,7 +68,7 @@ def frames_of(message, columns, t_ns, crc_name="", bus=0):
     return frames
 
 
-def merged(*batches):
+def merged(*batches: Frames) -> Frames:
     """Frames of several messages in the order of their times; of equal times the first batch comes first."""
     frames = np.concatenate(batches)
     return frames[np.argsort(frames["t_ns"], kind="stable")]

@@ -1,17 +1,27 @@
 """What two or three sensors make of a travel: slope, supply, filter, noise, ADC; and how they fail."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import cantools
 import numpy as np
 from scipy.signal import lfilter
-from wire.encode import frames_of
 
+from gateway.bus.frames import Frames
 from gateway.common.resources import shipped
-from pedal.foot import DT
+from gateway_studies.pedal.outside.foot import DT, Array, Random
+from gateway_studies.wire.encode import frames_of
+
+#: What makes a fault of volts, shape (n, sensors): they, the travel, and what is random.
+Fault = Callable[[Array, Array, Random], Array]
+Kind = Literal["first", "delay", "mean"]
 
 DBC = shipped("dbc/pedal.dbc")
-DATABASE = cantools.database.load_file(DBC)
+DATABASE = cantools.database.Database()
+DATABASE.add_dbc_file(str(DBC))
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,7 @@ class Sensor:
     offset: float = 0.0
     noise: float = 0.002
     lag_ms: float = 0.0
-    filter: str = "first"  # first: of first order; delay; mean: a moving one
+    filter: Kind = "first"  # first: of first order; delay; mean: a moving one
     bits: int = 12
 
 
@@ -32,11 +42,17 @@ class Sensor:
 class Plant:
     """Sensors, and the message that carries them."""
 
-    sensors: tuple = field(default_factory=lambda: (Sensor(), Sensor(4.5, 0.5)))
+    sensors: tuple[Sensor, ...] = field(default_factory=lambda: (Sensor(), Sensor(4.5, 0.5)))
     message: str = "PED_Brake"
 
 
-def brake(noise=0.002, lag=(0.0, 0.0), kind="first", rng=None, bits=12):
+def brake(
+    noise: float = 0.002,
+    lag: tuple[float, float] = (0.0, 0.0),
+    kind: Kind = "first",
+    rng: Random | None = None,
+    bits: int = 12,
+) -> Plant:
     """The brake's two sensors, each with its own small errors of gain and offset if there is a ``rng``."""
     ends = ((0.5, 4.5), (4.5, 0.5))
     gains = 1 + (rng.normal(0, 0.002, 2) if rng is not None else np.zeros(2))
@@ -44,25 +60,32 @@ def brake(noise=0.002, lag=(0.0, 0.0), kind="first", rng=None, bits=12):
     return Plant(tuple(Sensor(*ends[k], gains[k], offsets[k], noise, lag[k], kind, bits) for k in range(2)))
 
 
-def _filtered(x, sensor):
+def _filtered(x: Array, sensor: Sensor) -> Array:
     if sensor.lag_ms == 0.0:
         return x
     steps = sensor.lag_ms * 1e-3 / DT
     if sensor.filter == "delay":
         k = np.arange(len(x))
-        return np.interp(k - steps, k, x)
+        return np.asarray(np.interp(k - steps, k, x), np.float64)
     if sensor.filter == "mean":
         return _mean(x, max(round(2 * steps), 1))
     pole = np.exp(-1 / steps)
-    return lfilter([1 - pole], [1, -pole], x - x[0]) + x[0]
+    return np.asarray(lfilter([1 - pole], [1, -pole], x - x[0]) + x[0], np.float64)
 
 
-def _mean(x, n):
+def _mean(x: Array, n: int) -> Array:
     total = np.cumsum(np.concatenate([np.full(n, x[0]), x]))
-    return (total[n:] - total[:-n]) / n
+    return np.asarray((total[n:] - total[:-n]) / n, np.float64)
 
 
-def readings(plant, travel, rng, *, supply=None, faults=()):
+def readings(
+    plant: Plant,
+    travel: Array,
+    rng: Random,
+    *,
+    supply: Array | float | None = None,
+    faults: Sequence[Fault] = (),
+) -> Array:
     """Volts behind the ADC, shape (n, sensors).
 
     Args:
@@ -86,7 +109,7 @@ def readings(plant, travel, rng, *, supply=None, faults=()):
     return volts
 
 
-def frames(plant, volts, first=0):
+def frames(plant: Plant, volts: Array, first: int = 0) -> Frames:
     """CAN frames of readings, one each millisecond; ``first``: number of the first one."""
     k = np.arange(first, first + len(volts))
     columns = {f"Ch{i + 1}": volts[:, i] for i in range(volts.shape[1])} | {"FrameCnt": k % 16}
@@ -97,20 +120,24 @@ def frames(plant, volts, first=0):
 # --- faults: each returns a function for ``readings``; seconds from the begin, channels from 0
 
 
-def _from(begin_s, end_s=None):
+def _from(begin_s: float, end_s: float | None = None) -> slice:
     return slice(round(begin_s / DT), None if end_s is None else round(end_s / DT))
 
 
-def offset(channel, begin_s, volts, end_s=None):
-    def put(y, travel, rng):
+def offset(channel: int, begin_s: float, volts: float, end_s: float | None = None) -> Fault:
+    """Put it off by ``volts``."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         y[_from(begin_s, end_s), channel] += volts
         return y
 
     return put
 
 
-def gain(channel, begin_s, share, rest):
-    def put(y, travel, rng):
+def gain(channel: int, begin_s: float, share: float, rest: float) -> Fault:
+    """Make its slope steeper by ``share``."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         part[:] = rest + (1 + share) * (part - rest)
         return y
@@ -118,8 +145,10 @@ def gain(channel, begin_s, share, rest):
     return put
 
 
-def drift(channel, begin_s, volts_per_s):
-    def put(y, travel, rng):
+def drift(channel: int, begin_s: float, volts_per_s: float) -> Fault:
+    """Let it drift."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         part += np.arange(len(part)) * DT * volts_per_s
         return y
@@ -127,10 +156,10 @@ def drift(channel, begin_s, volts_per_s):
     return put
 
 
-def level(channel, begin_s, volts, noise=0.0, end_s=None):
+def level(channel: int, begin_s: float, volts: float, noise: float = 0.0, end_s: float | None = None) -> Fault:
     """Short to ground, to the battery, or an open wire that floats."""
 
-    def put(y, travel, rng):
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s, end_s), channel]
         part[:] = volts + rng.normal(0, noise, len(part)) if noise else volts
         return y
@@ -138,8 +167,10 @@ def level(channel, begin_s, volts, noise=0.0, end_s=None):
     return put
 
 
-def stuck(channel, begin_s, noise=0.0, end_s=None):
-    def put(y, travel, rng):
+def stuck(channel: int, begin_s: float, noise: float = 0.0, end_s: float | None = None) -> Fault:
+    """Hold its voltage; ``noise`` goes on behind that."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s, end_s), channel]
         part[:] = part[0] + (rng.normal(0, noise, len(part)) if noise else 0.0)
         return y
@@ -147,10 +178,10 @@ def stuck(channel, begin_s, noise=0.0, end_s=None):
     return put
 
 
-def floating(channel, begin_s):
+def floating(channel: int, begin_s: float) -> Fault:
     """An open input: wanders slowly between the rails."""
 
-    def put(y, travel, rng):
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         walk = np.cumsum(rng.normal(0, 0.02, len(part)))
         part[:] = 2.5 + 2.4 * np.sin(walk) + rng.normal(0, 0.05, len(part))
@@ -159,10 +190,10 @@ def floating(channel, begin_s):
     return put
 
 
-def breaks(channel, begin_s, longest_ms=25.0, each_s=0.5):
+def breaks(channel: int, begin_s: float, longest_ms: float = 25.0, each_s: float = 0.5) -> Fault:
     """An intermittent contact: to ground for 1 to ``longest_ms``."""
 
-    def put(y, travel, rng):
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         at = begin_s
         while at < len(y) * DT:
             at += rng.exponential(each_s)
@@ -172,8 +203,10 @@ def breaks(channel, begin_s, longest_ms=25.0, each_s=0.5):
     return put
 
 
-def chatter(channel, begin_s, share=0.2, size=0.5):
-    def put(y, travel, rng):
+def chatter(channel: int, begin_s: float, share: float = 0.2, size: float = 0.5) -> Fault:
+    """Put a share of its readings off, each by another value."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         part += np.where(rng.random(len(part)) < share, rng.uniform(-size, size, len(part)), 0.0)
         return y
@@ -181,8 +214,10 @@ def chatter(channel, begin_s, share=0.2, size=0.5):
     return put
 
 
-def noise(channel, begin_s, volts=0.05):
-    def put(y, travel, rng):
+def noise(channel: int, begin_s: float, volts: float = 0.05) -> Fault:
+    """Make it noisy."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         part += rng.normal(0, volts, len(part))
         return y
@@ -190,8 +225,10 @@ def noise(channel, begin_s, volts=0.05):
     return put
 
 
-def lag(channel, begin_s, ms):
-    def put(y, travel, rng):
+def lag(channel: int, begin_s: float, ms: float) -> Fault:
+    """Put a filter of first order behind it."""
+
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), channel]
         pole = np.exp(-DT * 1e3 / ms)
         part[:] = lfilter([1 - pole], [1, -pole], part - part[0]) + part[0]
@@ -200,10 +237,10 @@ def lag(channel, begin_s, ms):
     return put
 
 
-def bridged(begin_s):
+def bridged(begin_s: float) -> Fault:
     """The first two channels touch: both carry the mean of their voltages."""
 
-    def put(y, travel, rng):
+    def put(y: Array, travel: Array, rng: Random) -> Array:
         part = y[_from(begin_s), :2]
         part[:] = part.mean(axis=1)[:, None]
         return y

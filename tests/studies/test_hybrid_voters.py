@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import scipy.signal
 from filterpy.kalman import KalmanFilter
+from gateway_studies.pedal import hybrid, kalman_hybrid, predictive_hybrid
 from gateway_studies.pedal.cases import IDEAL, SPAN, Case, Run, make
 from gateway_studies.pedal.follow import VOTERS, follow
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.fdi.voting import hybrid, kalman_hybrid, predictive_hybrid, simple
+from gateway.fdi.voting import simple
 from gateway.jit import zeros
 from gateway.vecu.pedal import strokes
 
