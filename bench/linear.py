@@ -10,13 +10,13 @@ import json
 import time
 
 import numpy as np
-from gateway_studies.linear import example
+from gateway_studies.linear import example, products
 from gateway_studies.linear.bank import drive, observers
 
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.fdi.pi_bank import bank, products
+from gateway.fdi.pi_bank import bank
 from gateway.fdi.pi_bank.design import augmented
 from gateway.jit import call_entry, kernel, zeros
 from gateway.monitors.linear import plant as linear_plant
@@ -133,7 +133,6 @@ def main():
     times = {
         "NumPy, three observers, flags": numpy_us(y[:3000], u[:3000]),
         "the paper's bank, replay": best_us(lambda: run_bank(s, c, many_y, many_u), len(many_y)),
-        "monitor with the paper's products": monitor_us(y, u, logic="products"),
         "monitor with our decisions": monitor_us(y, u, logic="jumps"),
         "monitor with model_error of 5 %": monitor_us(y, u, model_error=0.05),
         "whole gateway, a frame": gateway_us(),

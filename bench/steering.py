@@ -12,10 +12,11 @@ import time
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from gateway_studies.steering.estimators import nominal
+from gateway_studies.steering.filters import ekf_dq, luenberger, reduced_luenberger
 
 from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
+from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
 from gateway.jit import kernel, zeros

@@ -18,9 +18,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 import numpy as np
+from pydantic import model_validator
 
 from gateway.common.tomlfile import StrictModel
 from gateway.errors import GatewayError, InputError
@@ -191,6 +192,18 @@ def _laid_out(parts: Mapping[str, tuple[np.dtype[Any], int]], size: int) -> np.d
 
 class MonitorParams(StrictModel):
     """Base of the parameters of a monitor; units stand in the field descriptions."""
+
+    #: Keys that are gone, and where to: told instead of "no such key". ``name = value`` for one value of a key.
+    moved: ClassVar[Mapping[str, str]] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tell_what_has_moved(cls, data: Any) -> Any:
+        for key, where in cls.moved.items():
+            name, _, value = key.partition(" = ")
+            if isinstance(data, dict) and name in data and value in ("", str(data[name])):
+                raise ValueError(f"{name} = {data[name]!r}: {where}")
+        return data
 
 
 @dataclass(frozen=True)

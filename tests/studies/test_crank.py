@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from gateway_studies.crank.cases import Train, with_fault
+from gateway_studies.crank.constant_speed import displacement
 from gateway_studies.crank.figures import ALPHA, BETA, GAIN, GAMMA, PULSES, fault_signal, paper_run
 from gateway_studies.crank.follow import follower
 from gateway_studies.crank.outside import _outcomes
@@ -14,7 +15,6 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway.fdi.wheel import Wheel
 from gateway.jit import COMPILED
-from gateway.monitors.crank.constant_speed import displacement
 
 pytestmark = pytest.mark.long
 DELTA = BETA - ALPHA

@@ -10,6 +10,11 @@ its own innovations are as small as they should be, and its fault has at least t
 explains what came, or several do for longer than the patience, it is not isolated. Then the plant is found anew, with
 the errors of its parameters as they were known before.
 
+A plant that is not linear looks like faults of its actuators. So "its entries vary" is one more that is asked: where it
+is ahead, or nearly as good as the best part when patience ends (an actuator's sooner), nobody is at fault, and from
+then on entries vary. What begins at once is no such change: it has to explain each moment since the alarm, with errors
+as small as they were told.
+
 The named hypothesis goes on alone, until its fault is gone; then all begin again from its estimate. A fault that turns
 out smaller than what counts is taken into the estimate as an offset, and nobody is named.
 """
@@ -28,6 +33,7 @@ from gateway.fdi.model_set.filters import (
     OFFSET,
     SENSOR,
     SILENT,
+    VARYING,
     slot,
 )
 from gateway.fdi.model_set.matrices import MOST_HYPOTHESES
@@ -61,8 +67,8 @@ KEPT, FIRST = 2000, 250
 #: What is done: a fault is isolated; the plant's errors are learned from healthy samples; the healthy hypothesis is
 #: compared with what comes, and somebody else judges.
 ISOLATING, LEARNING, WATCHING = range(3)
-#: No part.
-NONE = -1
+#: No part; the plant as a whole, that varies.
+NONE, PLANT = -1, -2
 
 
 class Const(Record):
@@ -97,7 +103,9 @@ class State(Record):
     ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each
     hypothesis, samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm;
     ``ahead``: of these, in which ``first`` was named; ``suspect``: whether the size of the named fault counts;
-    ``unexplained``; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum of normalised
+    ``jolted``: since the alarm entries that vary have once not explained what came, it was no gradual change;
+    ``unexplained``; ``agreed``, ``astray``: samples since then that a healthy plant explains, within what was told, and
+    beyond it; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum of normalised
     innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that
     nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
     """
@@ -115,7 +123,9 @@ class State(Record):
     suspect: followed.State
     misfit: i8
     unexplained: i8
+    jolted: i8
     agreed: i8
+    astray: i8
     tested: i8
     magnitude: f8
     fit: f8
@@ -188,7 +198,7 @@ def restart(s: State, c: Const) -> None:
     else:
         filters.ignorant(s.filters, f, 0)
     filters.unknown(s.filters, f, 0)
-    s.done = s.active = s.undecided = s.ahead = s.misfit = s.unexplained = s.agreed = s.tested = 0
+    s.done = s.active = s.undecided = s.ahead = s.misfit = s.unexplained = s.agreed = s.astray = s.tested = 0
     s.calm = s.forgiven = 0
     followed.begin(s.suspect)
     s.first = NONE
@@ -217,13 +227,23 @@ def _keep(s: State, c: Const) -> None:
 
 @kernel
 def part_of(c: Const, h: int) -> int:
-    """Return the part of a hypothesis: actuators from 0, sensors behind them; NONE."""
+    """Return the part of a hypothesis: actuators from 0, sensors behind them; NONE or PLANT."""
     f = c.filters
     if f.kind[h] == HEALTHY:
         return NONE
+    if f.kind[h] == VARYING:
+        return PLANT
     if f.kind[h] in (OFFSET, GAIN):
         return int(f.place[h])
     return int(f.m + f.place[h])
+
+
+@kernel
+def _used(s: State, c: Const) -> int:
+    """Return how many hypotheses are in use: once entries vary, they do under each, and the last one tells no more."""
+    f = c.filters
+    last = f.hypotheses - 1
+    return int(last if s.filters.varies == 1 and f.kind[last] == VARYING else f.hypotheses)
 
 
 @kernel
@@ -263,11 +283,11 @@ def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
 def _best(s: State, c: Const) -> tuple[int, float]:
     """Return the hypothesis with most evidence, and by how much its part is ahead of the next."""
     best = 1
-    for h in range(2, c.filters.hypotheses):
+    for h in range(2, _used(s, c)):
         if s.evidence[h] > s.evidence[best]:
             best = h
     next_one = 0.0
-    for h in range(1, c.filters.hypotheses):
+    for h in range(1, _used(s, c)):
         if part_of(c, h) != part_of(c, best):
             next_one = max(next_one, s.evidence[h])
     return best, float(s.evidence[best] - next_one)
@@ -297,9 +317,36 @@ def _follower(s: State, c: Const, best: int) -> int:
 
 
 @kernel
+def _as_told(s: State, c: Const, h: int) -> bool:
+    """Tell whether what is slow is as small as it was told, under a hypothesis."""
+    return bool(filters.off_the_bounds(s.filters, c.filters, h) < c.told)
+
+
+@kernel
+def _varying_would_do(s: State, c: Const, best: int) -> bool:
+    """Tell whether entries that vary explain what came, nearly as well as the best hypothesis does."""
+    last = _used(s, c) - 1
+    if c.filters.kind[last] != VARYING or s.jolted == 1:
+        return False
+    return bool(_as_told(s, c, last) and s.evidence[last] > s.evidence[best] - SURE)
+
+
+@kernel
+def _let_vary(s: State, c: Const) -> None:
+    """Let the plant's entries vary from now on, whatever else is the matter."""
+    s.filters.varies = 1
+    _adopt(s, c, c.filters.hypotheses - 1, False)
+
+
+@kernel
 def _isolate(s: State, c: Const) -> None:
     """Name a part, or say that none can be named."""
     s.undecided += 1
+    last = _used(s, c) - 1
+    if not _fits(s, c, last):
+        s.jolted = 1
+    elif s.undecided == 1:
+        s.jolted = 0
     best, ahead = _best(s, c)
     # What acts through the plant's dynamics begins once; one that had to jump again and again only follows what it is
     # not.
@@ -308,20 +355,27 @@ def _isolate(s: State, c: Const) -> None:
     if ahead >= SURE and begun_once and _fits(s, c, best) and s.evidence[best] >= c.level:
         s.ahead = s.ahead + 1 if part_of(c, best) == s.first else 1
         s.first = part_of(c, best)
-        if s.ahead >= LEAST:
+        if s.ahead >= LEAST and s.first == PLANT:
+            if s.undecided > PATIENCE and _varying_would_do(s, c, best):
+                _let_vary(s, c)
+            elif s.undecided > c.patience:
+                s.unexplained = 1
+        elif s.ahead >= LEAST:
             s.active, s.undecided, s.ahead = _follower(s, c, best), 0, 0
             s.misfit = 0
             followed.begin(s.suspect)
         return
     s.ahead, s.first = 0, NONE
     none_fits = True
-    for h in range(c.filters.hypotheses):
+    for h in range(_used(s, c)):
         if _fits(s, c, h):
             none_fits = False
     weak = s.evidence[best] < WEAK * c.level and _fits(s, c, 0)
     if s.undecided > c.patience and weak and s.forgiven < FORGIVEN:
         s.forgiven += 1
         _adopt(s, c, 0, False)
+    elif s.undecided > (PATIENCE if acts else c.patience) and _varying_would_do(s, c, best):
+        _let_vary(s, c)
     elif s.undecided > c.patience or (s.undecided > PATIENCE and none_fits):
         s.unexplained = 1
 
@@ -346,11 +400,17 @@ def _recover(s: State, c: Const) -> None:
 
     It learns from sensors of which several may be wrong: what they say is explained by errors of the plant that are
     larger than was told. So these have to be as small as they were told, and for as long as it would take to tell that
-    something is wrong.
+    something is wrong. What was learned while it was is not forgotten soon: where all is explained, but by more than
+    that, the plant is found once more.
     """
-    well = _fits(s, c, 0) and filters.off_the_bounds(s.filters, c.filters, 0) < c.told
-    s.agreed = s.agreed + 1 if well and s.done >= c.start else 0
-    if s.agreed >= max(c.hold, c.patience):
+    fits = _fits(s, c, 0) and s.done >= c.start
+    well = fits and _as_told(s, c, 0)
+    s.agreed = s.agreed + 1 if well else 0
+    s.astray = s.astray + 1 if fits and not well else 0
+    if s.astray >= max(c.hold, c.patience):
+        restart(s, c)
+        s.unexplained = 1
+    elif s.agreed >= max(c.hold, c.patience):
         s.unexplained = 0
         _adopt(s, c, 0, False)
 
@@ -432,10 +492,10 @@ def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
         _judge_named(s, c, y, u)
         s.tested = 1 if s.unexplained == 0 else 0
     else:
-        for h in range(f.hypotheses):
+        for h in range(_used(s, c)):
             _take(s, c, h, y, True)
         most = 0.0
-        for h in range(1, f.hypotheses):
+        for h in range(1, _used(s, c)):
             told = s.filters.told[h] - s.filters.told[0]
             s.evidence[h] = max(0.0, s.evidence[h] + told)
             most = max(most, s.evidence[h])
@@ -469,5 +529,5 @@ def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
     elif s.active > 0:
         filters.predict(s.filters, f, s.active, u, unsure, True)
     else:
-        for h in range(f.hypotheses):
+        for h in range(_used(s, c)):
             filters.predict(s.filters, f, h, u, unsure, False)

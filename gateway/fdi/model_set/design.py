@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from gateway.fdi.model_set.filters import (
     OFFSET,
     SENSOR,
     SILENT,
+    VARYING,
     Const,
 )
 from gateway.fdi.model_set.matrices import MOST_ENTRIES
@@ -82,7 +83,7 @@ def hypotheses(told: Told) -> list[tuple[int, int]]:
     found += [(OFFSET, i) for i in range(m)] + [(GAIN, i) for i in range(m)]
     found += [(SENSOR, j) for j in range(p)]
     found += [(SILENT, j) for j in told.left_out]
-    return found
+    return [*found, (VARYING, 0)] if len(told.entries) else found
 
 
 def prepare(c: Const, told: Told) -> None:
@@ -113,6 +114,7 @@ def prepare(c: Const, told: Told) -> None:
     times = np.repeat([AGEING_S, OFFSET_S, np.inf, OFFSET_S, WARMING_S], [q, m, m, p, p])
     c.keep[: c.total - n] = np.exp(-period / times)[: c.total - n]
     drifts = [told.noise.faults, GAIN_DRIFT + nothing, DRIFT_SIZE * told.sensor]
+    c.vary = exp(-period / slowest(plant))
     faults = slice(q, q + 2 * m + p)
     c.drive[faults] = np.concatenate(drifts) ** 2 * period
     c.free[faults] = np.concatenate([fault[:m], GAIN_SIZE + nothing, fault[m:]]) ** 2
@@ -143,6 +145,13 @@ def _unknown(plant: LinearPlant, noise: Array) -> Array:
         shown = np.maximum(shown, np.abs(rows).max(axis=0))
         rows = rows @ plant.phi
     return np.asarray(UNKNOWN / np.maximum(shown, 1e-9))
+
+
+def slowest(plant: LinearPlant) -> float:
+    """Return the time constant of the plant's slowest mode that forgets [s]; of one that has none, an hour."""
+    left = np.abs(np.linalg.eigvals(plant.phi))
+    left = left[(left > 0.0) & (left < np.exp(-plant.period / OFFSET_S))]
+    return float(-plant.period / np.log(left.max())) if len(left) else OFFSET_S
 
 
 def isolable(plant: LinearPlant) -> tuple[int, ...]:

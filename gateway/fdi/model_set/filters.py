@@ -17,10 +17,11 @@ and what the innovations tell of theta makes it shrink again. That is the differ
 hides faults at rest and in motion alike.
 
 Hypotheses, by their place: 0: nothing is wrong; then of each actuator "its offset jumps or drifts", of each "its gain
-does"; of each sensor "its offset does", of each "it tells nothing" (its reading is spread evenly over its range). All
-predict the same numbers, so that the densities of what came can be compared. An offset or gain that may jump is told so
-at a sample that is too far from what was expected: the jump may have begun at that sample or before it
-(:data:`BEGINNINGS`).
+does"; of each sensor "its offset does", of each "it tells nothing" (its reading is spread evenly over its range); the
+last: nothing is wrong, but the plant is not linear: its entries vary within their bounds, as fast as its slowest mode
+lets its state move, and do not only age. All predict the same numbers, so that the densities of what came can be
+compared. An offset or gain that may jump is told so at a sample that is too far from what was expected: the jump may
+have begun at that sample or before it (:data:`BEGINNINGS`).
 
 What the derivatives leave out is of the second order: the share of a step's variance that comes from theta, times
 theta's relative variance, is noise beside w.
@@ -46,7 +47,7 @@ from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
 MOST = MOST_STATES + MOST_SLOW
 #: Kinds of hypotheses.
-HEALTHY, OFFSET, GAIN, SENSOR, SILENT = range(5)
+HEALTHY, OFFSET, GAIN, SENSOR, SILENT, VARYING = range(6)
 #: Samples before the present one at which a jump may have begun: these, at most BACK.
 BEGINNINGS = (0, 1, 2, 3, 5, 8, 13, 21, 34)
 BACK = 34
@@ -66,10 +67,10 @@ class Const(Record):
     ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones; ``gains``:
     1: with the sensors' gains.
     ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
-    their variance; ``drive``, ``free``: of a slow state that a hypothesis lets go: variance of a sample's change, and
-    of a jump; ``loose``: share of the latter that a fault which is followed changes by in a sample. ``gate``: of the
-    normalised innovation squared of one sample, beyond which something jumped; ``range``: of a silent sensor's reading,
-    as log density.
+    their variance; ``vary``: what a sample leaves of entries that vary; ``drive``, ``free``: of a slow state that a
+    hypothesis lets go: variance of a sample's change, and of a jump; ``loose``: share of the latter that a fault which
+    is followed changes by in a sample. ``gate``: of the normalised innovation squared of one sample, beyond which
+    something jumped; ``range``: of a silent sensor's reading, as log density.
     """
 
     n: i8
@@ -88,6 +89,7 @@ class Const(Record):
     r: Annotated[f8s, MOST_OUTPUTS]
     unknown: Annotated[f8s, MOST_STATES]
     keep: Annotated[f8s, MOST_SLOW]
+    vary: f8
     prior: Annotated[f8s, MOST_SLOW]
     drive: Annotated[f8s, MOST_SLOW]
     free: Annotated[f8s, MOST_SLOW]
@@ -104,7 +106,8 @@ class State(Record):
 
     ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
     innovations; ``own``, ``square``: variance of each innovation by itself, and the normalised innovation squared, of
-    the filter that was asked last. ``past``: commands of the samples before, newest first.
+    the filter that was asked last. ``past``: commands of the samples before, newest first. ``varies``: 1: the plant's
+    entries vary, under every hypothesis.
     """
 
     z: Annotated[f8s, MOST_HYPOTHESES, MOST]
@@ -116,6 +119,7 @@ class State(Record):
     e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS]
     own: Annotated[f8s, MOST_OUTPUTS]
     square: f8
+    varies: i8
     past: Annotated[f8s, BACK, MOST_INPUTS]
     work: Annotated[f8s, MOST_STATES, MOST]
     by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW]
@@ -416,6 +420,16 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
 
 
 @kernel
+def _kept(s: State, c: Const, h: int, k: int) -> float:
+    """Return what a sample leaves of a slow state, under a hypothesis."""
+    if k == slot(c, h):
+        return 1.0
+    if k < c.q and (s.varies == 1 or c.kind[h] == VARYING):
+        return float(c.vary)
+    return float(c.keep[k])
+
+
+@kernel
 def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: float) -> None:
     """Take covariance and slow states to the next sample, from what :func:`predict` has left in the scratch."""
     n, m, size = c.n, c.m, c.total
@@ -434,14 +448,12 @@ def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: floa
             s.cov[h, r, k] = s.cov[h, k, r] = total
         s.cov[h, r, r] += c.noise[r] + relative * s.second[r]
         for k in range(size - n):
-            keep = 1.0 if k == free else c.keep[k]
-            s.cov[h, r, n + k] = s.cov[h, n + k, r] = s.work[r, n + k] * keep
+            s.cov[h, r, n + k] = s.cov[h, n + k, r] = s.work[r, n + k] * _kept(s, c, h, k)
     for k in range(size - n):
-        own = 1.0 if k == free else c.keep[k]
+        own = _kept(s, c, h, k)
         s.z[h, n + k] *= own
         for i in range(k, size - n):
-            other = 1.0 if i == free else c.keep[i]
-            s.cov[h, n + k, n + i] *= own * other
+            s.cov[h, n + k, n + i] *= own * _kept(s, c, h, i)
             s.cov[h, n + i, n + k] = s.cov[h, n + k, n + i]
         if k == free:
             s.cov[h, n + k, n + k] += c.free[k] * c.loose if loose else c.drive[k]

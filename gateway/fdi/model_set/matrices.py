@@ -20,8 +20,8 @@ from gateway.jit import Record, f8, f8s, i8, i8s, kernel
 #: Uncertain entries of A and B.
 MOST_ENTRIES = 40
 #: Filters, each with an estimate of its own: healthy; offset and gain of each actuator; offset and silence of each
-#: sensor.
-MOST_HYPOTHESES = 1 + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
+#: sensor; a plant whose entries vary.
+MOST_HYPOTHESES = 2 + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
 #: [A, B] with the rows of the commands.
 BLOCK = MOST_STATES + MOST_INPUTS
 #: Step of the differences, in an entry's bound.

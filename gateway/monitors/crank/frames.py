@@ -5,13 +5,13 @@ number of pulses of a lost frame is known only when it was full; CTW_BASE puts i
 pulse's number.
 
 An interval longer than ``stall_ms`` spans a standstill and tells nothing of the wheel; a shorter one is a tooth's,
-however long: what it means is for the method to say, by the speed before it.
+however long: what it means is told by the speed before it.
 """
 
 from __future__ import annotations
 
 from gateway.jit import kernel
-from gateway.monitors.crank import adaptive, constant_speed, noise, phase, place
+from gateway.monitors.crank import adaptive, noise, phase, place
 from gateway.monitors.crank.faults import Reports
 from gateway.monitors.crank.records import CLASSIC_INTERVALS, Const, Inputs, State
 from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
@@ -20,13 +20,10 @@ from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 @kernel
 def stand(s: State, c: Const, out: Reports) -> None:
     """The engine stands: synchronisation ends, and a burst of pulses that was not told yet is."""
-    if c.adaptive == 1:
-        if s.fast.burst.count > 0:
-            noise.tell(s.fast.burst, c.fast.firing_us, out)
-        place.stand(s.fast, c.fast)
-        phase.forget(s.phase)
-    else:
-        constant_speed.search(s.paper)
+    if s.fast.burst.count > 0:
+        noise.tell(s.fast.burst, c.fast.firing_us, out)
+    place.stand(s.fast, c.fast)
+    phase.forget(s.phase)
 
 
 @kernel
@@ -34,10 +31,7 @@ def _lost(s: State, c: Const, number: int, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
     phase.restart(s.phase)
-    if c.adaptive == 1:
-        adaptive.lost(s.fast, c.fast, number, out)
-    else:
-        constant_speed.lost(s.paper, c.paper, number)
+    adaptive.lost(s.fast, c.fast, number, out)
 
 
 @kernel
@@ -58,7 +52,7 @@ def base(s: State, c: Const, u: Inputs) -> None:
         s.owed_pulses = pulses
         s.owed_teeth = teeth
         return
-    if s.counted == 1 and c.adaptive == 1:
+    if s.counted == 1:
         adaptive.recount(s.fast, c.fast, wrapped(pulses - s.count))
     s.count = pulses
     s.counted = 1
@@ -88,10 +82,7 @@ def _tooth(s: State, c: Const, y: float, out: Reports) -> None:
         stand(s, c, out)
         return
     s.count = (s.count + 1) % 65536
-    if c.adaptive == 1:
-        adaptive.tooth(s.fast, c.fast, y, out)
-    else:
-        constant_speed.tooth(s.paper, c.paper, y, out)
+    adaptive.tooth(s.fast, c.fast, y, out)
 
 
 @kernel
@@ -99,10 +90,9 @@ def _teeth(s: State, c: Const, number: int, out: Reports) -> None:
     """Take the first intervals of the frame at hand."""
     k = 0
     while k < number:
-        if c.adaptive == 1:
-            taken = adaptive.regular(s.fast, c.fast, s.intervals, k, number)
-            s.count = (s.count + taken) % 65536
-            k += taken
+        taken = adaptive.regular(s.fast, c.fast, s.intervals, k, number)
+        s.count = (s.count + taken) % 65536
+        k += taken
         if k < number:
             _tooth(s, c, s.intervals[k], out)
             k += 1

@@ -1,20 +1,19 @@
 """Crankshaft trigger wheel: pulses missed and added, from packed tooth times to test results.
 
 Source: Kim, Suh, Park, Yun, "A Method of Fault Diagnosis for Engine Synchronization Using Analytical
-Redundancy" (2003). Two methods: ``paper`` as printed, for constant speed
-(:mod:`.constant_speed`), and ``adaptive``, which follows the speed (:mod:`.adaptive`). Both keep the
-tooth index right through a fault; angle and speed go out as ``GW_EngineSync``.
+Redundancy" (2003); its method, for constant speed, is in the study. This one follows the speed (:mod:`.adaptive`) and
+keeps the tooth index right through a fault; angle and speed go out as ``GW_EngineSync``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gateway.fdi.pulse_tracking.profile import MOST_SHARE
-from gateway.fdi.wheel import FEW, WheelText
+from gateway.fdi.wheel import WheelText
 from gateway.jit import kernel
 from gateway.monitors.contract import (
     TIMER,
@@ -29,7 +28,7 @@ from gateway.monitors.contract import (
     Readout,
     Signal,
 )
-from gateway.monitors.crank import cam, constant_speed, frames, isolation, phase, place, rival, wrong_wheel
+from gateway.monitors.crank import cam, frames, isolation, phase, place, rival, wrong_wheel
 from gateway.monitors.crank.faults import BLAMES, FAULTS, Evidence
 from gateway.monitors.crank.records import (
     CLASSIC_INTERVALS,
@@ -43,8 +42,6 @@ from gateway.signals.tooth_codec import LONGEST_LONG_US
 
 #: Longest interval of CTW_FD27: 16 bits of 0.5 us << 7 [us].
 LONGEST_FD_US = 65535 * 64
-#: Pitch from which on it is a gap to the method paper [pitch].
-LEAST_GAP = 1.5
 #: Share of the angle since the last pulse by which a cam's edge may be off on a wheel of few pulses: the engine's speed
 #: is not known better within one of its pitches.
 UNEVEN = 0.25
@@ -61,10 +58,12 @@ SYNC_EVERY_NS = 10_000_000
 class Params(MonitorParams):
     """Parameters of the crankshaft monitor."""
 
-    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
-    method: Literal["adaptive", "paper"] = Field(
-        "adaptive", description="adaptive: follows the speed; paper: constant speed, equation (6)"
+    moved: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("method", "gain", "threshold", "follow_speed"),
+        "of the paper's method, which is in the study (gateway evaluate crank); leave the key out",
     )
+
+    wheel: WheelText = Field(description='trigger wheel, e.g. "60-2"')
     frame: Literal["classic", "fd"] = Field(
         "classic", description="classic: CTW_PT4, 4 intervals a frame; fd: CTW_FD27"
     )
@@ -77,40 +76,20 @@ class Params(MonitorParams):
     tooth_0_deg: float = Field(
         0.0, ge=0, lt=360, description="crank angle of tooth 0, the first behind the largest gap"
     )
-    acceleration: float = Field(
-        3000.0, gt=0, description="adaptive: change of speed that is usual, standard dev. [rpm/s]"
-    )
-    runout: float = Field(0.04, gt=0, lt=1, description="adaptive: variation of the pitch once a turn, amplitude")
-    reversal_rpm: float = Field(30.0, gt=0, description="adaptive: below this speed the engine may turn back [rpm]")
+    acceleration: float = Field(3000.0, gt=0, description="change of speed that is usual, standard dev. [rpm/s]")
+    runout: float = Field(0.04, gt=0, lt=1, description="variation of the pitch once a turn, amplitude")
+    reversal_rpm: float = Field(30.0, gt=0, description="below this speed the engine may turn back [rpm]")
     report_reversal: bool = Field(
-        False, description="adaptive: an engine that turned back sets P1335-00; it is no defect, and counted anyway"
+        False, description="an engine that turned back sets P1335-00; it is no defect, and counted anyway"
     )
     cam: tuple[tuple[float, Literal[0, 1]], ...] = Field(
         (),
         max_length=cam.MOST_EDGES,
-        description="adaptive: [crank angle 0..720 deg, level after it] of each edge of a cam sensor",
+        description="[crank angle 0..720 deg, level after it] of each edge of a cam sensor",
     )
     cam_tolerance_deg: float = Field(
         25.0, gt=0, lt=90, description="of a cam edge, as much as valve timing moves it [deg]"
     )
-    gain: float = Field(0.6, gt=0, lt=2, description="paper: observer gain D, (9)")
-    threshold: float | None = Field(
-        None,
-        gt=0,
-        description="paper: of the residual [pitch]; default half the smallest gap's step",
-    )
-    follow_speed: bool = Field(
-        True,
-        description="paper: learn the pitch time anew after every clean turn; false: as printed",
-    )
-
-    @model_validator(mode="after")
-    def _paper_needs_a_gap(self) -> Params:
-        if self.method == "paper" and (self.wheel.pulses < FEW or max(self.wheel.pitches) < LEAST_GAP):
-            raise ValueError(
-                f"the method paper needs a wheel of {FEW} pulses and more with a gap; {self.wheel} is none"
-            )
-        return self
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
@@ -168,8 +147,6 @@ def sure_rpm(p: Params) -> float:
 
 
 def _facts(p: Params) -> tuple[str, ...]:
-    if p.method != "adaptive":
-        return ()
     low = lowest_rpm(p)
     why = "reversal_rpm" if low == p.reversal_rpm else "stall_ms and the gap"
     return (f"wheel {p.wheel}: followed from {low:.0f} rpm on ({why})", *_limits(p))
@@ -221,15 +198,12 @@ def _emits(_: Params) -> Emission:
 
 
 def _prepare(p: Params, s: State, c: Const) -> None:
-    c.adaptive = p.method == "adaptive"
     c.fd = p.frame == "fd"
     c.stall_ns = int(p.stall_ms * 1e6)
     c.tooth_0_deg = p.tooth_0_deg
     place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
     c.fast.told = p.report_reversal
     c.fast.longest_us = min(c.fast.longest_us, p.stall_ms * 1e3 * (1 - 1e-9))
-    if p.method == "paper":
-        constant_speed.prepare(s.paper, c.paper, p.wheel, p.gain, p.threshold, p.follow_speed)
     cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg, p.wheel.pulses)
     s.counter = -1
     s.base_counter = -1
@@ -320,32 +294,20 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
 @kernel
 def _show(s: State, c: Const) -> float:
     """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
-    if c.adaptive == 1:
-        f = s.fast
-        s.sync = place.shown(f)
-        s.revolutions = place.revolutions(f, c.fast)
-        s.speed_rpm = f.speed_rpm
-        s.slowest_rpm = f.slowest_rpm
-        s.fastest_rpm = f.fastest_rpm
-        s.teeth = f.teeth
-        s.missed = f.missed
-        s.added = f.added
-        s.corrections = f.corrections
-        s.losses = f.losses
-        s.reversals = f.reversal.total
-        s.half = s.cam.half
-        return place.speed(f, c.fast)
-    p = s.paper
-    s.sync = p.phase
-    s.revolutions = p.revolutions
-    s.speed_rpm = p.speed_rpm
-    s.slowest_rpm = p.slowest_rpm
-    s.fastest_rpm = p.fastest_rpm
-    s.teeth = p.teeth
-    s.missed = p.missed
-    s.added = p.added
-    s.corrections = p.missed - p.added
-    return 60e6 / (p.alpha * c.paper.turn) if p.phase > 0 else 0.0
+    f = s.fast
+    s.sync = place.shown(f)
+    s.revolutions = place.revolutions(f, c.fast)
+    s.speed_rpm = f.speed_rpm
+    s.slowest_rpm = f.slowest_rpm
+    s.fastest_rpm = f.fastest_rpm
+    s.teeth = f.teeth
+    s.missed = f.missed
+    s.added = f.added
+    s.corrections = f.corrections
+    s.losses = f.losses
+    s.reversals = f.reversal.total
+    s.half = s.cam.half
+    return place.speed(f, c.fast)
 
 
 @kernel
@@ -357,12 +319,8 @@ def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Ou
     s.sent_ns = t_ns
     s.sent_sync = s.sync
     s.sent_corrections = s.corrections
-    if c.adaptive == 1:
-        turn = place.angle(s.fast, c.fast) + max(s.cam.half, 0)
-        index = max(place.tooth_of(s.fast, c.fast, s.fast.index), 0)
-    else:
-        turn = constant_speed.angle(s.paper, c.paper)
-        index = int(s.paper.index)
+    turn = place.angle(s.fast, c.fast) + max(s.cam.half, 0)
+    index = max(place.tooth_of(s.fast, c.fast, s.fast.index), 0)
     out.send = 1
     out.values.sync = s.sync
     cycle = 720.0 if s.cam.half >= 0 else 360.0

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from gateway.jit import Record, f8, f8s, i8, means, u1
 from gateway.monitors import contract
-from gateway.monitors.crank import cam, constant_speed, phase, place
+from gateway.monitors.crank import cam, phase, place
 
 #: Intervals that one frame can carry (CTW_FD27, CTW_PT4).
 MOST_INTERVALS, CLASSIC_INTERVALS = 27, 4
@@ -15,13 +15,11 @@ MOST_INTERVALS, CLASSIC_INTERVALS = 27, 4
 class Const(Record):
     """Constants."""
 
-    adaptive: u1
     fd: u1
     stall_ns: i8
     tooth_0_deg: f8
     cam: cam.Const
     fast: place.Const
-    paper: constant_speed.Const
 
 
 class State(Record):
@@ -61,7 +59,6 @@ class State(Record):
     cam: cam.State
     phase: phase.Phase
     fast: place.State
-    paper: constant_speed.State
 
 
 class Inputs(contract.Inputs):

@@ -1,4 +1,4 @@
-"""The motor's side: estimators in parallel, and what they say of angle sensor, currents and voltages.
+"""The motor's side: a filter of its angle, and what that says of angle sensor, currents and voltages.
 
 Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
 weak spots:
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from math import atan2, exp, hypot, nan, pi, sin
 
-from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
+from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import warm_resistance
 from gateway.fdi.filters.transforms import clarke, inverse_park, park, wrap
 from gateway.jit import Record, f8, i8, kernel
@@ -47,7 +47,6 @@ class Const(Record):
     period: f8
     resistance: f8
     warm: i8
-    compare: i8
     gate: f8
     share: f8
     resistance_error: f8
@@ -57,9 +56,6 @@ class Const(Record):
     input_gain: f8
     quiet: f8
     silent: i8
-    luenberger: luenberger.Const
-    reduced: reduced_luenberger.Const
-    dq: ekf_dq.Const
     filter: ekf_alpha_beta.Const
     forward: feedforward.Const
 
@@ -109,9 +105,6 @@ class State(Record):
     residual_d: f8
     residual_q: f8
     middle: f8
-    luenberger: luenberger.State
-    reduced: reduced_luenberger.State
-    dq: ekf_dq.State
     filter: ekf_alpha_beta.State
     forward: feedforward.State
 
@@ -128,26 +121,15 @@ def prepare(s: State, c: Const, p: Params) -> None:
     s.angle = nan
     s.step = p.angle_resolution * pi / 180.0 * motor.pole_pairs
     c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
-    c.resistance, c.warm, c.compare = motor.resistance, p.temperature, p.compare
+    c.resistance, c.warm = motor.resistance, p.temperature
     c.quiet, c.silent = 2.0, max(p.frames(35.0), 10)
     c.share = 1.0 - (1.0 - AVERAGE) ** p.period_ms
     c.gate, c.noise = 5.0 * motor.emf, 0.05
     c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
     c.dead = p.dead_volts
     c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
-    luenberger.prepare(c.luenberger, motor, period)
-    reduced_luenberger.prepare(c.reduced, motor, period)
-    ekf_dq.prepare(c.dq, motor, period, load=True)
     ekf_alpha_beta.prepare(c.filter, motor, period, slow=p.slow)
     feedforward.prepare(c.forward, motor, period)
-
-
-@kernel
-def _compare(s: State, c: Const, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
-    """Run the estimators that use the sensor's angle for Park: the paper's own."""
-    luenberger.step(s.luenberger, c.luenberger, u_q, i_q)
-    reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
-    ekf_dq.step(s.dq, c.dq, u_d, u_q, i_d, i_q)
 
 
 @kernel
@@ -355,9 +337,6 @@ def step(
     s.i_alpha, s.i_beta = i_alpha, i_beta
     _emf(s, c, u_d, u_q, s.theta + 0.5 * s.turned, periods == 1.0)
     _watch(s, c, theta / c.pole_pairs)
-    if c.compare == 1 and periods == 1.0:
-        d, q = park(i_alpha, i_beta, theta)
-        _compare(s, c, u_d, u_q, d, q)
     s.theta = theta
 
 

@@ -298,7 +298,6 @@ def _value(s: State, c: Const, u: Inputs) -> None:
     """Find the motor angle to send: measured, or out of the gear when the sensor is at fault."""
     m, d = s.electrics, s.decision
     s.speed, s.load = m.filter.x[2], m.filter.x[4]
-    s.luenberger, s.reduced, s.dq = m.luenberger.omega, m.reduced.omega, m.dq.x[2]
     s.value = u.delta_m
     s.quality = DEGRADED if c.degraded == 1 else MEASURED
     if isnan(u.delta_m):
@@ -372,9 +371,6 @@ MONITOR = Monitor(
                 "value",
                 "speed",
                 "load",
-                "luenberger",
-                "reduced",
-                "dq",
                 "quality",
                 "pairs",
                 "unpaired",

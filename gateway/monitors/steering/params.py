@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -96,6 +97,10 @@ class Ratio(StrictModel):
 class Params(MonitorParams):
     """Parameters of the steering monitor."""
 
+    moved: ClassVar[Mapping[str, str]] = {
+        "compare": "the paper's estimators are in the study (gateway evaluate steering); leave the key out"
+    }
+
     motor: MotorParams = MotorParams()
     period_ms: float = Field(
         1.0,
@@ -142,10 +147,6 @@ class Params(MonitorParams):
     flux_error: float = Field(0.06, ge=0, le=1, description="of the flux, share")
     dead_volts: float = Field(0.06, ge=0, description="lost to dead time in a phase [V]")
     temperature: bool = Field(True, description="resistance follows the winding's temperature")
-    compare: bool = Field(
-        True,
-        description="run Luenberger, reduced and dq filters beside the one that decides; their speeds are shown",
-    )
     slow: float = Field(15.0, ge=0, description="below this speed the angle is anchored at the sensor [rad/s]")
     ratio: Ratio | None = Field(None, description="check the road wheel angle's ratio; default: not")
     thresholds: Thresholds = Thresholds()

@@ -23,7 +23,7 @@ class Const(Record):
 class State(Record):
     """State.
 
-    ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m]; speed by the paper's own filters.
+    ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m].
     ``pairs`` of motor frames taken, ``unpaired`` frames; ``waiting`` 1: the
     last voltage, of ``waiting_ns``, waits for its current.
     ``wheel_age_ms``, ``angle_step`` [deg]: as learned; ``not_seen``: bits of what is not tested at present.
@@ -32,9 +32,6 @@ class State(Record):
     value: f8
     speed: f8
     load: f8
-    luenberger: f8
-    reduced: f8
-    dq: f8
     quality: i8
     pairs: i8
     unpaired: i8

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from gateway.fdi.wheel import Wheel
 from gateway.jit import kernel, zeros
 from gateway.monitors.contract import FAILED
-from gateway.monitors.crank import adaptive, constant_speed, place
+from gateway.monitors.crank import adaptive, place
 from gateway.monitors.crank.monitor import MONITOR, Params
+from gateway_studies.crank import constant_speed
 from gateway_studies.crank.peers import PEER, ratio, threshold
 
 Method = Literal["adaptive", "paper", "ratio", "threshold"]
 METHODS: tuple[Method, ...] = ("adaptive", "paper", "ratio", "threshold")
+#: The paper's observer gain D, (9).
+GAIN = 0.6
 #: Reports kept of one train.
 MOST_REPORTS = 4096
 
@@ -137,7 +140,7 @@ def follower(
             reversals = int(s[0]["reversal"]["total"])
         elif method == "paper":
             s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)
-            constant_speed.prepare(s[0], c[0], wheel, defaults.gain, 0.5, False)
+            constant_speed.prepare(s[0], c[0], wheel, GAIN, 0.5, False)
             n = _paper(s[0], c[0], out[0], y, teeth, proven, reports)
             alarms = int(s[0]["alarms"])
         else:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from gateway.fdi.pi_bank import products
-from gateway_studies.linear import example
+from gateway_studies.linear import example, products
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fdi.filters import ekf_alpha_beta, ekf_dq, feedforward, luenberger, reduced_luenberger
+from gateway.fdi.filters import ekf_alpha_beta, feedforward
 from gateway.fdi.filters.motor import Motor
 from gateway.fdi.filters.transforms import clarke, park
 from gateway.jit import Record, f8s, kernel, zeros
@@ -16,6 +16,7 @@ from gateway.vecu.steering.course import sweep, times
 from gateway.vecu.steering.plant import Plant, drive, undisturbed
 from gateway_studies.pool import Progress, run
 from gateway_studies.steering.cases import DURATION
+from gateway_studies.steering.filters import ekf_dq, luenberger, reduced_luenberger
 
 Array = NDArray[np.float64]
 

@@ -17,17 +17,9 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-from gateway.fdi.filters import (
-    ekf_alpha_beta,
-    ekf_dq,
-    feedforward,
-    gaussian,
-    luenberger,
-    motor,
-    reduced_luenberger,
-    transforms,
-)
+from gateway.fdi.filters import ekf_alpha_beta, feedforward, gaussian, motor, transforms
 from gateway.jit import zeros
+from gateway_studies.steering.filters import ekf_dq, luenberger, reduced_luenberger
 
 _COUNTS: Counter[str] = Counter()
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from amount import examples
+from gateway_studies.crank.constant_speed import TRACK, Const, State, prepare, tooth
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.fdi.wheel import Wheel
 from gateway.jit import zeros
 from gateway.monitors.contract import FAILED
-from gateway.monitors.crank.constant_speed import TRACK, Const, State, prepare, tooth
 from gateway.monitors.crank.faults import ADDED, MISSED, SYNC_LOST
 from gateway.monitors.crank.monitor import MONITOR, Params
 

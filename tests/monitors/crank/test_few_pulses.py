@@ -229,10 +229,10 @@ def test_check_says_what_such_a_wheel_can_tell(wheel, options, words):
     assert "not tested" not in "\n".join(_facts(Params(wheel="60-2")))
 
 
-def test_the_paper_needs_a_gap():
-    for wheel in ("2", "24", "3-1"):
-        with pytest.raises(ValidationError, match="method paper needs"):
-            Params(wheel=wheel, method="paper")
+def test_keys_of_the_papers_method_say_where_it_is():
+    for key, value in (("method", "paper"), ("gain", 0.6), ("threshold", 1.0), ("follow_speed", False)):
+        with pytest.raises(ValidationError, match=f"{key} = {value!r}: of the paper's method, which is in the study"):
+            Params(wheel="60-2", **{key: value})
 
 
 @pytest.mark.parametrize(("text", "pulses"), [("1", 1), ("24-0", 24), ("360", 360), ("5*0.5", 5)])

@@ -25,10 +25,10 @@ GATEWAY_DBC = shipped("dbc/gateway.dbc")
 SYNC = cantools.database.load_file(GATEWAY_DBC).get_message_by_name("GW_EngineSync")
 
 
-def engine_of(form="classic", wheel="60-2", method="adaptive", send=False, **params):
+def engine_of(form="classic", wheel="60-2", send=False, **params):
     database = load_database([shipped("dbc/crank.dbc")])
     emission = load_database([GATEWAY_DBC]).message("GW_EngineSync") if send else None
-    chosen = Params(wheel=wheel, frame=form, method=method, **params)
+    chosen = Params(wheel=wheel, frame=form, **params)
     monitor = MonitorInstance("crank", MONITOR, chosen, emission=emission)
     return build_engine([(0, database)], [monitor], [])
 
@@ -46,19 +46,15 @@ def feed(engine, frames):
     return failed, np.concatenate(sent)
 
 
-def state_of(engine, method="adaptive"):
+def state_of(engine):
     state = engine._states[0][0]
-    return state, state["fast" if method == "adaptive" else "paper"]
+    return state, state["fast"]
 
 
 @pytest.mark.costly
 @pytest.mark.parametrize("form", ["classic", "fd"])
-@pytest.mark.parametrize(
-    ("method", "share"),
-    # The paper's method is not made for a lost frame in every window.
-    [("adaptive", 0.01), ("adaptive", 0.05), ("adaptive", 0.2), ("paper", 0.01), ("paper", 0.05)],
-)
-def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2])
+def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share):
     """A lost frame is known by its counter; its pulses were there."""
     w = Wheel.parse("60-2")
     times = tooth_times(w, [(0, 1500)], amount(20.0, 20.0, 1.5), rng=np.random.default_rng(4))
@@ -67,11 +63,11 @@ def test_frames_lost_on_the_bus_do_not_shift_the_labels(form, share, method):
     print("seeds 4, 6")
     lost = rng.random(len(frames)) < share
     lost[: len(frames) // 5] = lost[-1] = False
-    engine = engine_of(form, method=method)
+    engine = engine_of(form)
     failed, _ = feed(engine, frames[~lost])
     assert lost.sum() > 3 or SMALL
     assert failed == []
-    _, state = state_of(engine, method)
+    _, state = state_of(engine)
     # Interval k of the train is interval k % 58 of the wheel, lost frames or not.
     sent = len(times) - 1
     assert state["index"] == sent % w.pulses

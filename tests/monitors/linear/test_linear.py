@@ -188,17 +188,9 @@ def test_without_a_counter_time_tells_what_is_lost():
     assert not any(failed.values())
 
 
-@pytest.mark.long
-@compiled
-def test_the_paper_s_own_logic_pulses():
-    faults = (LinearFault(kind="output_offset", place=2, from_s=15.0, size=0.7),)
-    y, u = simulate(drive(0.0, stable=True), faults, 30.0, np.random.default_rng(0))
-    poles = list(example.POLES)
-    _, failed = walked(inputs(y, u), logic="products", start_s=10.0, poles=poles)
-    assert failed["sensor_roll_rate"][0] == 150
-    assert len(failed["sensor_roll_rate"]) < 20  # a pulse, not a level
-    _, failed = walked(inputs(y, u))
-    assert set(range(152, 300)) <= set(failed["sensor_roll_rate"])
+def test_the_paper_s_own_logic_says_where_it_is(tmp_path):
+    path = written(tmp_path, "aircraft", ('type = "pi_bank"', 'type = "pi_bank"\nlogic = "products"'))
+    assert "logic = 'products': the paper's own decision is in the study (gateway evaluate linear)" in refused(path)
 
 
 @compiled

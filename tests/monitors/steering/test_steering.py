@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from gateway_studies.steering.cases import Spread
 from gateway_studies.steering.follow import Run, follow, make
+from pydantic import ValidationError
 
 from gateway.jit import COMPILED, zeros
 from gateway.monitors.contract import FAILED
@@ -292,13 +293,18 @@ def still(n, rng):
 def test_a_motor_at_rest_is_healthy_and_one_that_jumps_is_not():
     rng = np.random.default_rng(6)
     u = still(800, rng)
-    p = params(compare=True)
+    p = params()
     assert walk(u[:450], p)["failed"] == {}
     u["theta_park"][600:] += 60.0
     u["delta_m"][600:] += 15.0
     failed = walk(u, p)["failed"]
     assert set(failed) == {"motor_angle_offset"}
     assert 600 < failed["motor_angle_offset"][0] < 660
+
+
+def test_the_paper_s_estimators_say_where_they_are():
+    with pytest.raises(ValidationError, match="compare = True: the paper's estimators are in the study"):
+        params(compare=True)
 
 
 def test_a_silent_bus_makes_the_angle_invalid():

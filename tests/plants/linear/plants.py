@@ -1,4 +1,4 @@
-"""Three linear plants of other make: own equations, own parameters, own solver; nothing of gateway/vecu.
+"""Three plants of other make, and one of them not linear: own equations, parameters, solver; nothing of gateway/vecu.
 
 Each gives its true matrices for any physical parameters, so that a user's parameters can be told wrong: the gateway is
 configured with the matrices of the wrong ones.
@@ -7,7 +7,7 @@ Sources: 747: Matlab's "jetdemo" (Boeing 747, Mach 0.8, 40 000 ft), lateral moti
 quadruple-tank process", IEEE Trans. CST 8(3), 2000, Table I, P-, minimum phase.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,7 +19,7 @@ class Plant:
 
     ``build``: parameters -> A, B; ``c``; ``names``: inputs, outputs; ``noise``: of outputs; ``state_noise``: per root
     of a second; ``resolution``: of each signal, inputs first; ``drive``: (rng, samples) -> commands; ``faults``: name
-    -> size.
+    -> size; ``slopes``: of a plant that is not linear, (levels' deviation, commands) -> derivatives.
     """
 
     name: str
@@ -36,6 +36,7 @@ class Plant:
     actuator: np.ndarray
     sensor: np.ndarray
     sizes: dict = field(default_factory=dict)
+    slopes: object = None
 
     def wrong(self, share, rng):
         """Return A, B with each parameter off by ``share``, up or down."""
@@ -168,6 +169,25 @@ TANKS = Plant(
     {"H1": 1.0, "H2": 1.0, "H3": 0.6, "H4": 0.6, "V1": 0.4, "V2": 0.4},
 )
 
+
+def _torricelli(p, v0=3.0):
+    """Return the tanks' own equations, as deviations from where pumps of v0 keep them."""
+    area, hole = (np.array([p[f"{letter}{k}"] for k in (1, 2, 3, 4)]) for letter in "Aa")
+    split = np.array([[p["g1"] * p["k1"], 0], [0, p["g2"] * p["k2"]]])
+    rest = np.array([[0, (1 - p["g2"]) * p["k2"]], [(1 - p["g1"]) * p["k1"], 0]])
+    pump, upper = np.vstack([split, rest]), np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0], [0, 0, 0, 0]])
+    drain = upper - np.eye(4)
+    begin = (np.linalg.solve(-drain, pump @ [v0, v0]) / hole) ** 2 / 1962.0
+
+    def slopes(x, u):
+        return (drain @ (hole * np.sqrt(1962.0 * np.maximum(begin + x, 0.0))) + pump @ (v0 + u)) / area
+
+    return slopes
+
+
+#: The tanks as they are: their levels move by up to half of themselves, what drains by its root.
+LEVELS = replace(TANKS, name="levels", slopes=_torricelli(TANKS.parameters))
+
 PLANTS = {plant.name: plant for plant in (SERVO, JET, TANKS)}
 
 
@@ -207,6 +227,17 @@ def _spoil(column, fault, time, rng):
         raise ValueError(fault.kind)
 
 
+def _held(plant, x, u, parts=5):
+    """Return x a period later by Runge and Kutta's rule, commands held."""
+    h = plant.period / parts
+    for _ in range(parts):
+        a = plant.slopes(x, u)
+        b = plant.slopes(x + h / 2 * a, u)
+        c = plant.slopes(x + h / 2 * b, u)
+        x = x + h / 6 * (a + 2 * b + 2 * c + plant.slopes(x + h * c, u))
+    return x
+
+
 def simulate(plant, seconds, rng, faults=()):
     """Return outputs as sensors read them, and commands as told, sample by sample."""
     a, b = plant.true
@@ -228,7 +259,7 @@ def simulate(plant, seconds, rng, faults=()):
     x, states = np.zeros(n), np.empty((samples, n))
     for k in range(samples):
         states[k] = x
-        x = phi @ x + push[k]
+        x = phi @ x + push[k] if plant.slopes is None else _held(plant, x, acts[k]) + w[k]
     y = states @ plant.c.T + rng.normal(0.0, 1.0, (samples, len(plant.c))) * plant.noise
     for fault in faults:
         if fault.part in plant.outputs:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from amount import FULL, amount
 from linear import frames
-from linear.plants import PLANTS, SERVO, TANKS, Fault, simulate
+from linear.plants import LEVELS, PLANTS, SERVO, TANKS, Fault, simulate
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -288,3 +288,42 @@ def test_a_bias_in_another_unit_is_refused(tmp_path):
     path = frames.configuration(tmp_path, plant, *plant.true, accuracy='unit = "A"\naccuracy = { bias = "0.1 V" }')
     with pytest.raises(InputErrors, match=r'output.*accuracy.bias = "0.1 V": its unit is "A"'):
         load_config(path)
+
+
+def test_a_plant_that_is_not_linear_accuses_nobody(tmp_path):
+    """Parameters 5 % off, levels that move by half: entries vary by more than was told, and that is nobody's fault."""
+    runs, nonlinear = amount(20, 2), 0
+    for seed in range(SEEDS + 41_000, SEEDS + 41_000 + runs):
+        found, readout = watched(tmp_path, LEVELS, 0.05, 1800.0, seed)
+        assert found == [], (seed, found)
+        assert readout["untested"] < 400
+        nonlinear += readout["nonlinear"]
+    assert nonlinear > 0
+
+
+def test_drifting_sensors_of_a_plant_that_is_not_linear_are_no_actuator(tmp_path):
+    """1 cm in 300 s: four of five by name, the rest unexplained or not seen."""
+    runs, named = amount(80, 4), 0
+    for k in range(runs):
+        part, size = LEVELS.outputs[k % 4], (-1) ** (k // 4 + k) / 300.0
+        found, _ = watched(tmp_path, LEVELS, 0.05, 2400.0, SEEDS + 42_000 + k, [Fault(part, "drift", size, 1500.0)])
+        assert {name for _, name in found} <= {f"sensor_{part}", "unexplained"}, (part, found)
+        named += f"sensor_{part}" in {name for _, name in found}
+    assert named >= 0.75 * runs
+
+
+def test_what_was_not_isolated_is_over_when_the_plant_is_well(tmp_path):
+    """Two sensors off for two minutes: `unexplained`, which heals, and a fault behind it has its name."""
+    rng = np.random.default_rng(SEEDS + 43_000)
+    a, b = LEVELS.wrong(0.05, rng)
+    y, u = simulate(LEVELS, 4000.0, rng, [Fault("H4", "offset", 0.6, 3500.0)])
+    y[1500:1620, :2] += [2.0, -2.0]
+    path = frames.configuration(tmp_path, LEVELS, a, b, extra=told(LEVELS, 0.05))
+    events, _ = frames.run(path, frames.encode(LEVELS, y, u))
+    came = [(round((e["t_ns"] - begun) * 1e-9), e["fault"].removeprefix("m."), e["status"] & 1) for e, begun in events]
+    print(came)
+    first, *_, healed, named = came
+    assert first[1:] == ("unexplained", 1)
+    assert healed[1:] == ("unexplained", 0)
+    assert healed[0] < 2400
+    assert named[1:] == ("sensor_H4", 1)

@@ -40,7 +40,7 @@ def told(machine, **more):
         "pole_pairs": machine.pole_pairs, "flux": machine.flux, "resistance": machine.resistance,
         "inductance": machine.lq, "inertia": machine.inertia, "friction": machine.friction,
     }  # fmt: skip
-    return {"type": "steering_angle", "motor": motor, "motor_ratio": machine.ratio, "compare": False, **more}
+    return {"type": "steering_angle", "motor": motor, "motor_ratio": machine.ratio, **more}
 
 
 def wheel_course(seconds, rng):

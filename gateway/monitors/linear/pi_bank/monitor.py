@@ -1,8 +1,8 @@
 """Bank of PI observers: each actuator and each sensor of a linear plant, with the size of its fault.
 
 Source: Kim, Kim, Kawaji, "Fault Diagnosis of Actuators and Sensors with multiple PI observers" (paper 003), designed in
-discrete time, with (16) corrected (:mod:`gateway.fdi.pi_bank.products`) and decisions of its own
-(:mod:`gateway.fdi.pi_bank.isolation`). One step a sample; samples that are lost are predicted.
+discrete time, with decisions of its own (:mod:`gateway.fdi.pi_bank.isolation`; of a plant that is not known exactly
+:mod:`gateway.fdi.model_set`). One step a sample; samples that are lost are predicted.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from gateway.fdi.model_set import decision
-from gateway.fdi.pi_bank import bank, isolation, products
-from gateway.fdi.pi_bank.isolation import NONE, settled
+from gateway.fdi.pi_bank import bank, isolation
+from gateway.fdi.pi_bank.isolation import NONE
 from gateway.fdi.pi_bank.masking import masked
 from gateway.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors.contract import (
@@ -45,7 +45,6 @@ class Const(Record):
     isolation: isolation.Const
     models: decision.Const
     logic: i8
-    start: i8
 
 
 class State(Record):
@@ -54,7 +53,6 @@ class State(Record):
     sampling: linear_plant.State
     isolation: isolation.State
     models: decision.State
-    samples: i8
     missing: i8
     restarts: i8
     active: i8
@@ -62,6 +60,7 @@ class State(Record):
     commands_lost: i8 = means("samples whose command did not come")
     untested: i8 = means("samples that were not judged")
     reason: i8 = means("why the last sample was not judged, see Readout; 0: it was")
+    nonlinear: i8 = means("1: with model_error: the plant's entries vary, it is not linear")
 
 
 class Evidence(Record):
@@ -73,8 +72,8 @@ class Evidence(Record):
 
 
 #: Logics by their number.
-JUMPS, PRODUCTS, MODELS = range(3)
-_LOGICS = {"jumps": JUMPS, "products": PRODUCTS, "models": MODELS}
+JUMPS, MODELS = range(2)
+_LOGICS = {"jumps": JUMPS, "models": MODELS}
 #: What cannot be isolated comes first; then actuators, then sensors.
 UNEXPLAINED = 0
 
@@ -137,7 +136,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         start_s=p.start_s,
         hold_s=p.hold_s,
     )
-    c.start = max(round(p.start_s / p.plant.period), 1)
     isolation.restart(s.isolation, c.isolation)
 
 
@@ -178,40 +176,11 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
 
 
 @kernel
-def _products(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
-    """Take one sample by the paper's own logic."""
-    x, o = s.isolation, c.isolation.bank
-    if x.started == 0:
-        s.samples += 1
-        if s.samples >= c.start:
-            x.started = 1
-        bank.step(x.bank, o, u.y, s.sampling.u)
-        return
-    for k in range(o.p + 1):
-        bank.innovate(x.bank, o, k, u.y)
-    x.latched = NONE
-    for i in range(o.m):
-        limit = c.isolation.actuator[i]
-        x.fault[i] = x.bank.z[0, o.n + i]
-        flag = products.actuator(x.bank.z, o.n, o.p, i, limit, False)
-        x.actuator[i] = 1 if flag else 0
-        _report(s, c, 1 + i, flag, x.fault[i], limit, out)
-    for j in range(o.p):
-        limit = c.isolation.sensor[j]
-        flag = products.sensor(x.bank.e, o.p, j, limit)
-        if flag:
-            x.latched = j
-        _report(s, c, 1 + o.m + j, flag, x.bank.e[0, j], limit, out)
-    for k in range(o.p + 1):
-        bank.advance(x.bank, o, k, s.sampling.u)
-
-
-@kernel
 def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample by hypotheses."""
     x, f = s.models, c.models.filters
     decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
-    s.sensor = NONE
+    s.sensor, s.nonlinear = NONE, x.filters.varies
     if c.models.task == decision.LEARNING:
         s.reason = FINDING
         return
@@ -246,7 +215,6 @@ def _skip(s: State, c: Const, u: linear_plant.Inputs, steps: int) -> None:
     """Go on over the samples that did not come, each with the command that held then."""
     if steps - 1 > linear_plant.MOST_MISSING or s.sampling.gap == 1:
         s.restarts += 1
-        s.samples = 0
         if c.logic == MODELS:
             decision.restart(s.models, c.models)
         else:
@@ -279,8 +247,6 @@ def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record])
     if c.logic == MODELS:
         _models(s, c, u, out)
         s.active = s.models.active
-    elif c.logic == PRODUCTS:
-        _products(s, c, u, out)
     else:
         isolation.step(x, c.isolation, u.y, s.sampling.u)
         if lost:
@@ -297,7 +263,7 @@ def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record])
 
 
 def _warnings(p: Params) -> tuple[str, ...]:
-    """Say which faults hide each other from stationary values, and how slow the bank is."""
+    """Say which faults hide each other from stationary values."""
     said = []
     if p.decided_by == "models":
         for j, part in enumerate(p.output):
@@ -317,9 +283,6 @@ def _warnings(p: Params) -> tuple[str, ...]:
             f"{p.output[hidden.observer].name} by a slowly growing error of sensor {sensor.name} of "
             f"{hidden.low:.3g} to {hidden.high:.3g}"
         )
-    slowest = max(settled(p.plant, observer) for observer in p.observers)
-    if p.start_s < 1.0 and p.decided_by == "products":
-        said.append(f"start_s = {p.start_s}: the observers settle with {slowest:.2g} s")
     return tuple(said)
 
 
@@ -349,7 +312,7 @@ MONITOR = Monitor(
     faults=_faults,
     capabilities=(
         Blames(_blames),
-        Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason")),
+        Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason", "nonlinear")),
         Refinement(_wanted, _found),
         Sampled(linear_plant.samplings),
         Warnings(_warnings),

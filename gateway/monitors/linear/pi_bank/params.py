@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from cmath import exp
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,11 +13,15 @@ from gateway.fdi.linear.plant import unobservable
 from gateway.fdi.pi_bank.design import Observer, check, design
 from gateway.monitors.linear.uncertain import UncertainPlantParams
 
-Logic = Literal["jumps", "products", "models"]
+Logic = Literal["jumps", "models"]
 
 
 class Params(UncertainPlantParams):
     """A linear plant whose actuators and sensors are watched."""
+
+    moved: ClassVar[Mapping[str, str]] = {
+        "logic = products": "the paper's own decision is in the study (gateway evaluate linear); use jumps"
+    }
 
     poles: tuple[float | tuple[float, float], ...] | None = Field(
         None,
@@ -25,9 +30,9 @@ class Params(UncertainPlantParams):
     )
     logic: Logic | None = Field(
         None,
-        description="jumps: likelihood ratio on the innovations of the bank, latched; products: (15) and (16) of the "
-        "paper; models: a filter for each fault, with the plant's own errors as slow states. Default: models where "
-        "model_error is given or a sensor cannot be left out, else jumps",
+        description="jumps: likelihood ratio on the innovations of the bank, latched; models: a filter for each fault, "
+        "with the plant's own errors as slow states. Default: models where model_error is given or a sensor cannot be "
+        "left out, else jumps",
     )
     patience_s: float | None = Field(
         None, gt=0, description="with models: time in which a fault has to be isolated [s]; default: 200 samples"
